@@ -1,0 +1,99 @@
+"""What a person sees in the terminal: plans, machines, the course of a run, the end of a task."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+
+from pnm.actions.base import Outcome, OutcomeKind, Request
+from pnm.machine import PetriNetMachine
+from pnm.plan_graph import ActionCall
+from pnm.results import Failure, RunResult
+from rich.console import Console
+from rich.markup import escape
+
+from planner_bridge.pipeline import TaskObserver, TaskResult
+from planner_bridge.plan import Plan
+from planner_bridge.replanning import PlanAgain, Resume
+
+
+class ConsoleObserver(TaskObserver):
+    """Prints a line per moment; shows what it waits for when the output is a terminal.
+
+    The mutable state is the time at which the current task began, and the spinner.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._waiting = ExitStack()
+        self._began: float | None = None
+
+    def planning(self, planner: str) -> None:
+        """Show that a planner is being asked."""
+        if self._console.is_terminal:
+            self._waiting.enter_context(self._console.status(f"{planner} is looking for a plan"))
+
+    def planned(self, plan: Plan) -> None:
+        """Print the plan."""
+        self._waiting.close()
+        print_plan(self._console, plan)
+
+    def generated(self, machine: PetriNetMachine) -> None:
+        """Print the size of the machine."""
+        net = machine.net
+        self._console.print(f"[bold]machine[/]  {len(net.places)} places, {len(net.transitions)} transitions, {len(machine.orderings)} orderings")
+
+    def sent(self, call: ActionCall, request: Request, now: float) -> None:
+        """Print that a call starts."""
+        again = f" (attempt {request.attempt})" if request.attempt > 1 else ""
+        self._line(now, "[blue]start[/] ", f"{call.action}{again}")
+
+    def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:
+        """Print how a request ended."""
+        if outcome.kind is OutcomeKind.SUCCEEDED:
+            self._line(now, "[green]done[/]  ", str(call.action))
+        else:
+            self._line(now, "[red]ended[/] ", f"{call.action}: {outcome.kind.value}{f': {outcome.message}' if outcome.message else ''}")
+
+    def failed(self, failure: Failure, now: float) -> None:
+        """Print that a failure place is marked."""
+        self._line(now, "[bold red]failed[/]", f"{failure.call.action}: {failure.cause}; expected {failure.expected}; observed {failure.observed}")
+
+    def replanning(self, decision: Resume | PlanAgain, result: RunResult) -> None:
+        """Print what follows a failed run."""
+        match decision:
+            case Resume(rest):
+                text = f"the rest of the plan still works: going on with {len(rest.calls)} calls in a new machine"
+            case PlanAgain(forbidden, why):
+                without = f"; not again: {', '.join(sorted(map(str, forbidden)))}" if forbidden else ""
+                text = f"a new plan is needed: {why}{without}"
+        self._console.print(f"[bold yellow]replan[/]   {escape(text)}", highlight=False)
+
+    def _line(self, now: float, word: str, text: str) -> None:
+        if self._began is None:
+            self._began = now
+        self._console.print(f"  {now - self._began:8.2f} s  {word} {escape(text)}", highlight=False, soft_wrap=True)
+
+
+def print_plan(console: Console, plan: Plan) -> None:
+    """Print a plan, a line per step."""
+    if not plan.steps:
+        console.print("[bold]plan[/]     nothing to do: the goal holds already")
+        return
+    console.print(f"[bold]plan[/]     {len(plan.steps)} calls" + (f", {plan.makespan:.1f} s" if plan.temporal else ""), highlight=False)
+    for number, step in enumerate(plan.steps):
+        when = f"{step.start:8.2f} s" if plan.temporal else f"{number + 1:8d}. "
+        lasts = f" [{step.duration:.2f} s]" if plan.temporal else ""
+        console.print(escape(f"  {when}  {step}{lasts}"), highlight=False, soft_wrap=True)
+
+
+def print_result(console: Console, result: TaskResult) -> None:
+    """Print how the task ended."""
+    word = "[bold green]goal[/]     holds" if result.goal_reached else "[bold red]goal[/]     not reached"
+    console.print(f"{word}: {escape(result.reason)}" if not result.goal_reached else word, highlight=False, soft_wrap=True)
+    sent = sum(call.attempts for call in result.calls)
+    assumed = sum(call.assumed for call in result.calls)
+    told = f", {assumed} with effects that nothing reports" if assumed else ""
+    console.print(f"         {result.plans} plans, {result.replans} replans, {sent} requests, {len(result.failures)} failures{told}", highlight=False)
+
+
+__all__ = ["ConsoleObserver", "print_plan", "print_result"]

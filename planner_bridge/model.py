@@ -1,0 +1,124 @@
+"""Domains and problems: small and frozen. Conditions and effects are pnm's, with variables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+from pnm.conditions import TRUE, Condition, Expression, Fluent, Value, Variable
+from pnm.effects import Effects
+
+
+@dataclass(frozen=True, slots=True)
+class DurationConstraint:
+    """``(= ?duration e)``, ``(<= ?duration e)`` or ``(>= ?duration e)``."""
+
+    operation: Literal["=", "<=", ">="]
+    bound: Expression
+
+    def __str__(self) -> str:
+        return f"({self.operation} ?duration {self.bound})"
+
+
+@dataclass(frozen=True, slots=True)
+class ActionSchema:
+    """An action with parameters. Instantaneous when `duration` is None.
+
+    An instantaneous action keeps its precondition in `precondition` and its effect in `end_effects`.
+    """
+
+    name: str
+    parameters: tuple[Variable, ...] = ()
+    precondition: Condition = TRUE
+    """At start."""
+    invariant: Condition = TRUE
+    """Over all."""
+    end_condition: Condition = TRUE
+    """At end."""
+    start_effects: Effects = ()
+    end_effects: Effects = ()
+    duration: tuple[DurationConstraint, ...] | None = None
+    """Empty for a durative action of any duration."""
+
+
+@dataclass(frozen=True, slots=True)
+class Declaration:
+    """A predicate, or a function, with its typed parameters."""
+
+    name: str
+    parameters: tuple[Variable, ...] = ()
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Types, constants, predicates, functions and actions, all by name in the order of the file."""
+
+    name: str
+    requirements: tuple[str, ...] = ()
+    types: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """For every type, the types it is directly a kind of; ``object`` is the root and not listed."""
+    constants: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """For every constant, its types."""
+    predicates: Mapping[str, Declaration] = field(default_factory=dict)
+    functions: Mapping[str, Declaration] = field(default_factory=dict)
+    """Numeric functions."""
+    actions: Mapping[str, ActionSchema] = field(default_factory=dict)
+
+    def supertypes(self, name: str) -> frozenset[str]:
+        """Return the type itself and everything it is a kind of, ``object`` included."""
+        found = {"object", name}
+        waiting = [name]
+        while waiting:
+            for parent in self.types.get(waiting.pop(), ()):
+                if parent not in found:
+                    found.add(parent)
+                    waiting.append(parent)
+        return frozenset(found)
+
+
+@dataclass(frozen=True, slots=True)
+class TimedChange:
+    """Timed initial literals and fluents: these values from this time on, in seconds."""
+
+    time: float
+    changes: Mapping[Fluent, Value]
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """What a plan should minimise or maximise; ``(total-time)`` is a fluent like any other here."""
+
+    direction: Literal["minimize", "maximize"]
+    expression: Expression
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Objects, an initial state and a goal for a domain."""
+
+    name: str
+    domain: Domain
+    own_objects: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """For every object of the problem, its types; the domain's constants come besides."""
+    init: Mapping[Fluent, Value] = field(default_factory=dict)
+    """True facts and the values of functions."""
+    timed: tuple[TimedChange, ...] = ()
+    """Ordered by time."""
+    goal: Condition = TRUE
+    metric: Metric | None = None
+
+    @cached_property
+    def objects(self) -> dict[str, tuple[str, ...]]:
+        """Every object and constant by name, with its types."""
+        return {**self.domain.constants, **self.own_objects}
+
+    @cached_property
+    def objects_by_type(self) -> dict[str, tuple[str, ...]]:
+        """For every type, its objects in the order in which they were declared."""
+        found: dict[str, list[str]] = {name: [] for name in ("object", *self.domain.types)}
+        for name, types in self.objects.items():
+            for one in sorted(frozenset().union(*(self.domain.supertypes(kind) for kind in types))):
+                found.setdefault(one, []).append(name)
+        return {kind: tuple(names) for kind, names in found.items()}

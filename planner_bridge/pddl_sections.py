@@ -1,0 +1,109 @@
+"""A PDDL file cut into its sections, before anything in them is interpreted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from typing import Final, Literal
+
+from planner_bridge.pddl_names import new_name, unsupported
+from planner_bridge.sexpr import Atom, Group, Node, parse, where, wrong
+from pnm.errors import InputError, Position
+
+_TASKS: Final = ("task networks (HDDL)", "a hierarchical planner")
+_UNSUPPORTED: Final[Mapping[str, tuple[str, str]]] = {
+    ":derived": ("derived predicates (:derived)", "rules that are applied after every change"),
+    ":constraints": ("trajectory constraints (:constraints)", "checks over a whole run"),
+    ":process": ("processes (:process)", "a simulation of change over time"),
+    ":event": ("events (:event)", "changes that happen without an action"),
+    ":observe": ("sensing actions (:observe)", "a contingent planner"),
+    **dict.fromkeys((":task", ":method", ":htn", ":tasks", ":subtasks", ":ordered-subtasks"), _TASKS),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Definition:
+    """``(define (domain NAME) SECTION ...)``, or a problem, cut into its sections."""
+
+    name: str
+    whole: Group
+    sections: tuple[Group, ...]
+
+    def every(self, *keys: str) -> list[Group]:
+        """Return the sections of these names in the order of the file."""
+        return [section for section in self.sections if section.head in keys]
+
+    def parts(self, key: str) -> tuple[Node, ...]:
+        """Return what stands in the section; sections of the same name are joined."""
+        return tuple([part for section in self.every(key) for part in section.rest])
+
+    def one(self, key: str) -> Group | None:
+        """Return the section, of which there may be one at most."""
+        found = self.every(key)
+        if len(found) > 1:
+            raise wrong(found[1], f"a second {key} section; the first is in line {where(found[0]).line}")
+        return found[0] if found else None
+
+
+def define(text: str, file: str, kind: Literal["domain", "problem"], known: tuple[str, ...]) -> Definition:
+    """Read a definition, all sections of which must be known ones."""
+    form = f"(define ({kind} NAME) ...)"
+    whole = _single(parse(text, file), file, form)
+    match whole.rest:
+        case (Group(items=(_, name)) as head, *sections) if head.head == kind:
+            return Definition(new_name(name, kind), whole, tuple([_section(section, known) for section in sections]))
+        case (found, *_):
+            other = isinstance(found, Group) and found.head in {"domain", "problem"} - {kind}
+            raise wrong(found, f"expected ({kind} NAME), found {found}{f'; this file is not a {kind}' if other else ''}")
+        case _:
+            raise wrong(whole, f"expected {form}, found {whole}")
+
+
+def _single(nodes: tuple[Node, ...], file: str, form: str) -> Group:
+    match nodes:
+        case ():
+            raise InputError(f"the file is empty; expected {form}", Position(file, 1, 1))
+        case (Group() as whole,) if whole.head == "define":
+            return whole
+        case (Group() as whole, extra, *_) if whole.head == "define":
+            raise wrong(extra, f"expected the end of the file after {form}, found {extra}")
+        case (Group(items=(Atom() as word, *_)), *_):
+            raise wrong(word, f"expected 'define', found {word}")
+    raise wrong(nodes[0], f"expected {form}, found {nodes[0]}")
+
+
+def _section(node: Node, known: tuple[str, ...]) -> Group:
+    if not isinstance(node, Group) or not node.head.startswith(":"):
+        raise wrong(node, f"expected a section such as ({known[1]} ...), found {node}")
+    if node.head not in known:
+        raise unknown_key(node.items[0], "section", known)
+    return node
+
+
+def keyed(items: tuple[Node, ...], kind: str, known: tuple[str, ...]) -> dict[str, Node]:
+    """Read ``:key value :key value``, each key a known one and there once."""
+    found: dict[str, Node] = {}
+    rest = iter(items)
+    for key in rest:
+        if not isinstance(key, Atom) or key.text[0] != ":":
+            raise wrong(key, f"expected one of {', '.join(known)}; found {key}")
+        if key.key not in known:
+            raise unknown_key(key, f"part of {kind}", known)
+        if key.key in found:
+            raise wrong(key, f"a second {key.key}; expected one")
+        value = next(rest, None)
+        if value is None or (isinstance(value, Atom) and value.text[0] == ":"):
+            raise wrong(key, f"expected a value after {key}, found {value or 'nothing'}")
+        found[key.key] = value
+    return found
+
+
+def unknown_key(key: Node, kind: str, known: Iterable[str]) -> InputError:
+    """Return the error for a keyword that is not known here, or is not supported."""
+    word = key.key if isinstance(key, Atom) else ""
+    if word in _UNSUPPORTED:
+        return unsupported(key, *_UNSUPPORTED[word])
+    near = get_close_matches(word, list(known), 1)
+    hint = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(known)}"
+    return wrong(key, f"unknown {kind} {key}; {hint}")

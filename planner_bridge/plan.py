@@ -1,0 +1,61 @@
+"""Plans as planners return them, and what else planners answer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+@dataclass(frozen=True, slots=True)
+class PlanStep:
+    """A ground action and when it starts, in seconds; its position, in a sequential plan."""
+
+    action: str
+    arguments: tuple[str, ...] = ()
+    start: float = 0.0
+    duration: float = 0.0
+
+    def __str__(self) -> str:
+        return f"{self.action}({', '.join(self.arguments)})"
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Steps in the order of their starts."""
+
+    steps: tuple[PlanStep, ...] = ()
+    temporal: bool = False
+    """Whether starts and durations are times; otherwise the steps are meant one after the other."""
+    cost: float | None = None
+
+    @property
+    def makespan(self) -> float:
+        """The time from the start to the last end."""
+        return max((step.start + step.duration for step in self.steps), default=0.0)
+
+
+class PlanningStatus(Enum):
+    """How a search for a plan ended."""
+
+    SOLVED = "solved"
+    UNSOLVABLE = "proved unsolvable"
+    NO_PLAN = "no plan found"
+    TIMED_OUT = "planner time-out"
+    OUT_OF_MEMORY = "out of memory"
+    UNSUPPORTED = "not supported by the planner"
+    INVALID = "refused by the planner"
+    CRASHED = "planner crashed"
+
+
+@dataclass(frozen=True, slots=True)
+class PlanningResult:
+    """The answer of a planner: a valid plan, or why there is none."""
+
+    status: PlanningStatus
+    plan: Plan | None = None
+    message: str = ""
+
+    @property
+    def reason(self) -> str:
+        """The status, and what the planner said about it."""
+        return f"{self.status.value}{f': {self.message}' if self.message else ''}"

@@ -1,0 +1,202 @@
+"""Plan → PlanGraph: which event must wait for which, and for the sake of which facts.
+
+The happenings of the plan are walked through in time. For every ground fluent we remember who
+wrote it last and who has read it since; a reader waits for the last writer, a writer waits for
+the last writer and for every reader since. That keeps exactly the orders that matter: the plan
+may be executed in any order that keeps them, as soon as they allow.
+
+An over-all condition is read from just after the start until just before the end. Fluents that
+nothing changes, and counters that only a metric reads (`total-cost`), order nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+from pnm.conditions import Fluent, State, expression_fluents, fluents, names
+from pnm.effects import Effects, ForEach, Set, When, read, written
+from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+
+from planner_bridge.envelopes import tightened
+from planner_bridge.grounding import ground_action
+from planner_bridge.model import Problem
+from planner_bridge.plan import Plan, PlanStep
+from planner_bridge.state import dynamic_names, initial_knowledge
+
+_DIGITS: Final = 5
+"""Times are compared at this many decimals: planners separate events by 0.001 and compute in floats."""
+
+_CLOSE, _TIMED, _END, _START, _INSTANT_END, _OPEN = range(6)
+"""The order of what happens at one time."""
+
+
+def plan_graph(problem: Problem, plan: Plan) -> PlanGraph:
+    """Return the calls of the plan with the orderings that its causes demand."""
+    ordering = _Causes(initial_knowledge(problem), _relevant(problem))
+    steps = [ground_step(problem, plan, step) for step in plan.steps]
+    for time, _, index, kind in sorted(_happenings(problem, plan)):
+        if kind == _TIMED:
+            ordering.timed(time, tuple(problem.timed[index].changes))
+        else:
+            ordering.happen(kind, index, steps[index], round(plan.steps[index].start + plan.steps[index].duration, _DIGITS), time)
+    return tightened(ordering.graph(steps, problem))
+
+
+def ground_step(problem: Problem, plan: Plan, step: PlanStep) -> GroundAction:
+    """Return the ground action of a step."""
+    return ground_action(problem.domain.actions[step.action], step.arguments, step.duration if plan.temporal else None)
+
+
+def _happenings(problem: Problem, plan: Plan) -> list[tuple[float, int, int, int]]:
+    """Return (time, rank, index, kind) for everything that happens."""
+    found = [(round(change.time, _DIGITS), _TIMED, index, _TIMED) for index, change in enumerate(problem.timed)]
+    for index, step in enumerate(plan.steps):
+        start = round(step.start if plan.temporal else float(index), _DIGITS)
+        found.append((start, _START, index, _START))
+        if problem.domain.actions[step.action].duration is None:
+            continue
+        end = round(step.start + step.duration, _DIGITS)
+        found.append((end, _CLOSE if end > start else _INSTANT_END, index, _CLOSE))
+        found.append((end, _END if end > start else _INSTANT_END, index, _END))
+        found.append((start, _OPEN if end > start else _START, index, _OPEN))
+    return found
+
+
+def _relevant(problem: Problem) -> frozenset[str]:
+    """Return the names that can change and that something besides the metric reads."""
+    asked = set(names(problem.goal)) | {fluent[0] for change in problem.timed for fluent in change.changes}
+    for schema in problem.domain.actions.values():
+        for condition in (schema.precondition, schema.invariant, schema.end_condition):
+            asked |= names(condition)
+        for constraint in schema.duration or ():
+            asked |= {fluent[0] for fluent in expression_fluents(constraint.bound)}
+        asked |= set(_asked((*schema.start_effects, *schema.end_effects)))
+    predicates = frozenset(problem.domain.predicates)
+    return dynamic_names(problem) & (predicates | asked)
+
+
+def _asked(effects: Effects) -> list[str]:
+    """Return the names that effects read, a number's own increase left out."""
+    found: list[str] = []
+    for effect in effects:
+        match effect:
+            case Set(fluent, value, operation):
+                found += [one[0] for one in expression_fluents(value)]
+                if operation not in ("increase", "decrease"):
+                    found.append(fluent[0])
+            case When(condition, inner):
+                found += [*names(condition), *_asked(inner)]
+            case ForEach(_, inner):
+                found += _asked(inner)
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Reader:
+    """Who has read a fluent: a point event, or an over-all condition until it closes."""
+
+    call: int
+    event: PlanEvent
+    until: float
+
+
+@dataclass
+class _Causes:
+    """Last writers, readers since, and the orderings found so far."""
+
+    state: State
+    relevant: frozenset[str]
+    writer: dict[Fluent, PlanEvent | float] = field(default_factory=dict)
+    """The event that wrote the fluent last, or the time of the timed change that did."""
+    readers: dict[Fluent, list[_Reader]] = field(default_factory=dict)
+    orderings: dict[tuple[PlanEvent, PlanEvent], list[Fluent]] = field(default_factory=dict)
+    releases: dict[int, float] = field(default_factory=dict)
+    lasting: dict[int, frozenset[Fluent]] = field(default_factory=dict)
+
+    def timed(self, time: float, changed: tuple[Fluent, ...]) -> None:
+        """Note that fluents change by themselves."""
+        for fluent in changed:
+            self.writer[fluent] = time
+            self.readers[fluent] = []
+
+    def happen(self, kind: int, call: int, action: GroundAction, end: float, now: float) -> None:
+        """Note what one happening reads and writes."""
+        start_event, end_event = PlanEvent(call, Moment.START), PlanEvent(call, Moment.END)
+        match kind:
+            case _ if action.duration is None:
+                reads = fluents(action.precondition, self.state) | read(action.end_effects, self.state)
+                self._point(start_event, end_event, reads, written(action.end_effects, self.state), now)
+            case k if k == _START:
+                reads = fluents(action.precondition, self.state) | read(action.start_effects, self.state)
+                self._point(start_event, start_event, reads, written(action.start_effects, self.state), now)
+            case k if k == _OPEN:
+                for fluent in self._only(fluents(action.invariant, self.state)):
+                    self._after_writer(fluent, start_event)
+                    self.readers.setdefault(fluent, []).append(_Reader(call, end_event, end))
+            case k if k == _END:
+                mine = (fluent for fluent in written(action.start_effects, self.state) if self.writer.get(fluent) == start_event)
+                self.lasting[call] = frozenset(mine)
+                reads = fluents(action.end_condition, self.state) | read(action.end_effects, self.state)
+                self._point(end_event, end_event, reads, written(action.end_effects, self.state), now)
+
+    def _only(self, found: frozenset[Fluent]) -> list[Fluent]:
+        return sorted(fluent for fluent in found if fluent[0] in self.relevant)
+
+    def _point(self, waits: PlanEvent, releases: PlanEvent, reads: frozenset[Fluent], writes: frozenset[Fluent], now: float) -> None:
+        for fluent in self._only(reads):
+            self._after_writer(fluent, waits)
+            self.readers.setdefault(fluent, []).append(_Reader(releases.call, releases, now))
+        for fluent in self._only(writes):
+            self._after_writer(fluent, waits)
+            still = []
+            for reader in self.readers.get(fluent, ()):
+                if reader.until > now:  # an over-all condition that this write leaves true
+                    still.append(reader)
+                    self._order(PlanEvent(reader.call, Moment.START), waits, fluent)
+                else:
+                    self._order(reader.event, waits, fluent)
+            self.readers[fluent] = still
+            self.writer[fluent] = releases
+
+    def _after_writer(self, fluent: Fluent, waits: PlanEvent) -> None:
+        writer = self.writer.get(fluent)
+        if isinstance(writer, PlanEvent):
+            self._order(writer, waits, fluent)
+        elif writer is not None and waits.moment is Moment.START:
+            self.releases[waits.call] = max(writer, self.releases.get(waits.call, 0.0))
+
+    def _order(self, before: PlanEvent, after: PlanEvent, fluent: Fluent) -> None:
+        if before.call != after.call:
+            protected = self.orderings.setdefault((before, after), [])
+            if fluent not in protected:
+                protected.append(fluent)
+
+    def graph(self, steps: list[GroundAction], problem: Problem) -> PlanGraph:
+        """Return the plan graph, orderings that others imply left out."""
+        calls = tuple(
+            ActionCall(index, action, self.releases.get(index, 0.0), self.lasting.get(index, frozenset())) for index, action in enumerate(steps)
+        )
+        return PlanGraph(calls, tuple(_strongest(self.orderings)), problem.goal)
+
+
+def _strongest(found: dict[tuple[PlanEvent, PlanEvent], list[Fluent]]) -> list[Ordering]:
+    """Merge `start of a < x` into `end of a < x`, and `x < end of b` into `x < start of b`."""
+    merged: dict[tuple[PlanEvent, PlanEvent], list[Fluent]] = {}
+    for (before, after), protected in sorted(found.items(), key=_by_call):
+        for stronger in (
+            (PlanEvent(before.call, Moment.END), PlanEvent(after.call, Moment.START)),
+            (PlanEvent(before.call, Moment.END), after),
+            (before, PlanEvent(after.call, Moment.START)),
+        ):
+            if stronger in found:
+                merged.setdefault(stronger, []).extend(protected)
+                break
+        else:
+            merged.setdefault((before, after), []).extend(protected)
+    return [Ordering(before, after, tuple(dict.fromkeys(protected))) for (before, after), protected in sorted(merged.items(), key=_by_call)]
+
+
+def _by_call(item: tuple[tuple[PlanEvent, PlanEvent], list[Fluent]]) -> tuple[int, int, str, str]:
+    (before, after), _ = item
+    return before.call, after.call, before.moment.value, after.moment.value

@@ -1,0 +1,162 @@
+"""Text to nested lists of words, as Lisp and PDDL write them; every part knows where it stands.
+
+Reading keeps its own stack, so depth is a number that is checked and never a RecursionError.
+A part holds its offset in the text; line and column are worked out when somebody asks.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Final, TypeAlias
+
+from pnm.errors import InputError, Position
+
+MAX_DEPTH: Final = 100
+"""Lists inside lists; what is read is walked recursively later, by several calls a level."""
+
+_TOKEN: Final = re.compile(r"[()]|;[^\r\n]*|\?[^\s()?;]*|[^\s()?;]+")
+_LINE_END: Final = re.compile(r"\r\n?|\n")
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A text and the name of its file."""
+
+    file: str
+    text: str = field(repr=False)
+
+    def position(self, offset: int) -> Position:
+        """Return the line and column of an offset."""
+        line = bisect_right(self._line_starts, offset)
+        return Position(self.file, line, offset - self._line_starts[line - 1] + 1)
+
+    @cached_property
+    def _line_starts(self) -> list[int]:
+        return [0, *(match.end() for match in _LINE_END.finditer(self.text))]
+
+
+@dataclass(frozen=True, slots=True)
+class Atom:
+    """A word as it is written."""
+
+    text: str
+    offset: int
+    source: Source = field(repr=False)
+
+    def __str__(self) -> str:
+        """Show the word in quotes, for errors."""
+        return repr(self.text)
+
+    @property
+    def key(self) -> str:
+        """The word in lower case: PDDL does not tell `Jack` from `jack`."""
+        return self.text.lower()
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """A list in parentheses; the offset is that of the opening one."""
+
+    items: tuple[Node, ...]
+    offset: int
+    source: Source = field(repr=False)
+
+    def __str__(self) -> str:
+        """Show how the list begins, for errors."""
+        match self.items:
+            case ():
+                return "()"
+            case (Atom(text),):
+                return f"({text})"
+            case (Atom(text), *_):
+                return f"({text} ...)"
+            case _:
+                return "((...) ...)"
+
+    @property
+    def head(self) -> str:
+        """The first word in lower case; empty when there is none."""
+        first = self.items[0] if self.items else None
+        return first.key if isinstance(first, Atom) else ""
+
+    @property
+    def rest(self) -> tuple[Node, ...]:
+        """Everything behind the first part."""
+        return self.items[1:]
+
+
+Node: TypeAlias = Atom | Group
+
+
+def where(node: Node) -> Position:
+    """Return the line and column at which the part begins."""
+    return node.source.position(node.offset)
+
+
+def wrong(node: Node, message: str) -> InputError:
+    """Return the error to raise about this part of the text."""
+    return InputError(message, where(node))
+
+
+def parse(text: str, file: str) -> tuple[Node, ...]:
+    """Return the parts of the text in order; comments run from ``;`` to the end of the line.
+
+    >>> [str(part) for part in parse("(move ?r - robot) ; ignored", "example.pddl")]
+    ['(move ...)']
+
+    Raises:
+        InputError: a parenthesis has no partner, or lists are nested deeper than `MAX_DEPTH`.
+    """
+    return _Parser(Source(file, text)).parse()
+
+
+@dataclass(slots=True)
+class _Parser:
+    source: Source
+    items: list[Node] = field(default_factory=list)
+    """What the innermost open list holds so far."""
+    stack: list[tuple[int, list[Node]]] = field(default_factory=list)
+    """For every open list, its offset and what the list around it holds."""
+    suspect: tuple[int, Atom] | None = None
+    """A section that was still open where another one, by its keyword, began."""
+
+    def parse(self) -> tuple[Node, ...]:
+        for match in _TOKEN.finditer(self.source.text):
+            token, offset = match.group(), match.start()
+            if token == "(":
+                self._open(offset)
+            elif token == ")":
+                self._close(offset)
+            elif token[0] != ";":
+                self._word(Atom(token, offset, self.source))
+        if self.stack:
+            raise self._never_closed()
+        return tuple(self.items)
+
+    def _open(self, offset: int) -> None:
+        if len(self.stack) == MAX_DEPTH:
+            raise InputError(f"nested deeper than {MAX_DEPTH} lists", self.source.position(offset))
+        self.stack.append((offset, self.items))
+        self.items = []
+
+    def _close(self, offset: int) -> None:
+        if not self.stack:
+            raise InputError("this ')' closes nothing; expected '(' or the end of the file", self.source.position(offset))
+        start, outer = self.stack.pop()
+        outer.append(Group(tuple(self.items), start, self.source))
+        self.items = outer
+
+    def _word(self, word: Atom) -> None:
+        if not self.items and len(self.stack) > 2 and word.text[0] == ":" and not self.suspect:
+            self.suspect = self.stack[1][0], word
+        self.items.append(word)
+
+    def _never_closed(self) -> InputError:
+        if self.suspect:
+            offset, word = self.suspect
+            message = f"this '(' is not closed before the next section; expected ')' before {word} in line {where(word).line}"
+            return InputError(message, self.source.position(offset))
+        return InputError("this '(' is never closed; expected ')' before the end of the file", self.source.position(self.stack[-1][0]))

@@ -1,0 +1,129 @@
+"""What goes wrong in a simulation: a file of faults of servers, and of changes behind everybody's back."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Literal
+
+from pnm.conditions import Fluent, Value
+from pnm.errors import InputError
+from pnm.knowledge import parse_statement
+from pnm.plan_graph import GroundAction
+from pnm.yaml_files import Mapped, load_yaml
+
+
+class FaultKind(Enum):
+    """What a server does in place of its work."""
+
+    ABORT = "abort"
+    REJECT = "reject"
+    HANG = "hang"
+    NO_EFFECT = "no_effect"
+    """Succeeds, but the world stays as it was."""
+    SLOW = "slow"
+    """Takes ten times as long."""
+    LOSE_SERVER = "lose_server"
+    """Goes away half-way and does not come back."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Requests of one action, or of one ground action, that go wrong."""
+
+    what: str
+    """An action's name, or a ground action such as ``move(r1, hall, kitchen)``."""
+    kind: FaultKind
+    after: int = 0
+    """How many requests get through first."""
+    times: int | None = None
+    """How many requests then go wrong; None for all."""
+    message: str = ""
+    ignores_cancel: bool = False
+
+    def concerns(self, action: GroundAction) -> bool:
+        """Tell whether the fault is about this ground action."""
+        return self.what in (action.name, str(action))
+
+
+@dataclass(frozen=True, slots=True)
+class HiddenChange:
+    """Facts that change without any action: at a time, or at the start or end of a ground action."""
+
+    changes: Mapping[Fluent, Value]
+    at: float | None = None
+    moment: Literal["start", "end"] | None = None
+    what: str = ""
+
+    def follows(self, moment: str, action: GroundAction) -> bool:
+        """Tell whether this moment of this ground action brings the change about."""
+        return self.moment == moment and self.what in (action.name, str(action))
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """Everything that goes wrong."""
+
+    faults: tuple[Fault, ...] = ()
+    changes: tuple[HiddenChange, ...] = ()
+
+
+NO_FAULTS = Faults()
+_MOMENT = re.compile(r"(start|end) of (.+)\Z")
+
+
+def read_faults(path: Path) -> Faults:
+    """Read a faults file.
+
+    Raises:
+        InputError: the file is not readable YAML, has an unknown key or a value of the wrong kind.
+    """
+    top = load_yaml(path)
+    top.only("faults", "changes")
+    return Faults(tuple(map(_fault, top.sequence("faults"))), tuple(map(_change, top.sequence("changes"))))
+
+
+def ground_name(text: str) -> str:
+    """Normalise ``move( r1,hall )`` or ``(move r1 hall)`` to ``move(r1, hall)``."""
+    names = re.findall(r"[^\s(),]+", text)
+    return f"{names[0]}({', '.join(names[1:])})" if names and ("(" in text) else text.strip()
+
+
+def _fault(entry: Mapped) -> Fault:
+    entry.only("action", "call", "do", "after", "times", "message", "ignores_cancel")
+    action, call, kind = entry.string("action"), entry.string("call"), entry.string("do")
+    if (action is None) == (call is None):
+        raise InputError("expected either 'action' or 'call'", entry.start)
+    kinds = [one.value for one in FaultKind]
+    if kind not in kinds:
+        raise InputError(f"expected 'do' to be one of {', '.join(kinds)}; found {kind!r}", entry.position("do"))
+    times = entry.number("times", None)
+    return Fault(
+        what=action or ground_name(call or ""),
+        kind=FaultKind(kind),
+        after=int(entry.number("after", 0)),
+        times=None if times is None else int(times),
+        message=entry.string("message") or "",
+        ignores_cancel=entry.plain("ignores_cancel") is True,
+    )
+
+
+def _change(entry: Mapped) -> HiddenChange:
+    entry.only("at", "on", "set")
+    at, on = entry.number("at", None), entry.string("on")
+    if (at is None) == (on is None):
+        raise InputError("expected either 'at' (seconds) or 'on' (start of CALL, end of CALL)", entry.start)
+    try:
+        changes = dict(map(parse_statement, entry.strings("set")))
+    except InputError as error:
+        raise InputError(error.message, entry.position("set")) from error
+    if on is None:
+        return HiddenChange(changes, at=at)
+    found = _MOMENT.match(on)
+    if not found:
+        raise InputError(f"expected 'start of CALL' or 'end of CALL', found {on!r}", entry.position("on"))
+    moment: Literal["start", "end"] = "start" if found[1] == "start" else "end"
+    return HiddenChange(changes, moment=moment, what=ground_name(found[2]))

@@ -1,0 +1,205 @@
+"""Simulated robots: an action client that performs actions in a simulated world, with faults.
+
+Ships to users: what a plan does can be seen without robots and without ROS. `pnm simulate`
+offers the same robots as ROS 2 action servers.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+from uuid import UUID
+
+from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
+from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
+from pnm.actions.world import Activity, World
+from pnm.bindings import Bindings
+from pnm.conditions import Fluent, Unknown, Value
+from pnm.effects import Changes
+from pnm.knowledge import KnowledgeBase
+from pnm.plan_graph import GroundAction
+
+INSTANTANEOUS: Final = 1.0
+"""Seconds that an action without a planned duration takes."""
+LAG: Final = 0.01
+"""Seconds within which everything that happens at one moment has been reported."""
+SLOWNESS: Final = 10.0
+"""How many times longer a slow action takes."""
+
+
+@dataclass(slots=True)
+class _Job:
+    """A request that was accepted and is not over."""
+
+    request: Request
+    report: Reporter
+    activity: Activity
+    fault: Fault | None
+    timer: asyncio.TimerHandle | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ScheduledChange:
+    """Facts that change at a time after the start of the world, whatever anybody does."""
+
+    time: float
+    changes: Mapping[Fluent, Value]
+
+
+@dataclass
+class SimulatedRobots:
+    """Performs every action for its duration and changes the world, unless a fault says otherwise.
+
+    The mutable state is the jobs going on, the servers lost, and how often each fault was looked at.
+    """
+
+    world: World
+    faults: Faults = NO_FAULTS
+    bindings: Bindings = field(default_factory=Bindings)
+    scheduled: tuple[ScheduledChange, ...] = ()
+    speed: float = 1.0
+    """How many seconds of the world pass in one second of the clock."""
+    _jobs: dict[UUID, _Job] = field(default_factory=dict)
+    _lost: set[str] = field(default_factory=set)
+    _seen: dict[Fault, int] = field(default_factory=dict)
+    _begun: bool = False
+
+    def begin(self) -> None:
+        """Start the world's clock, once: timed changes count from here."""
+        if self._begun:
+            return
+        self._begun = True
+        self.world.truth.listen(self._check)
+        timed = [(change.at, change.changes) for change in self.faults.changes if change.at is not None]
+        for time, changes in (*timed, *((one.time, one.changes) for one in self.scheduled)):
+            self._later(time, self.world.change, changes)
+
+    # --- ActionClient ---------------------------------------------------------------------------
+
+    def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
+        """Return the names of the action's parameters: all that a simulated robot needs to know."""
+        return action.parameters
+
+    def send(self, request: Request, report: Reporter, /) -> None:
+        """Perform the request, beginning in the next turn of the loop."""
+        self.begin()
+        asyncio.get_running_loop().call_soon(self._receive, request, report)
+
+    def cancel(self, request: UUID, /) -> None:
+        """Stop the request unless it ignores that."""
+        job = self._jobs.get(request)
+        if job and not (job.fault and job.fault.ignores_cancel):
+            asyncio.get_running_loop().call_soon(self._fail, job, OutcomeKind.CANCELED, "cancelled on request")
+
+    # --- what the robots do ---------------------------------------------------------------------
+
+    def _receive(self, request: Request, report: Reporter) -> None:
+        action, server = request.action, self.bindings.server(request.action)
+        if server in self._lost:
+            report(Ended(request.id, Outcome(OutcomeKind.UNAVAILABLE, message=f"there is no server {server}")))
+            return
+        fault = self._fault(action)
+        if fault and fault.kind is FaultKind.REJECT:
+            report(Ended(request.id, Outcome(OutcomeKind.REJECTED, message=fault.message or "goal rejected")))
+            return
+        begun = self.world.begin(action)
+        report(Accepted(request.id))
+        if isinstance(begun, str):
+            report(Ended(request.id, Outcome(OutcomeKind.ABORTED, message=begun)))
+            return
+        job = self._jobs[request.id] = _Job(request, report, begun, fault)
+        self._happen("start", action)
+        self._schedule(job)
+
+    def _schedule(self, job: _Job) -> None:
+        duration = INSTANTANEOUS if job.request.action.duration is None else job.request.action.duration
+        match job.fault.kind if job.fault else None:
+            case FaultKind.HANG:
+                return
+            case FaultKind.ABORT:
+                job.timer = self._later(duration / 2, self._fail, job, OutcomeKind.ABORTED, "the action failed")
+            case FaultKind.LOSE_SERVER:
+                job.timer = self._later(duration / 2, self._lose, job)
+            case FaultKind.SLOW:
+                job.timer = self._later(duration * SLOWNESS, self._succeed, job)
+            case _:
+                job.timer = self._later(duration, self._succeed, job)
+
+    def _succeed(self, job: _Job) -> None:
+        problem = ""
+        if job.fault and job.fault.kind is FaultKind.NO_EFFECT:
+            job.activity.undo()
+        else:
+            self._forget(job)
+            problem = job.activity.finish()
+        kind = OutcomeKind.ABORTED if problem else OutcomeKind.SUCCEEDED
+        self._end(job, Outcome(kind, message=problem))
+
+    def _fail(self, job: _Job, kind: OutcomeKind, message: str) -> None:
+        if job.request.id in self._jobs:
+            self._forget(job)
+            job.activity.undo()
+            self._end(job, Outcome(kind, message=(job.fault.message if job.fault and kind is OutcomeKind.ABORTED else "") or message))
+
+    def _lose(self, job: _Job) -> None:
+        self._lost.add(self.bindings.server(job.request.action))
+        self._fail(job, OutcomeKind.LOST, "the server went away")
+
+    def _end(self, job: _Job, outcome: Outcome) -> None:
+        self._forget(job)
+        job.report(Ended(job.request.id, outcome))
+        if outcome.kind is OutcomeKind.SUCCEEDED:
+            self._happen("end", job.request.action)
+
+    def _forget(self, job: _Job) -> None:
+        self._jobs.pop(job.request.id, None)
+        if job.timer:
+            job.timer.cancel()
+
+    # --- what goes wrong ------------------------------------------------------------------------
+
+    def _fault(self, action: GroundAction) -> Fault | None:
+        """Return the fault that this request meets; every fault counts the requests it is about."""
+        chosen = None
+        for fault in self.faults.faults:
+            if fault.concerns(action):
+                seen = self._seen[fault] = self._seen.get(fault, 0) + 1
+                if seen > fault.after and (fault.times is None or seen <= fault.after + fault.times):
+                    chosen = chosen or fault
+        return chosen
+
+    def _happen(self, moment: str, action: GroundAction) -> None:
+        for change in self.faults.changes:
+            if change.follows(moment, action):
+                self.world.change(change.changes)
+
+    def _check(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
+        """End the actions that cannot go on in the world as it now is."""
+        for job in tuple(self._jobs.values()):
+            if broken := job.activity.broken:
+                message = f"{job.request.action} cannot go on: {broken} is not so"
+                asyncio.get_running_loop().call_soon(self._fail, job, OutcomeKind.ABORTED, message)
+
+    def _later(self, seconds: float, callback: object, *args: object) -> asyncio.TimerHandle:
+        return asyncio.get_running_loop().call_later(seconds / self.speed, callback, *args)  # type: ignore[arg-type]
+
+
+def sense(world: World, knowledge: KnowledgeBase, assumed: Iterable[str] = ()) -> None:
+    """Let knowledge be told of everything in the world that somebody watches.
+
+    At once, but the report that an action has ended comes after what its end has changed.
+    """
+    names = world.reported(assumed)
+
+    def tell(changes: Mapping[Fluent, Value | Unknown]) -> None:
+        knowledge.update({fluent: value for fluent, value in changes.items() if fluent[0] in names})
+
+    knowledge.sense(names, lag=LAG)
+    seen: Changes = world.report(names)
+    knowledge.replace(names, seen)
+    world.truth.listen(tell)
+
+
+__all__ = ["INSTANTANEOUS", "HiddenChange", "ScheduledChange", "SimulatedRobots", "sense"]

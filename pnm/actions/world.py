@@ -1,0 +1,81 @@
+"""A simulated world with a truth of its own, apart from what anybody believes.
+
+Actions begin and finish in it by their real conditions and effects; an action that does not
+succeed leaves the world as it was before it began, as far as nobody else has changed it since.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from pnm.conditions import TRUE, Condition, Fluent, Unknown, Value, evaluate, failing
+from pnm.effects import Changes, changes, undo
+from pnm.knowledge import KnowledgeBase
+from pnm.plan_graph import GroundAction
+
+
+class World:
+    """The true state, and the actions that are going on in it."""
+
+    def __init__(self, truth: KnowledgeBase, dynamic: Iterable[str]) -> None:
+        self.truth = truth
+        self.dynamic = frozenset(dynamic)
+        """The predicates and functions that can change: those are what sensors report."""
+
+    def holds(self, condition: Condition) -> bool:
+        """Tell whether the condition is true in the world."""
+        return evaluate(condition, self.truth) is True
+
+    def change(self, facts: Mapping[Fluent, Value | Unknown]) -> None:
+        """Change facts behind everybody's back."""
+        self.truth.update(facts)
+
+    def begin(self, action: GroundAction) -> Activity | str:
+        """Begin the action, or say why it cannot be done."""
+        if denied := _denied(action.precondition, self.truth):
+            return f"{action} cannot start: {denied} is not so"
+        activity = Activity(self, action)
+        if denied := _denied(action.invariant, self.truth):
+            activity.undo()
+            return f"{action} cannot go on: {denied} is not so"
+        return activity
+
+    def reported(self, assumed: Iterable[str] = ()) -> frozenset[str]:
+        """Return the names that sensors report: all that can change, without those that nobody watches."""
+        return self.dynamic - frozenset(assumed)
+
+    def report(self, names: frozenset[str]) -> Changes:
+        """Return what sensors see of these predicates and functions."""
+        return {fluent: value for fluent, value in self.truth.facts().items() if fluent[0] in names}
+
+
+class Activity:
+    """A ground action going on in the world."""
+
+    def __init__(self, world: World, action: GroundAction) -> None:
+        self.world = world
+        self.action = action
+        self._written = changes(action.start_effects, world.truth)
+        self._before: Changes = {fluent: world.truth.value(fluent) or False for fluent in self._written}
+        world.change(self._written)
+
+    @property
+    def broken(self) -> str:
+        """What of the over-all condition no longer holds; empty when all of it does."""
+        return _denied(self.action.invariant, self.world.truth)
+
+    def finish(self) -> str:
+        """Apply the end effects, or undo the start effects and say why the action cannot end well."""
+        if denied := _denied(self.action.end_condition, self.world.truth):
+            self.undo()
+            return f"{self.action} cannot end well: {denied} is not so"
+        self.world.change(changes(self.action.end_effects, self.world.truth))
+        return ""
+
+    def undo(self) -> None:
+        """Leave the world as if the action had not begun."""
+        self.world.change(undo(self._before, self._written, self.world.truth))
+
+
+def _denied(condition: Condition, truth: KnowledgeBase) -> str:
+    return "" if condition == TRUE else " ".join(map(str, failing(condition, truth)))

@@ -1,0 +1,177 @@
+"""How actions are bound to action servers: which server, which goal fields, which limits.
+
+Without a binding the server has the action's name and its goal fields are filled by name:
+the call's arguments first, then local, then global variables. ``action`` and ``arguments``
+are always there: the action's name and the list of its arguments.
+"""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from pnm.conditions import Fluent, Unknown, Value, bind
+from pnm.errors import InputError
+from pnm.knowledge import MISSING, parse_fluent
+from pnm.plan_graph import GroundAction
+from pnm.yaml_files import Mapped, load_yaml
+
+
+@dataclass(frozen=True, slots=True)
+class Binding:
+    """What is said about one action; every field has a default."""
+
+    server: str | None = None
+    """Name of the action server; ``{robot}`` stands for the argument of parameter ``?robot``."""
+    type: str | None = None
+    """Such as ``nav2_msgs/action/NavigateToPose``; taken from the ROS graph when not given."""
+    goal: Mapping[str, object] | None = None
+    """Goal fields: ``?to`` a parameter, ``$name`` a variable, ``(pose ?to)`` a fluent, else a constant."""
+    store: Mapping[str, str] = field(default_factory=dict)
+    """Result fields and the variables they are stored in; every other field is stored by its own name."""
+    timeout: float | None = None
+    """Seconds from acceptance until the action is cancelled; by default twice the planned duration, 10 at least."""
+    accept: float = 15.0
+    """Seconds the server may take to answer a goal; a first contact over DDS takes up to 5."""
+    cancel: float = 5.0
+    """Seconds the server may take to confirm a cancellation."""
+    retries: int = 1
+    """How often the action is tried again within one plan."""
+
+
+DEFAULT = Binding()
+
+
+@dataclass(frozen=True, slots=True)
+class Bindings:
+    """Bindings by action name, and what nobody reports."""
+
+    actions: Mapping[str, Binding] = field(default_factory=dict)
+    assumed: frozenset[str] = frozenset()
+    """Predicates and functions that no sensor reports, even in simulation."""
+    lag: float = 1.0
+    """Seconds that reports about sensed fluents may be late."""
+
+    def of(self, action: str) -> Binding:
+        """Return the binding of the action, or the default one."""
+        return self.actions.get(action, DEFAULT)
+
+    def server(self, action: GroundAction) -> str:
+        """Return the name of the server that performs the ground action."""
+        pattern = self.of(action.name).server or action.name
+        return pattern.format_map(dict(zip(action.parameters, action.arguments, strict=True)))
+
+    def timeout(self, action: GroundAction) -> float:
+        """Return how many seconds the action may run."""
+        chosen = self.of(action.name).timeout
+        return chosen if chosen is not None else max(10.0, 2.0 * (action.duration or 0.0), 60.0 if action.duration is None else 0.0)
+
+
+class Lookup(Protocol):
+    """What goal fields are filled from besides the call itself."""
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        """Return the value of a fluent."""
+
+    def variable(self, name: str, /) -> object:
+        """Return a variable, or `MISSING`."""
+
+
+def goal_data(
+    action: GroundAction, binding: Binding, fields: tuple[str, ...] | None, knowledge: Lookup
+) -> tuple[dict[str, object], tuple[str, ...]]:
+    """Fill the goal fields by name; return them and the names of those for which there is no value.
+
+    With a `goal` mapping only its fields are needed; others are filled if a value of their name exists.
+    """
+    own: dict[str, object] = {
+        "action": action.name,
+        "arguments": list(action.arguments),
+        **dict(zip(action.parameters, action.arguments, strict=True)),
+    }
+    needed = binding.goal if binding.goal is not None else dict.fromkeys(fields or ())
+    filled: dict[str, object] = {}
+    missing: list[str] = []
+    for name in dict.fromkeys((*needed, *(fields if fields is not None else own))):
+        source = needed[name] if binding.goal is not None and name in needed else f"${name}"
+        value = _resolve(source, own, knowledge)
+        if value is not MISSING:
+            filled[name] = value
+        elif name in needed:
+            missing.append(name)
+    return filled, tuple(missing)
+
+
+def _resolve(source: object, own: Mapping[str, object], knowledge: Lookup) -> object:
+    if isinstance(source, Mapping):
+        inner = {name: _resolve(part, own, knowledge) for name, part in source.items()}
+        return MISSING if MISSING in inner.values() else inner
+    if isinstance(source, list | tuple):
+        parts = [_resolve(part, own, knowledge) for part in source]
+        return MISSING if MISSING in parts else parts
+    if not isinstance(source, str):
+        return source
+    if source.startswith("?"):
+        return own.get(source[1:], MISSING)
+    if source.startswith("$"):
+        return own[source[1:]] if source[1:] in own else knowledge.variable(source[1:])
+    if source.startswith("("):
+        env = {f"?{name}": value for name, value in own.items() if isinstance(value, str)}
+        value = knowledge.value(bind(parse_fluent(source), env))
+        return MISSING if value is None or isinstance(value, Unknown) else value
+    return source
+
+
+def read_bindings(path: Path) -> Bindings:
+    """Read a bindings file.
+
+    Raises:
+        InputError: the file is not readable YAML, has an unknown key or a value of the wrong kind.
+    """
+    top = load_yaml(path)
+    top.only("actions", "assumed", "lag")
+    actions = {name: _binding(entry) for name, entry in top.mapping("actions").items()}
+    return Bindings(actions, frozenset(top.strings("assumed")), top.number("lag", 1.0))
+
+
+def _binding(entry: Mapped) -> Binding:
+    entry.only("server", "type", "goal", "store", "timeout", "accept", "cancel", "retries")
+    goal = entry.plain("goal")
+    store = entry.plain("store")
+    if goal is not None and not isinstance(goal, dict):
+        raise InputError("expected goal fields and their values", entry.position("goal"))
+    if store is not None and not (isinstance(store, dict) and all(isinstance(name, str) for name in store.values())):
+        raise InputError("expected result fields and the variables to store them in", entry.position("store"))
+    retries = entry.number("retries", 1)
+    if retries != int(retries):
+        raise InputError(f"expected a whole number of retries, found {retries:g}", entry.position("retries"))
+    server = entry.string("server")
+    if server is not None:
+        _check_pattern(server, entry)
+    return Binding(
+        server=server,
+        type=entry.string("type"),
+        goal=goal,
+        store=store or {},
+        timeout=entry.number("timeout", None),
+        accept=entry.number("accept", DEFAULT.accept),
+        cancel=entry.number("cancel", DEFAULT.cancel),
+        retries=int(retries),
+    )
+
+
+def _check_pattern(server: str, entry: Mapped) -> None:
+    try:
+        list(placeholders(server))
+    except ValueError as error:
+        raise InputError(f"{error} in {server!r}; expected something like /{{robot}}/navigate", entry.position("server")) from error
+
+
+def placeholders(server: str) -> Iterator[str]:
+    """Yield the parameters named in the braces of a server pattern."""
+    for _, name, _, _ in string.Formatter().parse(server):
+        if name is not None:
+            yield name

@@ -1,0 +1,438 @@
+"""What can be said about a state, and whether it holds: true, false or unknown.
+
+A *fluent* is a tuple of names, the first of which is the predicate, function or variable:
+``("at", "r1", "kitchen")``, written ``(at r1 kitchen)``. Terms that start with ``?`` are
+variables; an environment maps them to objects, so that one condition serves every call of
+an action. ``str`` of a condition is its PDDL text.
+
+Three values (Kleene): unknown is neither true nor false. A fluent that is *absent* from a
+state is false where a fact is asked for (closed world) and unknown where a number is. A
+fluent that a state maps to `UNKNOWN` is unknown either way.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from itertools import product
+from typing import Final, Protocol, TypeAlias, assert_never
+
+Fluent: TypeAlias = tuple[str, ...]
+
+
+class Unknown(Enum):
+    """The third truth value, and the value of a fluent nobody knows."""
+
+    UNKNOWN = "unknown"
+
+    def __bool__(self) -> bool:
+        raise TypeError("unknown is neither true nor false; compare with `is`")
+
+
+UNKNOWN: Final = Unknown.UNKNOWN
+Value: TypeAlias = bool | float | str
+Truth: TypeAlias = bool | Unknown
+Environment: TypeAlias = Mapping[str, str]
+NOTHING: Final[Environment] = {}
+DURATION: Final[Fluent] = ("?duration",)
+"""Stands for the duration of the action it is used in; an environment may give it as text, in seconds."""
+
+
+class State(Protocol):
+    """What a condition is evaluated in."""
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        """Return the value of a ground fluent; None when nothing is recorded about it."""
+
+    def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
+        """Return the objects of any of the types, in a fixed order."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A typed variable of an action, a quantifier or a declaration; the name starts with ``?``."""
+
+    name: str
+    types: tuple[str, ...] = ("object",)
+
+    def __str__(self) -> str:
+        if len(self.types) == 1:
+            return f"{self.name} - {self.types[0]}"
+        return f"{self.name} - (either {' '.join(self.types)})"
+
+
+# --- expressions ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """A number, an object's name, a variable such as ``?x`` that stands for one, or a truth value."""
+
+    value: Value
+
+    def __str__(self) -> str:
+        if isinstance(self.value, float):
+            return f"{self.value:.12g}" if self.value != int(self.value) else str(int(self.value))
+        return str(self.value)
+
+
+@dataclass(frozen=True, slots=True)
+class ValueOf:
+    """The value of a fluent: ``(battery r1)``; `DURATION` is the duration of the action."""
+
+    fluent: Fluent
+
+    def __str__(self) -> str:
+        return "?duration" if self.fluent == DURATION else show(self.fluent)
+
+
+@dataclass(frozen=True, slots=True)
+class Arithmetic:
+    """``+ - * /`` over two or more operands; ``-`` over one operand negates."""
+
+    operation: str
+    operands: tuple[Expression, ...]
+
+    def __str__(self) -> str:
+        return f"({self.operation} {' '.join(map(str, self.operands))})"
+
+
+Expression: TypeAlias = Constant | ValueOf | Arithmetic
+
+_ARITHMETIC: Final[dict[str, Callable[[float, float], float]]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": operator.truediv,
+}
+
+
+# --- conditions ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Holds:
+    """The fact is true."""
+
+    fluent: Fluent
+
+    def __str__(self) -> str:
+        return show(self.fluent)
+
+
+@dataclass(frozen=True, slots=True)
+class Compare:
+    """``= < <= > >=`` between numbers, or ``=`` between objects."""
+
+    operation: str
+    left: Expression
+    right: Expression
+
+    def __str__(self) -> str:
+        return f"({self.operation} {self.left} {self.right})"
+
+
+@dataclass(frozen=True, slots=True)
+class Not:
+    """The operand is false."""
+
+    operand: Condition
+
+    def __str__(self) -> str:
+        return f"(not {self.operand})"
+
+
+@dataclass(frozen=True, slots=True)
+class All:
+    """Every operand is true; true when there is none."""
+
+    operands: tuple[Condition, ...] = ()
+
+    def __str__(self) -> str:
+        return f"(and {' '.join(map(str, self.operands))})" if self.operands else "(and)"
+
+
+@dataclass(frozen=True, slots=True)
+class Any:
+    """At least one operand is true; false when there is none."""
+
+    operands: tuple[Condition, ...] = ()
+
+    def __str__(self) -> str:
+        return f"(or {' '.join(map(str, self.operands))})" if self.operands else "(or)"
+
+
+@dataclass(frozen=True, slots=True)
+class Implies:
+    """The left side is false or the right side is true."""
+
+    left: Condition
+    right: Condition
+
+    def __str__(self) -> str:
+        return f"(imply {self.left} {self.right})"
+
+
+@dataclass(frozen=True, slots=True)
+class ForAll:
+    """The body is true for every choice of objects for the variables."""
+
+    variables: tuple[Variable, ...]
+    body: Condition
+
+    def __str__(self) -> str:
+        return f"(forall ({' '.join(map(str, self.variables))}) {self.body})"
+
+
+@dataclass(frozen=True, slots=True)
+class Exists:
+    """The body is true for at least one choice of objects for the variables."""
+
+    variables: tuple[Variable, ...]
+    body: Condition
+
+    def __str__(self) -> str:
+        return f"(exists ({' '.join(map(str, self.variables))}) {self.body})"
+
+
+Condition: TypeAlias = Holds | Compare | Not | All | Any | Implies | ForAll | Exists
+
+TRUE: Final = All()
+
+_COMPARE: Final[dict[str, Callable[[float, float], bool]]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
+TOLERANCE: Final = 1e-6
+"""Numbers closer than this are equal: plans are computed and durations measured in floats."""
+
+
+# --- evaluation ----------------------------------------------------------------------------
+
+
+def evaluate(condition: Condition, state: State, env: Environment = NOTHING) -> Truth:
+    """Tell whether the condition is true, false or unknown in the state."""
+    match condition:
+        case Holds(fluent):
+            value = state.value(bind(fluent, env))
+            return value if value is UNKNOWN else bool(value)
+        case All(operands):
+            return _all(evaluate(operand, state, env) for operand in operands)
+        case Not(operand):
+            return negate(evaluate(operand, state, env))
+        case Compare(operation, left, right):
+            return _compare(operation, value_of(left, state, env), value_of(right, state, env))
+        case Any(operands):
+            return negate(_all(negate(evaluate(operand, state, env)) for operand in operands))
+        case Implies(left, right):
+            return evaluate(Any((Not(left), right)), state, env)
+        case ForAll(variables, body):
+            return _all(evaluate(body, state, inner) for inner in choices(variables, state, env))
+        case Exists(variables, body):
+            return negate(evaluate(ForAll(variables, Not(body)), state, env))
+        case _:
+            assert_never(condition)
+
+
+def value_of(expression: Expression, state: State, env: Environment = NOTHING) -> Value | Unknown:
+    """Return the value of the expression; unknown as soon as one part is, or on division by zero."""
+    match expression:
+        case Constant(value):
+            return env.get(value, value) if isinstance(value, str) else value
+        case ValueOf(fluent):
+            found = state.value(bind(fluent, env))
+            return UNKNOWN if found is None else found
+        case Arithmetic(operation, operands):
+            numbers = [value_of(operand, state, env) for operand in operands]
+            if any(number is UNKNOWN or isinstance(number, str) for number in numbers):
+                return UNKNOWN
+            return _calculate(operation, [float(number) for number in numbers])  # type: ignore[arg-type]
+        case _:
+            assert_never(expression)
+
+
+def negate(truth: Truth) -> Truth:
+    """Return the opposite; unknown stays unknown."""
+    return truth if truth is UNKNOWN else not truth
+
+
+def choices(variables: tuple[Variable, ...], state: State, env: Environment) -> Iterator[Environment]:
+    """Yield the environment extended by every choice of objects for the variables."""
+    names = [variable.name for variable in variables]
+    for chosen in product(*(state.objects(variable.types) for variable in variables)):
+        yield {**env, **dict(zip(names, chosen, strict=True))}
+
+
+def bind(fluent: Fluent, env: Environment) -> Fluent:
+    """Replace the variables of the fluent by the objects the environment gives them."""
+    return tuple(env.get(term, term) for term in fluent) if env else fluent
+
+
+def show(fluent: Fluent) -> str:
+    """Write the fluent as PDDL does."""
+    return f"({' '.join(fluent)})"
+
+
+def _all(truths: Iterator[Truth]) -> Truth:
+    result: Truth = True
+    for truth in truths:
+        if truth is False:
+            return False
+        if truth is UNKNOWN:
+            result = UNKNOWN
+    return result
+
+
+def _compare(operation: str, left: Value | Unknown, right: Value | Unknown) -> Truth:
+    if left is UNKNOWN or right is UNKNOWN:
+        return UNKNOWN
+    if isinstance(left, str) or isinstance(right, str):
+        return left == right if operation == "=" else UNKNOWN
+    equal = abs(float(left) - float(right)) <= TOLERANCE
+    if operation == "=":
+        return equal
+    return equal if equal and "=" in operation else not equal and _COMPARE[operation](left, right)
+
+
+def _calculate(operation: str, numbers: list[float]) -> float | Unknown:
+    if operation == "-" and len(numbers) == 1:
+        return -numbers[0]
+    total = numbers[0]
+    for number in numbers[1:]:
+        if operation == "/" and number == 0:
+            return UNKNOWN
+        total = _ARITHMETIC[operation](total, number)
+    return total
+
+
+# --- looking into a condition --------------------------------------------------------------
+
+
+def fluents(condition: Condition, state: State, env: Environment = NOTHING) -> frozenset[Fluent]:
+    """Return every ground fluent the truth of the condition may depend on."""
+    return frozenset(_fluents(condition, state, env))
+
+
+def _fluents(condition: Condition, state: State, env: Environment) -> Iterator[Fluent]:
+    match condition:
+        case Holds(fluent):
+            yield bind(fluent, env)
+        case Compare(_, left, right):
+            yield from expression_fluents(left, env)
+            yield from expression_fluents(right, env)
+        case Not(operand):
+            yield from _fluents(operand, state, env)
+        case All(operands) | Any(operands):
+            for operand in operands:
+                yield from _fluents(operand, state, env)
+        case Implies(left, right):
+            yield from _fluents(left, state, env)
+            yield from _fluents(right, state, env)
+        case ForAll(variables, body) | Exists(variables, body):
+            for inner in choices(variables, state, env):
+                yield from _fluents(body, state, inner)
+        case _:
+            assert_never(condition)
+
+
+def names(condition: Condition) -> frozenset[str]:
+    """Return the predicates and functions the condition mentions."""
+    match condition:
+        case Holds(fluent):
+            return frozenset({fluent[0]})
+        case Compare(_, left, right):
+            return frozenset(fluent[0] for side in (left, right) for fluent in expression_fluents(side))
+        case Not(operand) | ForAll(_, operand) | Exists(_, operand):
+            return names(operand)
+        case All(operands) | Any(operands):
+            return frozenset().union(*map(names, operands))
+        case Implies(left, right):
+            return names(left) | names(right)
+        case _:
+            assert_never(condition)
+
+
+def expression_fluents(expression: Expression, env: Environment = NOTHING) -> Iterator[Fluent]:
+    """Yield every ground fluent the value of the expression depends on."""
+    match expression:
+        case Constant():
+            return
+        case ValueOf(fluent):
+            yield bind(fluent, env)
+        case Arithmetic(_, operands):
+            for operand in operands:
+                yield from expression_fluents(operand, env)
+        case _:
+            assert_never(expression)
+
+
+def ground(condition: Condition, env: Environment) -> Condition:
+    """Substitute the environment's objects for the variables; quantified variables stay."""
+    match condition:
+        case Holds(fluent):
+            return Holds(bind(fluent, env))
+        case Compare(operation, left, right):
+            return Compare(operation, ground_expression(left, env), ground_expression(right, env))
+        case Not(operand):
+            return Not(ground(operand, env))
+        case All(operands):
+            return All(tuple(ground(operand, env) for operand in operands))
+        case Any(operands):
+            return Any(tuple(ground(operand, env) for operand in operands))
+        case Implies(left, right):
+            return Implies(ground(left, env), ground(right, env))
+        case ForAll(variables, body):
+            return ForAll(variables, ground(body, hidden(env, variables)))
+        case Exists(variables, body):
+            return Exists(variables, ground(body, hidden(env, variables)))
+        case _:
+            assert_never(condition)
+
+
+def ground_expression(expression: Expression, env: Environment) -> Expression:
+    """Substitute the environment's objects for the variables of an expression."""
+    match expression:
+        case Constant(value):
+            return Constant(env.get(value, value)) if isinstance(value, str) else expression
+        case ValueOf(fluent) if fluent == DURATION and DURATION[0] in env:
+            return Constant(float(env[DURATION[0]]))
+        case ValueOf(fluent):
+            return ValueOf(bind(fluent, env))
+        case Arithmetic(operation, operands):
+            return Arithmetic(operation, tuple(ground_expression(one, env) for one in operands))
+        case _:
+            assert_never(expression)
+
+
+def hidden(env: Environment, variables: tuple[Variable, ...]) -> Environment:
+    """Return the environment without the variables that a quantifier binds anew."""
+    names = {variable.name for variable in variables}
+    return {name: value for name, value in env.items() if name not in names}
+
+
+def conjuncts(condition: Condition) -> tuple[Condition, ...]:
+    """Return the conditions that must all hold for this one to hold, nested conjunctions flattened."""
+    if isinstance(condition, All):
+        return tuple(part for operand in condition.operands for part in conjuncts(operand))
+    return (condition,)
+
+
+def failing(condition: Condition, state: State) -> tuple[Condition, ...]:
+    """Return the conjuncts that do not hold in the state: what was expected and is not so."""
+    return tuple(part for part in conjuncts(condition) if evaluate(part, state) is not True)
+
+
+def observed(condition: Condition, state: State) -> str:
+    """Say what the state has in place of the condition: the value of each fluent in it."""
+    values = sorted((show(fluent), state.value(fluent)) for fluent in fluents(condition, state))
+    return ", ".join(f"{name} is {_say(value)}" for name, value in values) or "no fluent involved"
+
+
+def _say(value: Value | Unknown | None) -> str:
+    if value is UNKNOWN:
+        return "unknown"
+    return "false" if value is None else str(value).lower() if isinstance(value, bool) else f"{value}"

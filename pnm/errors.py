@@ -1,0 +1,39 @@
+"""The errors a person can cause, each with one sentence and its data as attributes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+class PnmError(Exception):
+    """Something the caller can do something about; never raised as such, only as a subclass."""
+
+
+@dataclass(frozen=True, slots=True)
+class Position:
+    """Where in a file something stands; lines and columns count from 1."""
+
+    file: str
+    line: int
+    column: int
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}:{self.column}"
+
+
+class InputError(PnmError):
+    """A file or a value from outside is wrong; nothing was started because of it."""
+
+    def __init__(self, message: str, position: Position | None = None) -> None:
+        super().__init__(f"{position}: {message}" if position else message)
+        self.message = message
+        self.position = position
+
+
+class NotEnabled(PnmError):
+    """A transition was fired although its preset is not covered by the marking."""
+
+    def __init__(self, transition: str, missing: dict[str, int]) -> None:
+        super().__init__(f"{transition} is not enabled; missing tokens: {missing}")
+        self.transition = transition
+        self.missing = missing

@@ -1,0 +1,53 @@
+"""Machines as Graphviz text: places round, transitions square, one frame per call. Byte-stable."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pnm.machine import PetriNetMachine
+
+_COLOURS = {"goal": "#2e7d32", "failure": "#c62828", "budget": "#f9a825", "ordering": "#1565c0", "": "#455a64"}
+
+
+def to_dot(machine: PetriNetMachine) -> str:
+    """Return the machine as a directed graph."""
+    return "\n".join(("digraph machine {", '  rankdir=LR; node [fontname="sans-serif", fontsize=10];', *_body(machine), "}", ""))
+
+
+def _body(machine: PetriNetMachine) -> Iterator[str]:
+    for call in machine.plan.calls:
+        yield f"  subgraph cluster_{call.index} {{ label={_quote(str(call))}; color=gray; fontname=\"sans-serif\";"
+        yield from (f"    {_place(machine, place)}" for place in machine.net.places if place.startswith(f"{call} ") and place not in machine.orderings)
+        yield from (f"    {_transition(machine, name)}" for name, rule in machine.rules.items() if rule.call == call.index)
+        yield "  }"
+    owned = tuple(f"{call} " for call in machine.plan.calls)
+    yield from (f"  {_place(machine, place)}" for place in machine.net.places if place in machine.orderings or not place.startswith(owned))
+    yield from (f"  {_transition(machine, name)}" for name, rule in machine.rules.items() if rule.call is None)
+    for arc in machine.net.arcs:
+        weight = f" [label={arc.weight}]" if arc.weight > 1 else ""
+        yield f"  {_quote(arc.source)} -> {_quote(arc.target)}{weight};"
+
+
+def _place(machine: PetriNetMachine, place: str) -> str:
+    tokens = machine.initial[place]
+    label = place.rsplit(" ", 1)[-1] if place not in machine.orderings else ", ".join(map(" ".join, machine.orderings[place].protects))
+    return f"{_quote(place)} [shape=circle, label={_quote(label + ' •' * tokens)}, color={_quote(_COLOURS[role(machine, place)])}];"
+
+
+def _transition(machine: PetriNetMachine, name: str) -> str:
+    return f"{_quote(name)} [shape=box, height=0.2, label={_quote(machine.rules[name].name)}];"
+
+
+def role(machine: PetriNetMachine, place: str) -> str:
+    """Return ``goal``, ``failure``, ``budget``, ``ordering`` or, for all other places, nothing."""
+    if place in machine.goal_places:
+        return "goal"
+    if place in machine.failure_places or place == machine.failed_place:
+        return "failure"
+    if place in machine.budget_places:
+        return "budget"
+    return "ordering" if place in machine.orderings else ""
+
+
+def _quote(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'

@@ -1,0 +1,187 @@
+"""What the robot believes: facts, numbers and variables, local to a run or shared by all.
+
+A *fact* or number is a fluent with a value; a *variable* is a name with any value, such as a
+field of an action's result. A base is *closed*: a fluent nobody recorded is absent, which
+conditions read as false. A fluent may also be recorded as `UNKNOWN`, which is something else.
+
+A fluent is *sensed* when something reports it (its name is then listed with the delay of the
+reports), and *assumed* otherwise: then an action's effect is written when the action succeeds.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from pnm.conditions import Fluent, Unknown, Value
+from pnm.effects import Changes
+from pnm.errors import InputError
+
+Listener = Callable[[Mapping[Fluent, Value | Unknown]], None]
+
+
+class _Missing:
+    """The answer for a variable that no layer has; distinct from every value, None included."""
+
+    def __repr__(self) -> str:
+        return "MISSING"
+
+
+MISSING: Final = _Missing()
+
+
+class KnowledgeBase:
+    """One store of facts, numbers and variables that tells its listeners what changed.
+
+    The mutable state is the four dictionaries set in the constructor and the list of listeners.
+    """
+
+    def __init__(
+        self,
+        facts: Mapping[Fluent, Value | Unknown] | None = None,
+        *,
+        variables: Mapping[str, object] | None = None,
+        objects: Mapping[str, tuple[str, ...]] | None = None,
+        sensed: Mapping[str, float] | None = None,
+    ) -> None:
+        self._facts: dict[Fluent, Value | Unknown] = dict(facts or {})
+        self._variables: dict[str, object] = dict(variables or {})
+        self._objects: dict[str, tuple[str, ...]] = dict(objects or {})
+        self._sensed: dict[str, float] = dict(sensed or {})
+        self._listeners: list[Listener] = []
+
+    def __repr__(self) -> str:
+        return f"<KnowledgeBase {len(self._facts)} facts, {len(self._variables)} variables, {len(self._sensed)} sensed names>"
+
+    # what conditions ask (`pnm.conditions.State`)
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        """Return the value recorded for the fluent; None when there is none."""
+        return self._facts.get(fluent)
+
+    def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
+        """Return the objects of any of the types, in the order in which they were declared."""
+        if len(types) == 1:
+            return self._objects.get(types[0], ())
+        return tuple(dict.fromkeys(name for one in types for name in self._objects.get(one, ())))
+
+    def objects_by_type(self) -> dict[str, tuple[str, ...]]:
+        """Return a copy of the objects of every type."""
+        return dict(self._objects)
+
+    # facts
+
+    def facts(self) -> dict[Fluent, Value | Unknown]:
+        """Return a copy of everything recorded that is not false."""
+        return {fluent: value for fluent, value in self._facts.items() if value is not False}
+
+    def update(self, changes: Mapping[Fluent, Value | Unknown]) -> Changes:
+        """Record all of the changes, or none if one is malformed; return those that changed something."""
+        for fluent in changes:
+            if not isinstance(fluent, tuple) or not fluent:
+                raise InputError(f"not a fluent: {fluent!r}; expected a tuple of names such as ('at', 'r1', 'kitchen')")
+        real = {fluent: value for fluent, value in changes.items() if self._differs(fluent, value)}
+        self._facts.update(real)
+        if real:
+            for listener in tuple(self._listeners):
+                listener(real)
+        return real
+
+    def _differs(self, fluent: Fluent, value: Value | Unknown) -> bool:
+        recorded = self._facts.get(fluent)
+        return value is not recorded if isinstance(value, bool) and recorded is not None else value not in (recorded, recorded or False)
+
+    def replace(self, names: Iterable[str], facts: Mapping[Fluent, Value | Unknown]) -> Changes:
+        """Record a complete report about the named predicates and functions: what it omits is no longer so."""
+        names = frozenset(names)
+        gone: Changes = {
+            fluent: False for fluent, value in self._facts.items() if fluent[0] in names and isinstance(value, bool) and fluent not in facts
+        }
+        return self.update({**gone, **facts})
+
+    def listen(self, listener: Listener) -> Callable[[], None]:
+        """Call the listener with every batch of changes; return the function that stops it."""
+        self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener)
+
+    # sensing
+
+    def sense(self, names: Iterable[str], *, lag: float = 0.0) -> None:
+        """Note that something reports these predicates and functions, at most `lag` seconds late."""
+        self._sensed.update(dict.fromkeys(names, lag))
+
+    def is_sensed(self, fluent: Fluent) -> bool:
+        """Tell whether something reports this fluent."""
+        return fluent[0] in self._sensed
+
+    def lag(self, names: Iterable[str]) -> float:
+        """Return how many seconds late the slowest report about any of the names may come."""
+        return max((self._sensed.get(name, 0.0) for name in names), default=0.0)
+
+    # variables
+
+    def variable(self, name: str) -> object:
+        """Return the value of the variable, or `MISSING`."""
+        return self._variables.get(name, MISSING)
+
+    def store(self, variables: Mapping[str, object]) -> None:
+        """Record the variables, replacing older values."""
+        self._variables.update(variables)
+
+    def variables(self) -> dict[str, object]:
+        """Return a copy of all variables."""
+        return dict(self._variables)
+
+
+@dataclass(frozen=True)
+class Layered:
+    """What one run sees: its own local knowledge in front of the global one.
+
+    Reading asks local knowledge first. Facts describe the one world all runs share, so they are
+    written to the global layer; variables belong to the run that stored them.
+    """
+
+    world: KnowledgeBase
+    local: KnowledgeBase = field(default_factory=KnowledgeBase)
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        """Return the value from the first layer that has one."""
+        found = self.local.value(fluent)
+        return self.world.value(fluent) if found is None else found
+
+    def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
+        """Return the objects of any of the types."""
+        return self.world.objects(types)
+
+    def variable(self, name: str) -> object:
+        """Return the variable from the first layer that has it, or `MISSING`."""
+        found = self.local.variable(name)
+        return self.world.variable(name) if found is MISSING else found
+
+
+_FLUENT = re.compile(r"\(\s*([^\s()]+(?:\s+[^\s()]+)*)\s*\)\Z")
+_NOT = re.compile(r"\(\s*not\s+(\(.*\))\s*\)\Z", re.DOTALL)
+_EQUAL = re.compile(r"\(\s*=\s+(\(.*\))\s+([^\s()]+)\s*\)\Z", re.DOTALL)
+
+
+def parse_fluent(text: str) -> Fluent:
+    """Read ``(at r1 kitchen)``."""
+    found = _FLUENT.match(text.strip())
+    if not found:
+        raise InputError(f"not a fact: {text!r}; expected something like (at r1 kitchen)")
+    return tuple(found[1].split())
+
+
+def parse_statement(text: str) -> tuple[Fluent, Value]:
+    """Read ``(at r1 kitchen)``, ``(not (at r1 kitchen))`` or ``(= (battery r1) 80)``."""
+    text = text.strip()
+    if found := _NOT.match(text):
+        return parse_fluent(found[1]), False
+    if found := _EQUAL.match(text):
+        try:
+            return parse_fluent(found[1]), float(found[2])
+        except ValueError:
+            return parse_fluent(found[1]), found[2]
+    return parse_fluent(text), True

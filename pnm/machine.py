@@ -1,0 +1,201 @@
+"""Petri Net Machines: PNM = (Σ, PN, m₀, δ̂, P_g) of the 2019 paper.
+
+Σ are the reports, knowledge changes and moments in time of `pnm.events`; PN and m₀ are the net
+and its initial marking; P_g are the goal places. δ̂ is written down as one *rule* per
+transition: a guard, asked besides the preset, and a deed that its firing brings about.
+`pnm.run` evaluates the rules; nothing here has a clock or does I/O.
+
+At a place with several consumers the rules are asked in the order of the net's transitions,
+and the first open one fires.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import cached_property
+from typing import TypeAlias
+
+from pnm.actions.base import OutcomeKind
+from pnm.compiled import CompiledNet
+from pnm.conditions import Condition
+from pnm.marking import Marking
+from pnm.net import PetriNet
+from pnm.plan_graph import ActionCall, Ordering, PlanGraph
+
+# --- guards --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Always:
+    """Open at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """Open when the run is ending: a failure place is marked, or it was told to stop."""
+
+
+@dataclass(frozen=True, slots=True)
+class CancelAsked:
+    """Open when running calls shall be cancelled: the run was told so, or is ending under policy `CANCEL`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Holding:
+    """Open when the condition is true."""
+
+    condition: Condition
+
+
+@dataclass(frozen=True, slots=True)
+class Denied:
+    """Open when the condition has not been true for as long as reports about it may be late."""
+
+    condition: Condition
+
+
+@dataclass(frozen=True, slots=True)
+class AlreadyTrue:
+    """Open when all that the call would change is a plain fact and is so already."""
+
+    call: int
+
+
+@dataclass(frozen=True, slots=True)
+class DataMissing:
+    """Open when a goal field has no value."""
+
+    call: int
+
+
+@dataclass(frozen=True, slots=True)
+class EffectsSeen:
+    """Open when every sensed effect of the call is reported and its end condition held."""
+
+    call: int
+
+
+@dataclass(frozen=True, slots=True)
+class EffectsMissing:
+    """Open when that has not been so for as long as the reports may be late."""
+
+    call: int
+
+
+@dataclass(frozen=True, slots=True)
+class Accepts:
+    """Opened by the report that the call's request was accepted."""
+
+    call: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ends:
+    """Opened by the report that the call's request ended in one of these ways."""
+
+    call: int
+    kinds: frozenset[OutcomeKind]
+
+
+@dataclass(frozen=True, slots=True)
+class After:
+    """Open when the token has been in the place for so many seconds."""
+
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class NotBefore:
+    """Open when so many seconds have passed since the run began."""
+
+    seconds: float
+
+
+Guard: TypeAlias = (
+    Always
+    | Ending
+    | CancelAsked
+    | Holding
+    | Denied
+    | AlreadyTrue
+    | DataMissing
+    | EffectsSeen
+    | EffectsMissing
+    | Accepts
+    | Ends
+    | After
+    | NotBefore
+)
+
+
+class Deed(Enum):
+    """What the firing of a transition brings about for its call."""
+
+    SEND = "send the request"
+    CANCEL = "ask for the request to be cancelled"
+    BEGIN = "write the assumed start effects"
+    FINISH = "write the assumed end effects"
+    UNDO = "take the assumed start effects back"
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """δ̂ for one transition."""
+
+    name: str
+    """What happens, such as ``start`` or ``aborted``; the same for every call."""
+    guard: Guard = field(default_factory=Always)
+    call: int | None = None
+    deed: Deed | None = None
+
+
+class OnFailure(Enum):
+    """What happens to running calls once a failure place is marked."""
+
+    DRAIN = "drain"
+    CANCEL = "cancel"
+
+
+@dataclass(frozen=True)
+class PetriNetMachine:
+    """A net with roles, rules and the plan it was made from."""
+
+    plan: PlanGraph
+    net: PetriNet
+    initial: Marking
+    rules: Mapping[str, Rule]
+    """For every transition, what δ̂ asks and what its firing brings about."""
+    goal_place: str
+    failed_place: str
+    failure_places: Mapping[str, int]
+    """For every place that marks the failure of a call, the call."""
+    budget_places: frozenset[str]
+    """Places that count retries left and retries spent."""
+    orderings: Mapping[str, Ordering]
+    """For every place that stands for an ordering of the plan, that ordering."""
+    on_failure: OnFailure = OnFailure.DRAIN
+
+    @property
+    def goal_places(self) -> frozenset[str]:
+        """P_g: the run has reached its goal when one of these is marked."""
+        return frozenset({self.goal_place})
+
+    @property
+    def record_places(self) -> frozenset[str]:
+        """Places that may stay marked at the end: failures and budgets."""
+        return frozenset(self.failure_places) | self.budget_places
+
+    def call(self, transition: str) -> ActionCall | None:
+        """Return the call that the transition belongs to."""
+        index = self.rules[transition].call
+        return None if index is None else self.plan.calls[index]
+
+    @cached_property
+    def compiled(self) -> CompiledNet:
+        """The net over integers, made once and shared by all runs."""
+        return CompiledNet(self.net)
+
+    def __repr__(self) -> str:
+        return f"<PetriNetMachine {len(self.plan.calls)} calls, {len(self.net.places)} places, {len(self.net.inputs)} transitions>"

@@ -1,0 +1,149 @@
+"""Place/transition nets: N = (P, T, A) with arc weights W. Frozen; a marking lives elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, TypeAlias
+
+from pnm.errors import PnmError
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+Weights: TypeAlias = Mapping[str, int]
+"""Places and the weights of the arcs that connect them to one transition."""
+
+
+class NetError(PnmError):
+    """A net is not one: a name is used twice, an arc leads nowhere or weighs less than one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Holds tokens."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """Takes tokens from its preset and puts tokens into its postset."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Arc:
+    """Leads from a place to a transition or from a transition to a place."""
+
+    source: str
+    target: str
+    weight: int = 1
+
+
+@dataclass(frozen=True)
+class PetriNet:
+    """Places and transitions by name, in the order in which they were added, and the arcs between them."""
+
+    places: tuple[str, ...]
+    inputs: Mapping[str, Weights]
+    """For every transition, the weights of the arcs from its places."""
+    outputs: Mapping[str, Weights]
+    """For every transition, the weights of the arcs to its places."""
+
+    @property
+    def transitions(self) -> tuple[str, ...]:
+        """The transitions, in the order in which they were added."""
+        return tuple(self.inputs)
+
+    @property
+    def arcs(self) -> tuple[Arc, ...]:
+        """Every arc, ordered by transition."""
+        return tuple(
+            arc
+            for transition in self.inputs
+            for arc in (
+                *(Arc(place, transition, weight) for place, weight in self.inputs[transition].items()),
+                *(Arc(transition, place, weight) for place, weight in self.outputs[transition].items()),
+            )
+        )
+
+    def preset(self, node: str) -> tuple[str, ...]:
+        """Return the nodes with an arc to this one."""
+        return tuple(self.inputs[node]) if node in self.inputs else self._producers[node]
+
+    def postset(self, node: str) -> tuple[str, ...]:
+        """Return the nodes with an arc from this one."""
+        return tuple(self.outputs[node]) if node in self.outputs else self._consumers[node]
+
+    @cached_property
+    def _producers(self) -> dict[str, tuple[str, ...]]:
+        return _neighbours(self.places, self.outputs)
+
+    @cached_property
+    def _consumers(self) -> dict[str, tuple[str, ...]]:
+        return _neighbours(self.places, self.inputs)
+
+    def incidence(self) -> npt.NDArray[np.int64]:
+        """Return D = D⁺ - D⁻, shape |T| x |P|: what one firing of each transition changes.
+
+        Dense, so for small nets: the oracle m' = T·D + m of the paper (equation 2).
+        """
+        import numpy as np  # here, so that `import pnm` stays quick
+
+        column = {place: index for index, place in enumerate(self.places)}
+        matrix = np.zeros((len(self.inputs), len(self.places)), dtype=np.int64)
+        for row, transition in enumerate(self.inputs):
+            for place, weight in self.inputs[transition].items():
+                matrix[row, column[place]] -= weight
+            for place, weight in self.outputs[transition].items():
+                matrix[row, column[place]] += weight
+        return matrix
+
+    def __repr__(self) -> str:
+        return f"<PetriNet {len(self.places)} places, {len(self.inputs)} transitions>"
+
+
+def _neighbours(places: Iterable[str], weights: Mapping[str, Weights]) -> dict[str, tuple[str, ...]]:
+    found: dict[str, list[str]] = {place: [] for place in places}
+    for transition, connected in weights.items():
+        for place in connected:
+            found[place].append(transition)
+    return {place: tuple(transitions) for place, transitions in found.items()}
+
+
+@dataclass
+class NetBuilder:
+    """Collects places and transitions, then builds the frozen net."""
+
+    _places: dict[str, None] = field(default_factory=dict)
+    _inputs: dict[str, Weights] = field(default_factory=dict)
+    _outputs: dict[str, Weights] = field(default_factory=dict)
+
+    def place(self, name: str) -> str:
+        """Add a place and return its name."""
+        if name in self._places or name in self._inputs:
+            raise NetError(f"the name {name!r} is used twice")
+        self._places[name] = None
+        return name
+
+    def transition(self, name: str, inputs: Weights | Iterable[str], outputs: Weights | Iterable[str]) -> str:
+        """Add a transition with its arcs and return its name; a plain list of places means weight one."""
+        if name in self._places or name in self._inputs:
+            raise NetError(f"the name {name!r} is used twice")
+        for weights, chosen in ((self._inputs, inputs), (self._outputs, outputs)):
+            connected = dict(chosen) if isinstance(chosen, Mapping) else dict.fromkeys(chosen, 1)
+            for place, weight in connected.items():
+                if place not in self._places:
+                    raise NetError(f"{name!r} is connected to {place!r}, which is not a place")
+                if weight < 1:
+                    raise NetError(f"the arc between {name!r} and {place!r} weighs {weight}; at least 1 expected")
+            weights[name] = connected
+        return name
+
+    def build(self) -> PetriNet:
+        """Return the net collected so far."""
+        return PetriNet(tuple(self._places), dict(self._inputs), dict(self._outputs))

@@ -1,0 +1,68 @@
+"""What the ROS graph says about action servers; only to be asked on the ROS thread."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from typing import Any
+
+from pnm.errors import InputError
+
+_STATUS = "/_action/status"
+_FEEDBACK = "/_action/feedback"
+
+
+def server_name(node: Any, server: str) -> str:
+    """Return the full name of an action server, relative to the node's namespace and remapped.
+
+    Names in ROS have no hyphens, names in PDDL often do: ``pick-up`` is looked for as ``pick_up``.
+
+    Raises:
+        InputError: the name cannot be a name in ROS.
+    """
+    try:
+        return str(node.resolve_topic_name(server.replace("-", "_") + _STATUS)).removesuffix(_STATUS)
+    except Exception as error:
+        reason = str(error).strip().splitlines()
+        raise InputError(f"not a name for an action server: {server!r}{f' ({reason[0]})' if reason else ''}") from error
+
+
+def processes(node: Any, server: str) -> frozenset[bytes]:
+    """Return a mark for every process that performs the action, new whenever the server is started again.
+
+    It is the GID of the publisher of the action's status; a process that dies without a word stays in the
+    graph until its lease ends, 20 s by default.
+    """
+    return frozenset(bytes(info.endpoint_gid) for info in node.get_publishers_info_by_topic(server + _STATUS))
+
+
+def types(node: Any, server: str) -> tuple[str, ...]:
+    """Return the types under which the server is there; several only if there are several servers of the name.
+
+    Asked of the publishers of feedback, because the graph also lists what clients only wish for, ours among them.
+    """
+    publishers = node.get_publishers_info_by_topic(server + _FEEDBACK)
+    return tuple(sorted({info.topic_type.removesuffix("_FeedbackMessage") for info in publishers}))
+
+
+def servers(node: Any) -> dict[str, tuple[str, ...]]:
+    """Return the types of all action servers by name."""
+    from rclpy.action import get_action_names_and_types
+
+    found = {name: types(node, name) for name, _ in get_action_names_and_types(node)}
+    return {name: its_types for name, its_types in found.items() if its_types}
+
+
+def absence(node: Any, server: str, wanted: str | None) -> str:
+    """Return a sentence that says why a server cannot be used, and what is there instead."""
+    known = servers(node)
+    if server in known:
+        there = ", ".join(known[server])
+        if wanted and wanted not in known[server]:
+            return f"the action server {server} has the type {there}, the binding says {wanted}"
+        return f"the action server {server} ({there}) is not ready, or its type is not installed here"
+    missing = f"there is no action server {server}{f' of type {wanted}' if wanted else ''}"
+    if not known:
+        return f"{missing}, nor any other in the ROS graph (is ROS_DOMAIN_ID the same?)"
+    near = get_close_matches(server, known, n=4, cutoff=0.5)
+    near += [name for name in known if name not in near and name.rsplit("/", 1)[-1] == server.rsplit("/", 1)[-1]]
+    return f"{missing}; {'similar' if near else 'there'} are {', '.join(near or sorted(known)[:8])}"

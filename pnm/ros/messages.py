@@ -1,0 +1,221 @@
+"""ROS 2 messages to plain data and back; every value is checked before it becomes part of a message.
+
+`rclpy` checks nothing by default and then sends something else: the int 1 in a float64 field arrives as
+5e-324, -1 in an unsigned one ends in a ``SystemError``. Its own checks (ROS_PYTHON_CHECK_FIELDS=1) are
+not switched on for us: they refuse whole numbers for float fields, name no path, and would hold for
+all other code in the process.
+
+Plain data is what JSON can say: bool, int, float, str, list and dict. A byte is an int from 0 to 255.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from difflib import get_close_matches
+from typing import Any, Final
+
+from pnm.errors import InputError, PnmError
+
+_TYPE: Final = re.compile(r"([a-z][a-z0-9_]*)/(action|msg|srv)/([A-Z][A-Za-z0-9]*)")
+_ARRAY: Final = re.compile(r"(.+)\[(\d+)\]")
+_SEQUENCE: Final = re.compile(r"sequence<(.+?)(?:, (\d+))?>")
+_TEXT: Final = re.compile(r"w?string(?:<(\d+)>)?")
+_INTEGER: Final = re.compile(r"(u?)int(8|16|32|64)")
+_WRITTEN: Final = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64"}
+_SECONDS: Final = frozenset({"builtin_interfaces/Time", "builtin_interfaces/Duration"})
+_LARGEST_FLOAT32: Final = 3.4028235677973366e38  # from here on a double rounds to infinity
+_ADVICE: Final = "add a goal mapping to the binding"
+
+
+class FieldError(PnmError):
+    """A value does not fit the field of a message; nothing was sent.
+
+    Attributes:
+        path: which field, such as ``pose.position.x`` or ``poses[2]``.
+        needs: what the field takes.
+        got: what was given.
+    """
+
+    def __init__(self, path: str, needs: str, got: str, advice: str = "") -> None:
+        super().__init__(f"field {path} needs {needs}, got {got}{f'; {advice}' if advice else ''}")
+        self.path = path
+        self.needs = needs
+        self.got = got
+
+
+def import_type(name: str) -> Any:
+    """Return the class of an interface such as ``nav2_msgs/action/NavigateToPose``.
+
+    Raises:
+        InputError: this is not a type's name, or the type is not installed here.
+    """
+    found = _TYPE.fullmatch(name)
+    if not found:
+        raise InputError(f"not a ROS type: {name!r}; expected something like nav2_msgs/action/NavigateToPose")
+    package, kind, interface = found.groups()
+    try:
+        return getattr(importlib.import_module(f"{package}.{kind}"), interface)
+    except (ImportError, AttributeError) as error:
+        ours = "`pip install ./ros/pnm_interfaces`"
+        advice = ours if package == "pnm_interfaces" else f"install the ROS package {package}, or source its workspace"
+        raise InputError(f"the ROS type {name} is not installed; {advice}") from error
+
+
+def fields(message_type: Any) -> tuple[str, ...]:
+    """Return the names of the fields of a message class."""
+    return tuple(message_type.get_fields_and_field_types())
+
+
+def to_message(message_type: Any, data: Mapping[str, object]) -> Any:
+    """Make a message from values by field name; fields without a value keep their defaults.
+
+    Whole numbers do for float fields and the other way round (80.0 for an int32), a number of seconds does
+    for a Time or a Duration. Nothing else is converted: text is never read as a number.
+
+    Raises:
+        FieldError: a field is unknown, or its value has the wrong type, size or range.
+    """
+    return _message(message_type, data, "")
+
+
+def to_data(message: Any) -> dict[str, object]:
+    """Return the fields of a message as plain data."""
+    return {name: _data(getattr(message, name)) for name in fields(message)}
+
+
+def _data(value: Any) -> object:
+    if isinstance(value, bytes):
+        return value[0]
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if hasattr(value, "get_fields_and_field_types"):
+        return to_data(value)
+    if isinstance(value, list | tuple):
+        return [_data(item) for item in value]
+    return value
+
+
+def _message(message_type: Any, data: Mapping[str, object], path: str) -> Any:
+    message = message_type()
+    kinds = message_type.get_fields_and_field_types()
+    for name, value in data.items():
+        inner = f"{path}.{name}" if path else str(name)
+        if name not in kinds:
+            near = get_close_matches(str(name), kinds, n=1)
+            needs = f"to be one of {', '.join(kinds)}" if kinds else "to be left out: the message has no fields"
+            raise FieldError(inner, needs, f"a field that {message_type.__name__} does not have", f"{near[0]}?" if near else "")
+        setattr(message, name, _value(kinds[name], value, inner))
+    return message
+
+
+def _value(kind: str, value: object, path: str) -> object:
+    """Return the value as `rclpy` wants it in a field of this kind, written as ``get_fields_and_field_types`` does."""
+    if hasattr(value, "tolist"):  # numpy arrays and numbers, array.array
+        value = value.tolist()
+    if found := _ARRAY.fullmatch(kind):
+        return _items(found[1], int(found[2]), True, value, path)
+    if found := _SEQUENCE.fullmatch(kind):
+        return _items(found[1], int(found[2]) if found[2] else None, False, value, path)
+    if "/" in kind:
+        return _nested(kind, value, path)
+    if found := _TEXT.fullmatch(kind):
+        return _text(kind, int(found[1]) if found[1] else None, value, path)
+    return _BASIC.get(kind, _integer)(kind, value, path)
+
+
+def _items(kind: str, size: int | None, exact: bool, value: object, path: str) -> list[object]:
+    what = f"values of type {_WRITTEN.get(kind, kind)}"
+    count = "" if size is None else f"exactly {size} " if exact else f"at most {size} "
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise FieldError(path, f"a list of {count}{what}", _show(value), _ADVICE if isinstance(value, str) else "")
+    if size is not None and (len(value) != size if exact else len(value) > size):
+        raise FieldError(path, f"{count}{what}", f"{len(value)} of them")
+    return [_value(kind, item, f"{path}[{index}]") for index, item in enumerate(value)]
+
+
+def _nested(kind: str, value: object, path: str) -> object:
+    if kind in _SECONDS and isinstance(value, int | float) and not isinstance(value, bool):
+        value = _time(kind, value, path)
+    if not isinstance(value, Mapping):
+        raise FieldError(path, f"the fields of a {kind}", _show(value), _ADVICE if isinstance(value, str) else "")
+    package, _, name = kind.rpartition("/")
+    return _message(import_type(f"{package}/msg/{name}"), value, path)
+
+
+def _time(kind: str, value: float, path: str) -> dict[str, object]:
+    if not math.isfinite(value):
+        raise FieldError(path, f"the seconds of a {kind}", _show(value))
+    seconds = math.floor(value)
+    nanoseconds = round((value - seconds) * 1e9)
+    return {"sec": seconds + nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
+
+
+def _text(kind: str, size: int | None, value: object, path: str) -> str:
+    if not isinstance(value, str):
+        raise FieldError(path, kind, _show(value))
+    if size is not None and len(value) > size:
+        raise FieldError(path, f"text of at most {size} characters", f"{len(value)} of them")
+    # Behind these two `rclpy` would cut the text off, or fail while sending.
+    if "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
+        raise FieldError(path, "text that can be sent", _show(value))
+    return value
+
+
+def _boolean(kind: str, value: object, path: str) -> bool:
+    if not isinstance(value, bool):
+        raise _wrong(kind, value, path)
+    return value
+
+
+def _float(kind: str, value: object, path: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise _wrong(kind, value, path)
+    try:
+        number = float(value)
+    except OverflowError as error:
+        raise _wrong(kind, value, path) from error
+    if kind == "float" and math.isfinite(number) and abs(number) >= _LARGEST_FLOAT32:
+        raise _wrong(kind, value, path)
+    return number
+
+
+def _integer(kind: str, value: object, path: str) -> int:
+    found = _INTEGER.fullmatch(kind)
+    if not found:
+        raise FieldError(path, f"to be left out: {kind} fields are not supported", _show(value))
+    bits = int(found[2])
+    low, high = (0, 2**bits - 1) if found[1] else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    return _whole(f"{kind} ({low} to {high})", low, high, value, path)
+
+
+def _octet(kind: str, value: object, path: str) -> bytes:
+    if isinstance(value, bytes) and len(value) == 1:
+        return value
+    return bytes([_whole("byte (0 to 255)", 0, 255, value, path)])
+
+
+def _whole(needs: str, low: int, high: int, value: object, path: str) -> int:
+    if isinstance(value, float) and value.is_integer():  # numbers in PDDL are floats, counts among them
+        value = int(value)
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise _wrong(needs, value, path)
+    return value
+
+
+_BASIC: Final[dict[str, Callable[[str, object, str], object]]] = {"boolean": _boolean, "float": _float, "double": _float, "octet": _octet}
+
+
+def _wrong(kind: str, value: object, path: str) -> FieldError:
+    return FieldError(path, _WRITTEN.get(kind, kind), _show(value), _ADVICE if isinstance(value, str) else "")
+
+
+def _show(value: object) -> str:
+    """Return a short text for a value in an error."""
+    if value is None:
+        return "nothing"
+    written = repr(value)
+    written = written if len(written) <= 60 else f"{written[:57]}..."
+    return f"{written} ({type(value).__name__})"

@@ -1,0 +1,239 @@
+"""Our end of one action server: which goals wait, which are out, and when to worry about them.
+
+Everything here runs on the ROS thread. A goal moves *queued* → *unanswered* → *accepted* → ended. At
+most `IN_FLIGHT` goals are unanswered at a time: a server keeps the last 10 requests it has not yet
+read and silently drops older ones, for which no answer ever comes.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from functools import partial
+from time import monotonic
+from typing import Any, Final
+from uuid import UUID
+
+from pnm.actions.base import Accepted, OutcomeKind
+from pnm.errors import InputError, PnmError
+from pnm.ros.goals import OVER, UNKNOWN, Goal, message_in
+from pnm.ros.graph import absence, processes, server_name, types
+from pnm.ros.messages import import_type, to_data, to_message
+from pnm.ros.watch import AGAIN, Verdict, Watch
+
+IN_FLIGHT: Final = 8
+PATIENCE: Final = 2.0
+"""Seconds a goal waits for a server that is not there, for instance because it is being restarted."""
+DISCOVERY: Final = 5.0
+"""Seconds after which a server that was there from the beginning must have been discovered."""
+_DEPTH: Final = 1000
+"""How many answers we keep unread; they come in bursts when many goals end together."""
+
+_log = logging.getLogger(__name__)
+
+
+class ServerLink:
+    """The connection to one action server, of a type that is given or found in the graph."""
+
+    def __init__(self, node: Any, server: str, type_name: str | None) -> None:
+        self._node = node
+        self.name = server_name(node, server)
+        self.wanted_type = type_name
+        self.type: Any = import_type(type_name) if type_name else None
+        self._client: Any = None
+        self._made = monotonic()
+        self._queued: deque[Goal] = deque()
+        self._unanswered: set[Goal] = set()
+        self._accepted: set[Goal] = set()
+        if self.type is not None:
+            self._connect()
+
+    def __repr__(self) -> str:
+        return f"<ServerLink {self.name} {len(self._queued)} queued, {len(self._unanswered)} unanswered, {len(self._accepted)} accepted>"
+
+    @property
+    def busy(self) -> bool:
+        """Whether any goal is under way."""
+        return bool(self._queued or self._unanswered or self._accepted)
+
+    def ready(self) -> bool:
+        """Tell whether the server is there; connects to it when its type has become known."""
+        if self._client is None and (found := types(self._node, self.name)):
+            try:
+                self.type = import_type(found[0])
+            except InputError as error:
+                _log.debug("%s: %s", self.name, error)
+                return False
+            self._connect()
+        return self._client is not None and bool(self._client.server_is_ready())
+
+    def _connect(self) -> None:
+        from rclpy.action import ActionClient
+        from rclpy.qos import QoSProfile
+
+        deep = QoSProfile(depth=_DEPTH)
+        self._client = ActionClient(
+            self._node,
+            self.type,
+            self.name,
+            goal_service_qos_profile=deep,
+            result_service_qos_profile=deep,
+            cancel_service_qos_profile=deep,
+        )
+
+    def close(self) -> None:
+        """Forget all goals, without a word, and let go of the server."""
+        for goal in (*self._queued, *self._unanswered, *self._accepted):
+            goal.ended = True
+        self._queued.clear()
+        self._unanswered.clear()
+        self._accepted.clear()
+        if self._client is not None:
+            self._client.destroy()
+
+    # sending
+
+    def send(self, goal: Goal) -> None:
+        """Send the goal as soon as the server is there and has answered enough of the others."""
+        goal.patience = max(self._made + DISCOVERY, monotonic() + PATIENCE)
+        self._queued.append(goal)
+        self._pump()
+
+    def _pump(self) -> None:
+        while self._queued and len(self._unanswered) < IN_FLIGHT and self.ready():
+            self._dispatch(self._queued.popleft())
+
+    def _dispatch(self, goal: Goal) -> None:
+        try:
+            message = to_message(self.type.Goal, goal.request.goal)
+            future = self._client.send_goal_async(message, goal_uuid=_ros_uuid(goal.request.id))
+        except PnmError as error:
+            goal.end(OutcomeKind.REJECTED, f"goal for {self.name}: {error}")
+            return
+        except Exception as error:
+            _log.exception("cannot send a goal to %s", self.name)
+            goal.end(OutcomeKind.REJECTED, f"goal for {self.name} cannot be sent: {error}")
+            return
+        goal.sent = monotonic()
+        goal.watch = Watch(processes(self._node, self.name))
+        self._unanswered.add(goal)
+        future.add_done_callback(partial(self._answered, goal))
+
+    def _answered(self, goal: Goal, future: Any) -> None:
+        self._unanswered.discard(goal)
+        handle = future.result()
+        if not handle.accepted:
+            goal.end(OutcomeKind.REJECTED, f"{self.name} rejected the goal")
+        elif goal.ended:
+            # Too late: the run has long gone another way, so nobody wants this goal carried out.
+            handle.cancel_goal_async()
+        else:
+            self._begin(goal, handle)
+        self._pump()
+
+    def _begin(self, goal: Goal, handle: Any) -> None:
+        goal.handle = handle  # `rclpy` itself keeps handles only weakly
+        goal.watch = Watch(processes(self._node, self.name), asked=monotonic())
+        self._accepted.add(goal)
+        goal.tell(Accepted(goal.request.id))
+        self._ask_result(goal)
+        if goal.cancel_asked:
+            self._send_cancel(goal)
+
+    # the end
+
+    def _ask_result(self, goal: Goal) -> None:
+        future = goal.handle.get_result_async()
+        goal.results.append(future)
+        future.add_done_callback(partial(self._result, goal))
+
+    def _result(self, goal: Goal, future: Any) -> None:
+        if goal.ended or future.cancelled():
+            return
+        answer = future.result()
+        if answer.status == UNKNOWN:
+            self._lose(goal, f"{self.name} no longer knows the goal; it was restarted")
+        elif answer.status in OVER:
+            self._accepted.discard(goal)
+            result = to_data(answer.result)
+            goal.end(OVER[answer.status], message_in(result), result)
+
+    def _lose(self, goal: Goal, message: str) -> None:
+        self._accepted.discard(goal)
+        goal.end(OutcomeKind.LOST, message)
+        for future in goal.results:
+            future.cancel()
+
+    # cancelling
+
+    def cancel(self, goal: Goal) -> None:
+        """Ask the server to cancel the goal, now or as soon as it has accepted it."""
+        goal.cancel_asked = True
+        if goal in self._queued:
+            self._queued.remove(goal)
+            goal.end(OutcomeKind.CANCELED, "cancelled before it was sent")
+        elif goal in self._accepted:
+            goal.cancel_answered = False  # a person may ask again after a refusal
+            self._send_cancel(goal)
+
+    def _send_cancel(self, goal: Goal) -> None:
+        goal.cancel_sent = monotonic()
+        goal.handle.cancel_goal_async().add_done_callback(partial(self._cancel_answered, goal))
+
+    def _cancel_answered(self, goal: Goal, future: Any) -> None:
+        goal.cancel_answered = True
+        if not future.result().goals_canceling and not goal.ended:
+            _log.info("%s does not cancel %s", self.name, goal.request.action)
+
+    # watching
+
+    def look(self) -> None:
+        """Look after every goal that is under way; called a few times a second."""
+        now = monotonic()
+        self._look_at_queue(now)
+        if self._unanswered or self._accepted:
+            present = processes(self._node, self.name)
+            for goal in tuple(self._unanswered):
+                self._look_at_unanswered(goal, present, now)
+            self._look_at_accepted(present, now)
+        self._pump()
+
+    def _look_at_queue(self, now: float) -> None:
+        late = [goal for goal in self._queued if now >= goal.patience]
+        if late and not self.ready():
+            reason = absence(self._node, self.name, self.wanted_type)
+            for goal in late:
+                self._queued.remove(goal)
+                goal.end(OutcomeKind.UNAVAILABLE, reason)
+
+    def _look_at_unanswered(self, goal: Goal, present: frozenset[bytes], now: float) -> None:
+        gone = goal.watch.look(present, False, now) is Verdict.LOST
+        if gone or now - goal.sent >= goal.accept:
+            self._unanswered.discard(goal)
+            waited = f"did not answer within {goal.accept:g} s"
+            goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {'went away before it answered' if gone else waited}")
+
+    def _look_at_accepted(self, present: frozenset[bytes], now: float) -> None:
+        asking = 0
+        for goal in tuple(self._accepted):
+            if asking == IN_FLIGHT:
+                return  # the others' turn comes with the next look
+            match goal.watch.look(present, goal.over, now):
+                case Verdict.ASK:
+                    asking += 1
+                    self._ask_result(goal)
+                case Verdict.LOST:
+                    self._lose(goal, f"{self.name} went away")
+                case Verdict.SILENT:
+                    self._accepted.discard(goal)
+                    goal.end(OVER[goal.handle.status], "its result never came")
+                case Verdict.FINE:
+                    pass
+            if not goal.ended and goal.wants_cancel and goal.cancel_sent is not None and now - goal.cancel_sent >= AGAIN:
+                self._send_cancel(goal)
+
+
+def _ros_uuid(uuid: UUID) -> Any:
+    from unique_identifier_msgs import msg
+
+    return msg.UUID(uuid=list(uuid.bytes))

@@ -1,0 +1,83 @@
+"""When a goal that was accepted must be taken for lost, or its result asked for once more.
+
+A server that dies tells nobody. What can be seen of it without its help is the graph: every server
+process publishes the status of its goals under an identity (GID) of its own.
+
+- The process is *gone* from the graph: at once when it shuts down in order, after its lease (20 s) when
+  it is killed or cut off. The goal is lost a moment later, unless the same process comes back.
+- *Another* process appeared under the name, which is what a restart looks like for the rest of the lease.
+  The result is asked for again: the new process answers that it knows no such goal.
+- The status of the goal says it is *over*, but the result never came: it is asked for again.
+
+A server that is there but too busy to answer anything is never taken for dead: none of the
+three is a question to it. Nothing here does I/O or reads a clock.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+GRACE: Final = 3.0
+"""Seconds for which a process may be missing from the graph before its goals are lost."""
+AGAIN: Final = 1.0
+"""Seconds between two requests for the same result."""
+ASKS: Final = 5
+"""How often a result is asked for again; each request is kept by the server until it answers."""
+
+
+class Verdict(Enum):
+    """What to do about a goal."""
+
+    FINE = "nothing"
+    ASK = "ask for the result"
+    LOST = "the server went away"
+    SILENT = "the goal is over but there is no result"
+
+
+@dataclass
+class Watch:
+    """What is known about the server of one goal; all of it is mutable."""
+
+    processes: frozenset[bytes]
+    """Who was there when the goal was accepted."""
+    gone_since: float | None = None
+    over_since: float | None = None
+    asked: float = float("-inf")
+    asks: int = 0
+
+    def look(self, present: frozenset[bytes], over: bool, now: float) -> Verdict:
+        """Decide, given who is there now and whether the status says that the goal is over."""
+        if not self.processes:  # its publisher was not discovered yet when it accepted
+            self.processes = present
+        if not present & self.processes:
+            return self._gone(bool(present), now)
+        if self.gone_since is not None:
+            self.gone_since, self.asks = None, 0
+            return self._ask(now)
+        if over:
+            return self._over(now)
+        return self._ask(now) if present - self.processes else Verdict.FINE
+
+    def _gone(self, replaced: bool, now: float) -> Verdict:
+        if self.gone_since is None:
+            self.gone_since = now
+        if now - self.gone_since >= GRACE:
+            return Verdict.LOST
+        return self._ask(now) if replaced else Verdict.FINE
+
+    def _over(self, now: float) -> Verdict:
+        if self.over_since is None:
+            self.over_since, self.asks = now, 0
+        if now - self.over_since < AGAIN:
+            return Verdict.FINE
+        if self.asks >= ASKS and now - self.asked >= AGAIN:
+            return Verdict.SILENT
+        return self._ask(now)
+
+    def _ask(self, now: float) -> Verdict:
+        if self.asks >= ASKS or now - self.asked < AGAIN:
+            return Verdict.FINE
+        self.asked, self.asks = now, self.asks + 1
+        return Verdict.ASK

@@ -1,0 +1,449 @@
+"""One execution of one machine, without I/O: `Run.handle(event, now)` returns commands.
+
+No clock, no threads, no waiting. Everything that moves a token is in this file. An event leads
+to at most one firing by itself (a report opens one guard); then transitions fire one at a time
+until none is open, in a fixed order: places in the order in which they were marked, at each
+place the first open rule. A place at which nothing is open yet is *undecided*; it is asked
+again when facts change, when the run begins to end, or when its moment has come.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from heapq import heappop, heappush
+from typing import Final, assert_never
+from uuid import UUID, uuid5
+
+from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Report, Request
+from pnm.bindings import Bindings, goal_data
+from pnm.checks import already_true, expected, is_assumed, lag_of_effects, unseen
+from pnm.compiled import Engine
+from pnm.conditions import Condition, Fluent, Value, evaluate, failing, names, observed
+from pnm.effects import Changes, changes, undo
+from pnm.errors import PnmError
+from pnm.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
+from pnm.knowledge import Layered
+from pnm.machine import (
+    Accepts,
+    After,
+    AlreadyTrue,
+    Always,
+    CancelAsked,
+    DataMissing,
+    Deed,
+    Denied,
+    EffectsMissing,
+    EffectsSeen,
+    Ending,
+    Ends,
+    Holding,
+    NotBefore,
+    OnFailure,
+    PetriNetMachine,
+    Rule,
+)
+from pnm.marking import Marking
+from pnm.observer import Observer
+from pnm.plan_graph import GroundAction
+from pnm.results import CallResult, Failure, RunResult
+
+NEVER: Final = float("inf")
+_KNOWING: Final = (Holding, Denied, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
+"""Guards whose answer may change when facts change."""
+
+
+class RunError(PnmError):
+    """A run was driven wrongly: begun twice, or asked for a result before its end."""
+
+
+def _unknown_fields(action: GroundAction) -> None:
+    """Know nothing about the goal message of the action."""
+
+
+class Run:
+    """A machine, its marking and what its calls are doing.
+
+    The mutable state is what the constructor sets under "state".
+    """
+
+    def __init__(
+        self,
+        machine: PetriNetMachine,
+        knowledge: Layered,
+        *,
+        id: UUID,
+        bindings: Bindings | None = None,
+        goal_fields: Callable[[GroundAction], tuple[str, ...] | None] = _unknown_fields,
+        observer: Observer | None = None,
+    ) -> None:
+        self.machine = machine
+        self.knowledge = knowledge
+        self.id = id
+        self._bindings = bindings or Bindings()
+        self._goal_fields = goal_fields
+        self._observer = observer or Observer()
+        compiled = machine.compiled
+        self._rules = [machine.rules[name] for name in compiled.transitions]
+        self._listening = [any(isinstance(self._rules[one].guard, _KNOWING) for one, _ in found) for found in compiled.consumers]
+        self._reported: dict[int, list[int]] = {}
+        for transition, rule in enumerate(self._rules):
+            if isinstance(rule.guard, Accepts | Ends):
+                self._reported.setdefault(rule.guard.call, []).append(transition)
+        self._failure_ids = {compiled.place_id[place]: call for place, call in machine.failure_places.items()}
+        self._final_ids = (compiled.place_id[machine.goal_place], compiled.place_id[machine.failed_place])
+        # state
+        self._engine = Engine(compiled, machine.initial)
+        self._now = -NEVER
+        self._began: float | None = None
+        self._agenda: deque[int] = deque()
+        self._undecided: dict[int, None] = {}
+        self._arrived: dict[int, float] = {}
+        self._denied_since: dict[int, float] = {}
+        self._timers: list[tuple[float, int]] = []
+        self._scheduled: dict[int, float] = {}
+        self._wake = NEVER
+        self._commands: list[Command] = []
+        self._open: dict[UUID, int] = {}
+        self._request: dict[int, UUID] = {}
+        self._results: dict[int, CallResult] = {call.index: CallResult(call) for call in machine.plan.calls}
+        self._messages: dict[int, str] = {}
+        self._causes: dict[int, tuple[str, str, str]] = {}
+        self._begun: dict[int, tuple[Changes, Changes]] = {}
+        self._expected: dict[int, dict[Fluent, Value]] = {}
+        self._missing: dict[int, tuple[str, ...]] = {}
+        self._failures: list[Failure] = []
+        self._stop: Stop | None = None
+
+    # --- what a caller sees -------------------------------------------------------------------
+
+    @property
+    def marking(self) -> Marking:
+        """The current marking."""
+        return self._engine.marking()
+
+    @property
+    def over(self) -> bool:
+        """Whether the goal place or the failed place is marked."""
+        return any(self._engine.tokens[place] for place in self._final_ids)
+
+    @property
+    def ending(self) -> bool:
+        """Whether nothing more is started: a failure place is marked, or the run was told to stop."""
+        return bool(self._failures) or self._stop is not None
+
+    def result(self) -> RunResult:
+        """Return how the run ended."""
+        if not self.over:
+            raise RunError(f"the run is not over: {self.marking}")
+        goal = bool(self._engine.tokens[self._final_ids[0]])
+        return RunResult(goal, self._reason(goal), tuple(self._results.values()), tuple(self._failures), self._stop is not None)
+
+    def _reason(self, goal: bool) -> str:
+        if goal:
+            return "the goal holds"
+        if self._failures:
+            return str(self._failures[0])
+        if self._stop:
+            return self._stop.reason
+        expected, seen = self._explain(self.machine.plan.goal)
+        return f"every call is done but the goal does not hold: expected {expected}; observed {seen}"
+
+    def __repr__(self) -> str:
+        return f"<Run {self.machine!r}, {len(self._open)} requests open, {'over' if self.over else 'ending' if self.ending else 'going on'}>"
+
+    # --- events -------------------------------------------------------------------------------
+
+    def handle(self, event: Event, now: float) -> list[Command]:
+        """Take one event in and return what is to be done about it."""
+        self._now = max(now, self._now)
+        match event:
+            case Begin():
+                self._begin()
+            case KnowledgeChanged():
+                self._agenda.extend(place for place in self._undecided if self._listening[place])
+            case Tick():
+                self._wake = NEVER
+                while self._timers and self._timers[0][0] <= self._now:
+                    self._agenda.append(heappop(self._timers)[1])
+                    self._scheduled.pop(self._agenda[-1], None)
+            case Stop():
+                self._stop = self._stop or event
+                self._agenda.extend(self._undecided)
+            case Accepted() | Ended():
+                self._report(event)
+            case _:
+                assert_never(event)
+        self._settle()
+        commands, self._commands = self._commands, []
+        return commands
+
+    def _begin(self) -> None:
+        if self._began is not None:
+            raise RunError("the run has begun already")
+        self._began = self._now
+        self._agenda.extend(place for place, tokens in enumerate(self._engine.tokens) if tokens)
+
+    def _report(self, report: Report) -> None:
+        call = self._open.get(report.request)
+        if call is None:
+            self._observer.orphaned(report, self._now)
+            return
+        if isinstance(report, Ended):
+            del self._open[report.request]
+            self._note_outcome(call, report.outcome)
+        for transition in self._reported[call]:
+            if self._engine.is_enabled(transition) and _admits(self._rules[transition], report):
+                self._fire(transition)
+                return
+        self._observer.orphaned(report, self._now)
+
+    def _note_outcome(self, call: int, outcome: Outcome) -> None:
+        if outcome.kind is OutcomeKind.SUCCEEDED:
+            store = self._bindings.of(self._action(call).name).store
+            self.knowledge.local.store({store.get(name, name): value for name, value in outcome.result.items()})
+        self._messages[call] = outcome.message or outcome.kind.value
+        self._observer.ended(self._results[call].call, outcome, self._now)
+
+    # --- δ̂ ------------------------------------------------------------------------------------
+
+    def _settle(self) -> None:
+        """Fire open transitions until there is none, then ask to be woken at the next moment."""
+        while self._agenda:
+            self._decide(self._agenda.popleft())
+        if self._timers and self._timers[0][0] < self._wake and not self.over:
+            self._wake = self._timers[0][0]
+            self._commands.append(Wake(self._wake))
+
+    def _decide(self, place: int) -> None:
+        """Fire the first open transition that takes from the place; if there is none, note when to ask again."""
+        if not self._engine.tokens[place]:
+            return
+        again, waiting = NEVER, False
+        for transition, _ in self._engine.compiled.consumers[place]:
+            if not self._engine.is_enabled(transition):
+                continue
+            opens = self._opens(transition, place)
+            if opens <= self._now:
+                self._fire(transition)
+                return
+            again, waiting = min(again, opens), True
+        if waiting:
+            self._undecided[place] = None
+        if again < NEVER and self._scheduled.get(place) != again:
+            self._scheduled[place] = again
+            heappush(self._timers, (again, place))
+
+    def _opens(self, transition: int, place: int) -> float:
+        """Return when the guard opens as far as is known: now or earlier, at a later time, or never by itself."""
+        guard = self._rules[transition].guard
+        match guard:
+            case Always():
+                return -NEVER
+            case Ending():
+                return _now_if(self.ending)
+            case CancelAsked():
+                return _now_if(self._cancels())
+            case Holding(condition):
+                return _now_if(evaluate(condition, self.knowledge) is True)
+            case Denied(condition):
+                return self._denied(transition, evaluate(condition, self.knowledge) is True, self.knowledge.world.lag(names(condition)))
+            case AlreadyTrue(call):
+                return _now_if(already_true(self._action(call), self.knowledge))
+            case DataMissing(call):
+                return _now_if(bool(self._goal(call)[1]))
+            case EffectsSeen(call):
+                self._missing[call] = self._unseen(call)
+                return _now_if(not self._missing[call])
+            case EffectsMissing(call):
+                return self._denied(transition, not self._missing[call], self._lag_of_effects(call))
+            case Accepts() | Ends():
+                return NEVER
+            case After(seconds):
+                return self._arrived[place] + seconds
+            case NotBefore(seconds):
+                return (self._began or 0.0) + seconds
+            case _:
+                assert_never(guard)
+
+    def _denied(self, transition: int, holds: bool, lag: float) -> float:
+        if holds:
+            self._denied_since.pop(transition, None)
+            return NEVER
+        return self._denied_since.setdefault(transition, self._now) + lag
+
+    def _cancels(self) -> bool:
+        return (self._stop is not None and self._stop.cancel) or (self.ending and self.machine.on_failure is OnFailure.CANCEL)
+
+    # --- firing -------------------------------------------------------------------------------
+
+    def _fire(self, transition: int) -> None:
+        compiled, rule = self._engine.compiled, self._rules[transition]
+        if rule.call is not None:
+            self._note(rule, rule.call)
+            if rule.deed is not None:
+                self._do(rule.deed, rule.call)
+        self._engine.fire(transition)
+        for place, _ in compiled.inputs[transition]:
+            self._undecided.pop(place, None)
+            for consumer, _ in compiled.consumers[place]:
+                self._denied_since.pop(consumer, None)
+        for place, _ in compiled.outputs[transition]:
+            self._arrived[place] = self._now
+            if place in self._failure_ids:
+                self._fail(self._failure_ids[place], rule)
+            else:
+                self._agenda.append(place)
+        self._observer.fired(compiled.transitions[transition], rule, self._now)
+
+    def _note(self, rule: Rule, call: int) -> None:
+        """Keep the record of the call up to date."""
+        result = self._results[call]
+        if rule.deed is Deed.SEND:
+            started = self._now if result.started is None else result.started
+            self._results[call] = replace(result, outcome="running", attempts=result.attempts + 1, started=started)
+        elif rule.name in _DONE:
+            assumed = rule.deed is Deed.FINISH and is_assumed(self._action(call), self.knowledge)
+            self._results[call] = replace(result, outcome=_DONE[rule.name], ended=self._now, assumed=assumed)
+        if rule.name in _CAUSES:
+            self._causes[call] = (_CAUSES[rule.name], *self._expectation(rule, call))
+        if rule.name in _GIVEN_UP:
+            self._open.pop(self._request[call], None)
+
+    def _expectation(self, rule: Rule, call: int) -> tuple[str, str]:
+        """Return what was expected and what was seen when this transition fired."""
+        match rule.name:
+            case "effects_missing":
+                return " ".join(self._missing[call]), "the action succeeded, but that is not so"
+            case "unanswered":
+                return "an answer to the goal in time", "none"
+            case "expired":
+                return "an end in time", f"none; then {self._messages[call]}"
+            case "unconfirmed":
+                return "an end, or a confirmed cancellation, in time", "neither"
+            case _:
+                return "success", self._messages[call]
+
+    def _fail(self, call: int, rule: Rule) -> None:
+        first = not self.ending
+        failure = self._failure(call, rule)
+        self._failures.append(failure)
+        self._results[call] = replace(self._results[call], outcome=failure.cause, ended=self._now)
+        self._observer.failed(failure, self._now)
+        if first:
+            self._agenda.extend(self._undecided)
+
+    def _failure(self, call: int, rule: Rule) -> Failure:
+        """Say why the failure place is being marked by the transition of this rule."""
+        about, guard = self._results[call].call, rule.guard
+        if isinstance(guard, Denied):
+            return Failure(about, rule.name, *self._explain(guard.condition))
+        if isinstance(guard, DataMissing):
+            return Failure(about, rule.name, f"values for {', '.join(self._goal(call)[1])}", "no argument, variable or constant of that name")
+        return Failure(about, *self._causes[call])
+
+    def _explain(self, condition: Condition) -> tuple[str, str]:
+        missing = failing(condition, self.knowledge)
+        return " ".join(map(str, missing)), "; ".join(observed(part, self.knowledge) for part in missing)
+
+    # --- deeds --------------------------------------------------------------------------------
+
+    def _do(self, deed: Deed, call: int) -> None:
+        match deed:
+            case Deed.SEND:
+                self._send(call)
+            case Deed.CANCEL:
+                self._commands.append(Cancel(self._request[call]))
+            case Deed.BEGIN:
+                self._begin_effects(call)
+            case Deed.FINISH:
+                self._write(changes(self._action(call).end_effects, self.knowledge))
+            case Deed.UNDO:
+                self._undo(call)
+            case _:
+                assert_never(deed)
+
+    def _send(self, call: int) -> None:
+        attempt = self._results[call].attempts
+        identity = uuid5(self.id, f"{call}/{attempt}")
+        self._open[identity] = call
+        self._request[call] = identity
+        request = Request(identity, self._action(call), self._goal(call)[0], attempt)
+        self._commands.append(Send(request))
+        self._observer.sent(self._results[call].call, request, self._now)
+
+    def _begin_effects(self, call: int) -> None:
+        self._expected[call] = expected(self._results[call].call, self.knowledge)
+        written = changes(self._action(call).start_effects, self.knowledge)
+        self._begun[call] = {fluent: self.knowledge.value(fluent) or False for fluent in written}, written
+        self._write(written)
+
+    def _undo(self, call: int) -> None:
+        before, written = self._begun.pop(call, ({}, {}))
+        self._write(undo(before, written, self.knowledge))
+
+    def _write(self, new: Changes) -> None:
+        """Write what nobody reports; sensors tell the rest."""
+        world = self.knowledge.world
+        if world.update({fluent: value for fluent, value in new.items() if not world.is_sensed(fluent)}):
+            self._agenda.extend(place for place in self._undecided if self._listening[place])
+
+    # --- shorthand ----------------------------------------------------------------------------
+
+    def _action(self, call: int) -> GroundAction:
+        return self._results[call].call.action
+
+    def _goal(self, call: int) -> tuple[dict[str, object], tuple[str, ...]]:
+        action = self._action(call)
+        return goal_data(action, self._bindings.of(action.name), self._goal_fields(action), self.knowledge)
+
+    def _lag_of_effects(self, call: int) -> float:
+        return lag_of_effects(self._expected.get(call, {}), self._action(call), self.knowledge)
+
+    def _unseen(self, call: int) -> tuple[str, ...]:
+        return unseen(self._expected.get(call, {}), self._action(call), self.knowledge)
+
+
+_DONE: Final = {
+    "skip": "skipped",
+    "already_true": "already true",
+    "effects_hold": "succeeded",
+    "completed": "succeeded",
+    "stopped": "canceled",
+    "unconfirmed_stop": "canceled, unconfirmed",
+}
+"""The transitions that end a call without failure, and how that is called."""
+
+_CAUSES: Final = {
+    "rejected": "rejected",
+    "unavailable": "unavailable",
+    "unanswered": "unavailable",
+    "ended_early": "unavailable",
+    "aborted": "aborted",
+    "canceled": "canceled",
+    "lost": "lost",
+    "lost_early": "lost",
+    "ended_oddly": "aborted",
+    "expired": "timed_out",
+    "unconfirmed": "timed_out",
+    "effects_missing": "effects_missing",
+}
+"""The transitions after which a call recovers or fails, and how the cause is called."""
+
+_GIVEN_UP: Final = frozenset({"unanswered", "unconfirmed", "unconfirmed_stop"})
+"""The transitions after which a request is no longer waited for."""
+
+
+def _now_if(is_open: bool) -> float:
+    return -NEVER if is_open else NEVER
+
+
+def _admits(rule: Rule, report: Report) -> bool:
+    if isinstance(report, Accepted):
+        return isinstance(rule.guard, Accepts)
+    return isinstance(rule.guard, Ends) and report.outcome.kind in rule.guard.kinds
+
+
+def _recorded(value: object) -> object:
+    return False if value is None else value

@@ -1,0 +1,160 @@
+"""A real action server to test against: each goal says how it is to end. Run as a script.
+
+Of a GroundAction goal the action says what to do and the first argument how long, in seconds, or how many:
+
+    succeed, abort, reject, raise, oddly (returns without an end)
+    slow (1)         works for a while, and lets itself be cancelled
+    stubborn (1)     the same, but refuses to be cancelled
+    hang             works until it is cancelled
+    hesitate (1)     takes that long to accept, then works until it is cancelled
+    together (N)     waits until N goals are there, then all end at once
+    block (1)        keeps its thread busy; with one thread the server answers nothing meanwhile
+
+Of a Fibonacci goal the order is the length of the sequence. Prints "ready" once it serves.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import threading
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from pnm_interfaces.action import GroundAction
+from pnm_interfaces.msg import State
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from test_msgs.action import Fibonacci
+
+NEVER = 3600.0
+
+
+class Behaviour:
+    """What the server does with GroundAction goals."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.arrived = 0
+        self.complete = threading.Event()
+
+    def accept(self, goal: Any) -> GoalResponse:
+        if goal.action == "hesitate":
+            threading.Event().wait(number(goal))
+        return GoalResponse.REJECT if goal.action == "reject" else GoalResponse.ACCEPT
+
+    def cancel(self, handle: Any) -> CancelResponse:
+        return CancelResponse.REJECT if handle.request.action == "stubborn" else CancelResponse.ACCEPT
+
+    def execute(self, handle: Any) -> GroundAction.Result:
+        goal = handle.request
+        match goal.action:
+            case "abort":
+                handle.abort()
+                return GroundAction.Result(message="the door is shut")
+            case "raise":
+                raise RuntimeError("wheel came off")
+            case "oddly":
+                return GroundAction.Result(message="no end")
+            case "together":
+                self.meet(int(number(goal)))
+            case "block":
+                threading.Event().wait(number(goal))
+            case "slow" | "stubborn":
+                return self.work(handle, number(goal))
+            case "hang" | "hesitate":
+                return self.work(handle, NEVER)
+        handle.succeed()
+        return GroundAction.Result(message=f"did {' '.join([goal.action, *goal.arguments])}")
+
+    def meet(self, count: int) -> None:
+        with self.lock:
+            self.arrived += 1
+            if self.arrived == count:
+                self.complete.set()
+        self.complete.wait(60.0)
+
+    def work(self, handle: Any, seconds: float) -> GroundAction.Result:
+        pause = threading.Event()
+        for step in range(int(seconds / 0.05)):
+            if handle.is_cancel_requested:
+                handle.canceled()
+                return GroundAction.Result(message=f"stopped after {step} steps")
+            handle.publish_feedback(GroundAction.Feedback(progress=min(1.0, step * 0.05 / seconds)))
+            pause.wait(0.05)
+        handle.succeed()
+        return GroundAction.Result(message="done")
+
+
+def number(goal: Any) -> float:
+    """Return the first argument as a number, 1 without one."""
+    return float(goal.arguments[0]) if goal.arguments else 1.0
+
+
+def fibonacci(handle: Any) -> Fibonacci.Result:
+    sequence = [0, 1]
+    while len(sequence) < handle.request.order:
+        sequence.append(sequence[-1] + sequence[-2])
+    handle.succeed()
+    return Fibonacci.Result(sequence=sequence[: handle.request.order])
+
+
+def guarded(execute: Callable[[Any], Any], empty: Callable[[], Any]) -> Callable[[Any], Any]:
+    """Have a failing callback abort its goal instead of ending the server."""
+
+    def run(handle: Any) -> Any:
+        try:
+            return execute(handle)
+        except Exception:
+            traceback.print_exc()
+            handle.abort()
+            return empty()
+
+    return run
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("names", nargs="*", help="names of the servers")
+    parser.add_argument("--fibonacci", action="store_true", help="serve Fibonacci instead of GroundAction")
+    parser.add_argument("--threads", type=int, default=40)
+    parser.add_argument("--report", type=json.loads, help="fields of a State to report, once")
+    options = parser.parse_args()
+
+    rclpy.init()
+    node = rclpy.create_node(f"server_{threading.get_native_id()}")
+    behaviour = Behaviour()
+    group = ReentrantCallbackGroup()
+    for name in options.names:
+        if options.fibonacci:
+            ActionServer(node, Fibonacci, name, guarded(fibonacci, Fibonacci.Result), callback_group=group)
+        else:
+            ActionServer(
+                node,
+                GroundAction,
+                name,
+                guarded(behaviour.execute, GroundAction.Result),
+                goal_callback=behaviour.accept,
+                cancel_callback=behaviour.cancel,
+                callback_group=group,
+            )
+    if options.report:
+        latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        node.create_publisher(State, "knowledge/sensed", latched).publish(State(**options.report))
+    executor = SingleThreadedExecutor() if options.threads == 1 else MultiThreadedExecutor(options.threads)
+    executor.add_node(node)
+    sys.stdout.write("ready\n")
+    sys.stdout.flush()
+    try:
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,285 @@
+"""Every way a goal can end, against real servers in other processes."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+from time import monotonic
+
+import pytest
+
+from pnm.actions.base import OutcomeKind
+from pnm.bindings import Binding
+from pnm.plan_graph import GroundAction
+
+GROUND = "pnm_interfaces/action/GroundAction"
+FIBONACCI = "test_msgs/action/Fibonacci"
+
+
+@pytest.mark.parametrize(
+    ("action", "kind", "message"),
+    [
+        ("succeed", OutcomeKind.SUCCEEDED, "did succeed r1"),
+        ("abort", OutcomeKind.ABORTED, "the door is shut"),
+        ("raise", OutcomeKind.ABORTED, ""),
+        ("oddly", OutcomeKind.ABORTED, "no end"),
+    ],
+)
+def test_outcome_and_result(play, shared, action, kind, message):
+    async def scenario(client):
+        sent = client.send("act", action=action, arguments=["r1"])
+        await sent.accepted()
+        outcome = await sent.ended()
+        assert (outcome.kind, outcome.message, outcome.result) == (kind, message, {"message": message})
+
+    play(scenario, act=Binding(server=shared))
+
+
+def test_rejected(play, shared):
+    async def scenario(client):
+        outcome = await client.send("act", action="reject").ended()
+        assert outcome.kind is OutcomeKind.REJECTED
+        assert shared in outcome.message
+
+    play(scenario, act=Binding(server=shared, type=GROUND))
+
+
+def test_cancel_is_confirmed_by_the_end(play, shared):
+    async def scenario(client):
+        sent = client.send("act", action="hang")
+        await sent.accepted()
+        client.cancel(sent)
+        outcome = await sent.ended()
+        assert outcome.kind is OutcomeKind.CANCELED
+        assert outcome.message.startswith("stopped after")
+
+    play(scenario, act=Binding(server=shared))
+
+
+def test_cancel_before_acceptance_is_sent_on_acceptance(play, shared):
+    async def scenario(client):
+        sent = client.send("act", action="hesitate", arguments=["0.5"])
+        client.cancel(sent)
+        await sent.accepted()
+        assert (await sent.ended()).kind is OutcomeKind.CANCELED
+
+    play(scenario, act=Binding(server=shared))
+
+
+def test_cancel_before_sending_sends_nothing(play, names):
+    async def scenario(client):
+        sent = client.send("act")
+        client.cancel(sent)
+        outcome = await sent.ended(1.0)
+        assert (outcome.kind, outcome.message) == (OutcomeKind.CANCELED, "cancelled before it was sent")
+
+    play(scenario, act=Binding(server=names(), type=GROUND))
+
+
+def test_a_refused_cancel_is_not_an_end(play, shared):
+    async def scenario(client):
+        sent = client.send("act", action="stubborn", arguments=["1.5"])
+        await sent.accepted()
+        client.cancel(sent)
+        assert (await sent.ended()).kind is OutcomeKind.SUCCEEDED
+
+    play(scenario, act=Binding(server=shared))
+
+
+def test_cancelling_what_is_unknown_or_over_does_nothing(play, shared):
+    async def scenario(client):
+        sent = client.send("act", action="succeed")
+        await sent.ended()
+        client.cancel(sent)
+        await client.send("act", action="succeed").ended()
+        assert sent.reports.empty()
+
+    play(scenario, act=Binding(server=shared))
+
+
+@pytest.mark.parametrize(
+    ("goal", "said"),
+    [
+        ({"action": 3}, "field action needs string, got 3 (int)"),
+        ({"arguments": "kitchen"}, "field arguments needs a list of values of type string, got 'kitchen' (str)"),
+        ({"acton": "x"}, "field acton needs to be one of action, arguments"),
+    ],
+)
+def test_a_value_that_does_not_fit_is_rejected_and_named(play, shared, goal, said):
+    async def scenario(client):
+        outcome = await client.send("act", **goal).ended()
+        assert outcome.kind is OutcomeKind.REJECTED
+        assert said in outcome.message
+
+    play(scenario, act=Binding(server=shared))
+
+
+def test_an_absent_server_is_unavailable_and_a_similar_one_named(play, shared):
+    async def scenario(client):
+        assert await client.ros2.prepare([GroundAction("act")], limit=0.3) == (f"/{shared}x",)
+        outcome = await client.send("act").ended()
+        assert outcome.kind is OutcomeKind.UNAVAILABLE
+        assert f"there is no action server /{shared}x; similar are /{shared}" in outcome.message
+
+    play(scenario, act=Binding(server=f"{shared}x"))
+
+
+def test_a_server_of_another_type_is_unavailable_and_both_types_named(play, shared):
+    async def scenario(client):
+        outcome = await client.send("act", order=3).ended()
+        assert outcome.kind is OutcomeKind.UNAVAILABLE
+        assert outcome.message == f"the action server /{shared} has the type {GROUND}, the binding says {FIBONACCI}"
+
+    play(scenario, act=Binding(server=shared, type=FIBONACCI))
+
+
+def test_a_name_that_cannot_be_one_is_unavailable(play):
+    async def scenario(client):
+        outcome = await client.send("act").ended()
+        assert outcome.kind is OutcomeKind.UNAVAILABLE
+        assert "not a name for an action server: 'two words'" in outcome.message
+
+    play(scenario, act=Binding(server="two words"))
+
+
+def test_type_found_from_the_graph_and_hyphens_written_as_underscores(play, start, names):
+    name = names()
+    start("--fibonacci", f"{name}_up")
+
+    async def scenario(client):
+        action = GroundAction(f"{name}-up")
+        assert await client.ros2.prepare([action]) == ()
+        assert client.ros2.goal_fields(action) == ("order",)
+        outcome = await client.send(f"{name}-up", order=6.0).ended()
+        assert outcome.result == {"sequence": [0, 1, 1, 2, 3, 5]}
+
+    play(scenario)
+
+
+def test_a_server_that_comes_late_is_waited_for(play, start, names):
+    name = names()
+
+    async def scenario(client):
+        sent = client.send("act", action="succeed")
+        await asyncio.to_thread(start, name)
+        assert (await sent.ended()).kind is OutcomeKind.SUCCEEDED
+
+    play(scenario, act=Binding(server=name))
+
+
+def test_30_goals_at_once_on_a_server_with_default_qos_that_end_together(play, shared):
+    async def scenario(client):
+        sent = [client.send("act", action="together", arguments=["30"]) for _ in range(30)]
+        outcomes = await asyncio.gather(*(one.ended(20.0) for one in sent))
+        assert {outcome.kind for outcome in outcomes} == {OutcomeKind.SUCCEEDED}
+
+    play(scenario, act=Binding(server=shared))
+
+
+def test_30_cancellations_at_once(play, shared):
+    async def scenario(client):
+        sent = [client.send("act", action="hang") for _ in range(30)]
+        await asyncio.gather(*(one.accepted() for one in sent))
+        for one in sent:
+            client.cancel(one)
+        outcomes = await asyncio.gather(*(one.ended(20.0) for one in sent))
+        assert {outcome.kind for outcome in outcomes} == {OutcomeKind.CANCELED}
+
+    play(scenario, act=Binding(server=shared))
+
+
+def test_an_unanswered_goal_ends_and_is_cancelled_when_accepted_after_all(play, start, names):
+    name = names()
+    start(name, "--threads", "2")
+
+    async def scenario(client):
+        late = client.send("act", action="hesitate", arguments=["2"])
+        outcome = await late.ended(4.0)
+        assert (outcome.kind, outcome.message) == (OutcomeKind.UNAVAILABLE, f"/{name} did not answer within 1 s")
+        # Both threads are kept busy by goals nobody waits for, unless these are cancelled.
+        await client.send("act", action="hesitate", arguments=["2"]).ended(4.0)
+        assert (await client.send("patient", action="succeed").ended()).kind is OutcomeKind.SUCCEEDED
+        assert late.reports.empty()
+
+    play(scenario, act=Binding(server=name, accept=1.0), patient=Binding(server=name))
+
+
+def test_a_server_that_shuts_down_is_lost(play, start, names):
+    name = names()
+    server = start(name)
+
+    async def scenario(client):
+        sent = client.send("act", action="hang")
+        await sent.accepted()
+        await asyncio.to_thread(server.stop)
+        assert (await sent.ended(6.0)).kind is OutcomeKind.LOST
+
+    play(scenario, act=Binding(server=name))
+
+
+def test_a_restarted_server_is_noticed_quickly_and_used_again(play, start, names):
+    name = names()
+    server = start(name)
+
+    async def scenario(client):
+        sent = client.send("act", action="hang")
+        await sent.accepted()
+        server.kill()
+        await asyncio.to_thread(start, name)
+        outcome = await sent.ended(5.0)
+        assert (outcome.kind, outcome.message) == (OutcomeKind.LOST, f"/{name} no longer knows the goal; it was restarted")
+        assert (await client.send("act", action="succeed").ended()).kind is OutcomeKind.SUCCEEDED
+
+    play(scenario, act=Binding(server=name))
+
+
+def test_a_killed_server_is_lost_within_30_seconds_and_a_blocked_one_is_not(play, start, names):
+    killed, blocked = names(), names()
+    victim = start(killed)
+    start(blocked, "--threads", "1")
+
+    async def scenario(client):
+        busy = client.send("busy", action="block", arguments=["28"])
+        sent = client.send("act", action="hang")
+        await asyncio.gather(sent.accepted(), busy.accepted())
+        victim.kill()
+        since = monotonic()
+        outcome = await sent.ended(30.0)
+        assert (outcome.kind, outcome.message) == (OutcomeKind.LOST, f"/{killed} went away")
+        assert monotonic() - since > 2.0
+        assert (await busy.ended(30.0)).kind is OutcomeKind.SUCCEEDED
+
+    play(scenario, limit=60.0, act=Binding(server=killed), busy=Binding(server=blocked))
+
+
+CLOSING = """
+import asyncio, sys
+from uuid import uuid4
+from pnm.actions.base import Request
+from pnm.bindings import Bindings
+from pnm.plan_graph import GroundAction
+from pnm.ros.action_client import Ros2ActionClient
+from pnm.ros.node import RosThread
+
+ros = RosThread("closing")
+
+async def main():
+    client = Ros2ActionClient(ros, Bindings(), asyncio.get_running_loop())
+    accepted = asyncio.Event()
+    action = GroundAction(sys.argv[1])
+    client.send(Request(uuid4(), action, {"action": "hang"}), lambda report: accepted.set())
+    await asyncio.wait_for(accepted.wait(), 20)
+    if sys.argv[2] == "close":
+        client.close()
+        assert ros.close()
+
+asyncio.run(main())
+"""
+
+
+@pytest.mark.parametrize("how", ["close", "just end"])
+def test_a_process_with_an_open_goal_ends_cleanly(shared, how):
+    command = [sys.executable, "-c", CLOSING, shared, how]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=30.0, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")

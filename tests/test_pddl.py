@@ -1,0 +1,755 @@
+"""PDDL: every refusal with its position, then what is read, then the law of writing and reading back."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import kairos
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from planner_bridge.model import ActionSchema, Declaration, Domain, DurationConstraint, Metric, Problem, TimedChange
+from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
+from planner_bridge.pddl_writer import number_text, write_domain, write_problem
+from planner_bridge.sexpr import MAX_DEPTH
+from pnm.conditions import (
+    DURATION,
+    TRUE,
+    All,
+    Any,
+    Arithmetic,
+    Compare,
+    Condition,
+    Constant,
+    Exists,
+    Expression,
+    Fluent,
+    ForAll,
+    Holds,
+    Implies,
+    Not,
+    ValueOf,
+    Variable,
+    conjuncts,
+)
+from pnm.effects import OPERATIONS, Effect, ForEach, Set, When
+from pnm.errors import InputError
+
+SHARED = Path(__file__).parents[2] / "shared" / "pddl"
+
+DECLARED = (
+    "(define (domain d) (:types robot room - thing) (:constants hall - room)"
+    " (:predicates (at ?r - robot ?l - room) (idle)) (:functions (charge ?r - robot) (total-cost))"
+)
+"""One line, so that what a test adds stands in line 2."""
+PROBLEM = "(define (problem p) (:domain d) (:objects r2 - robot kitchen - room)"
+
+
+def domain_with(text: str) -> Domain:
+    return parse_domain(f"{DECLARED}\n{text})")
+
+
+def problem_with(text: str) -> Problem:
+    return parse_problem(f"{PROBLEM}\n{text})", domain_with(""))
+
+
+def action(parts: str) -> ActionSchema:
+    return domain_with(f"(:action a {parts})").actions["a"]
+
+
+def durative(parts: str) -> ActionSchema:
+    return domain_with(f"(:durative-action a {parts})").actions["a"]
+
+
+# --- refusals: the definition --------------------------------------------------------------
+
+WHOLE = [
+    ("", "1:1: the file is empty; expected (define (domain NAME) ...)"),
+    ("; nothing\n", "1:1: the file is empty; expected (define (domain NAME) ...)"),
+    ("(defie (domain d))", "1:2: expected 'define', found 'defie'"),
+    ("define", "1:1: expected (define (domain NAME) ...), found 'define'"),
+    ("()", "1:1: expected (define (domain NAME) ...), found ()"),
+    ("(define)", "1:1: expected (define (domain NAME) ...), found (define)"),
+    ("(define d)", "1:9: expected (domain NAME), found 'd'"),
+    ("(define (domain))", "1:9: expected (domain NAME), found (domain)"),
+    ("(define (problem p))", "1:9: expected (domain NAME), found (problem ...); this file is not a domain"),
+    ("(define (domain 3))", "1:17: expected a name for a domain, found '3'"),
+    ("(define (domain (d)))", "1:17: expected a name for a domain, found (d)"),
+    ("(define (domain d))\n(define (domain e))", "2:1: expected the end of the file after (define (domain NAME) ...), found (define ...)"),
+    ("(define (domain d)\n predicates)", "2:2: expected a section such as (:predicates ...), found 'predicates'"),
+    ("(define (domain d)\n (predicates))", "2:2: expected a section such as (:predicates ...), found (predicates)"),
+    ("(define (domain d)\n (:predicate))", "2:3: unknown section ':predicate'; did you mean ':predicates'?"),
+    (
+        "(define (domain d)\n (:init))",
+        "2:3: unknown section ':init'; expected one of"
+        " :requirements, :predicates, :types, :constants, :functions, :action, :durative-action",
+    ),
+    (
+        "(define (domain d)\n (:predicates (p)\n (:action a))",
+        "2:2: this '(' is not closed before the next section; expected ')' before ':action' in line 3",
+    ),
+    ("(" * 20_000, f"1:{MAX_DEPTH + 1}: nested deeper than {MAX_DEPTH} lists"),
+]
+
+NOT_SUPPORTED = [
+    ("(:derived (p) (q))", "2:2: derived predicates (:derived) are not supported yet; rules that are applied after every change would be needed"),
+    ("(:constraints (and))", "2:2: trajectory constraints (:constraints) are not supported yet; checks over a whole run would be needed"),
+    ("(:process p)", "2:2: processes (:process) are not supported yet; a simulation of change over time would be needed"),
+    ("(:event e)", "2:2: events (:event) are not supported yet; changes that happen without an action would be needed"),
+    ("(:task t)", "2:2: task networks (HDDL) are not supported yet; a hierarchical planner would be needed"),
+    ("(:method m)", "2:2: task networks (HDDL) are not supported yet; a hierarchical planner would be needed"),
+    (
+        "(:functions (home ?r - robot) - room)",
+        "2:33: functions whose values are not numbers (- room) are not supported yet; objects as values in a state would be needed",
+    ),
+    ("(:action a :observe (idle))", "2:12: sensing actions (:observe) are not supported yet; a contingent planner would be needed"),
+    (
+        "(:action a :precondition (preference p (idle)))",
+        "2:26: preferences are not supported yet; a planner that weighs which goals to give up would be needed",
+    ),
+    (
+        "(:durative-action a :duration () :condition (and (preference p (at start (idle)))))",
+        "2:50: preferences are not supported yet; a planner that weighs which goals to give up would be needed",
+    ),
+    (
+        "(:durative-action a :parameters (?r - robot) :duration () :effect (increase (charge ?r) (* #t 2)))",
+        "2:92: continuous effects (#t) are not supported yet; a simulation of change over time would be needed",
+    ),
+    (
+        "(:durative-action a :duration () :effect (when (at start (idle)) (at end (idle))))",
+        "2:42: conditional effects 'at end' on a condition 'at start' are not supported yet;"
+        " a memory of the condition until the effect would be needed",
+    ),
+    (
+        "(:durative-action a :duration (at end (= ?duration 3)))",
+        "2:31: durations that are decided at the end are not supported yet; a bound that is only known when the action ends would be needed",
+    ),
+    ("(:action a :effect (oneof (idle) (and)))", "2:20: uncertain facts (oneof) are not supported yet; a contingent planner would be needed"),
+]
+
+DECLARATIONS = [
+    ("(:requirements (a))", "2:16: expected a requirement such as :typing, found (a)"),
+    ("(:types a - b b - a)", "2:9: the type 'a' is a kind of itself"),
+    ("(:types object - thing)", "2:9: the type 'object' is a kind of itself"),
+    ("(:types a -)", "2:11: expected a type after '-', found nothing"),
+    ("(:types - a)", "2:9: expected a name before '-', found nothing"),
+    ("(:types a - (either))", "2:13: expected a type or (either TYPE ...), found (either)"),
+    ("(:types a - (or a b))", "2:13: expected a type or (either TYPE ...), found (or ...)"),
+    ("(:types é)", "2:9: 'é' cannot name a type; expected letters, digits and _ - . @"),
+    ("(:types ?x)", "2:9: expected a name for a type, found '?x'"),
+    ("(:constants c - rom)", "2:17: unknown type 'rom'; did you mean 'room'?"),
+    ("(:constants c - x)", "2:17: unknown type 'x'; expected one of object, thing, robot, room"),
+    ("(:constants Hall - robot)", "2:13: the object 'Hall' is of type robot here, but of type room before"),
+    ("(:predicates p)", "2:14: expected a predicate in parentheses such as (name ?x - type), found 'p'"),
+    ("(:predicates ())", "2:14: expected a predicate in parentheses such as (name ?x - type), found ()"),
+    ("(:predicates (p x))", "2:17: expected a variable such as ?x, found 'x'"),
+    ("(:predicates (p ?))", "2:17: expected a variable such as ?x, found '?'"),
+    ("(:predicates (IDLE))", "2:14: the predicate 'IDLE' is declared twice; the first time in line 1"),
+    ("(:predicates (forall ?x))", "2:15: 'forall' is a word of PDDL and cannot name a predicate"),
+    ("(:functions (CHARGE))", "2:13: the function 'CHARGE' is declared twice; the first time in line 1"),
+    ("(:functions (idle))", "2:13: the function 'idle' has the name and the number of arguments of a predicate"),
+]
+
+ACTIONS = [
+    ("(:action)", "2:1: expected a name after ':action', found nothing"),
+    ("(:action (a))", "2:10: expected a name for a action, found (a)"),
+    ("(:action a)\n(:durative-action A :duration ())", "3:1: the action 'A' is declared twice; the first time in line 2"),
+    ("(:action a :efect (idle))", "2:12: unknown part of the action 'a' ':efect'; did you mean ':effect'?"),
+    ("(:action a (idle))", "2:12: expected one of :parameters, :precondition, :effect; found (idle)"),
+    ("(:action a :effect)", "2:12: expected a value after ':effect', found nothing"),
+    ("(:action a :precondition :effect (idle))", "2:12: expected a value after ':precondition', found ':effect'"),
+    ("(:action a :effect (idle) :effect (idle))", "2:27: a second :effect; expected one"),
+    ("(:action a :parameters ?x)", "2:24: expected the parameters in parentheses, found '?x'"),
+    ("(:action a :parameters (?x ?X))", "2:28: the variable '?X' is there twice"),
+    ("(:action a :precondition idle)", "2:26: expected a condition in parentheses, found 'idle'"),
+    ("(:action a :precondition (idel))", "2:27: unknown predicate 'idel'; did you mean 'idle'?"),
+    ("(:action a :precondition (xyz))", "2:27: unknown predicate 'xyz'; expected one of at, idle"),
+    ("(:action a :precondition (charge hall))", "2:27: 'charge' is a function; expected a predicate"),
+    ("(:action a :precondition ((idle)))", "2:27: expected the name of a predicate, found (idle)"),
+    ("(:action a :precondition (idle hall))", "2:26: (idle) takes 0 arguments, found 1"),
+    ("(:action a :precondition (at hall))", "2:26: (at ?r - robot ?l - room) takes 2 arguments, found 1"),
+    ("(:action a :precondition (at hall hall))", "2:30: 'hall' is of type room; expected robot"),
+    ("(:action a :parameters (?r - robot) :precondition (at ?r ?r))", "2:58: '?r' is of type robot; expected room"),
+    ("(:action a :parameters (?r - robot) :precondition (at ?r nowhere))", "2:58: unknown object 'nowhere'; expected one of hall"),
+    ("(:action a :parameters (?robot) :precondition (at ?robt hall))", "2:51: unknown variable '?robt'; did you mean '?robot'?"),
+    ("(:action a :precondition (at ?r hall))", "2:30: unknown variable '?r'; none is declared"),
+    ("(:action a :precondition (at (r) hall))", "2:30: expected an object or a variable, found (r)"),
+    ("(:action a :precondition (not))", "2:26: 'not' takes 1 operand, found 0"),
+    ("(:action a :precondition (imply (idle)))", "2:26: 'imply' takes 2 operands, found 1"),
+    ("(:action a :precondition (forall ?x (idle)))", "2:34: expected variables in parentheses, found '?x'"),
+    ("(:action a :precondition (and (exists (?r - robot) (idle)) (at ?r hall)))", "2:64: unknown variable '?r'; none is declared"),
+    ("(:action a :precondition (assign (total-cost) 3))", "2:27: 'assign' cannot stand here; expected a predicate"),
+    ("(:action a :precondition (= hall 3))", "2:34: unknown object '3'; expected one of hall"),
+    ("(:action a :precondition (= (total-cost) hall))", "2:29: expected an object or a variable, found (total-cost)"),
+    ("(:action a :precondition (< hall 3))", "2:29: expected a number or a function in parentheses, found 'hall'"),
+    ("(:action a :precondition (< (idle) 3))", "2:30: 'idle' is a predicate; expected a function"),
+    ("(:action a :precondition (< (total-time) 3))", "2:30: unknown function 'total-time'; did you mean 'total-cost'?"),
+    ("(:action a :precondition (< (charge) 3))", "2:29: (charge ?r - robot) takes 1 argument, found 0"),
+    ("(:action a :precondition (< charge 3))", "2:29: (charge ?r - robot) takes 1 argument, found 0"),
+    ("(:action a :precondition (< (+ 1) 3))", "2:29: '+' takes at least 2 operands, found 1"),
+    ("(:action a :precondition (< (- 1 2 3) 3))", "2:29: '-' takes 1 or 2 operands, found 3"),
+    ("(:action a :precondition (< (/ 1) 3))", "2:29: '/' takes 2 operands, found 1"),
+    ("(:action a :precondition (< 1e999 3))", "2:29: the number 1e999 is too large"),
+    (
+        "(:action a :precondition (< ?duration 3))",
+        "2:29: '?duration' can only be used in the conditions and effects of a durative action",
+    ),
+    ("(:action a :effect idle)", "2:20: expected an effect in parentheses, found 'idle'"),
+    ("(:action a :effect (or (idle)))", "2:21: 'or' cannot stand in an effect; expected a fact, not, forall, when or assign"),
+    ("(:action a :effect (not (not (idle))))", "2:26: 'not' cannot stand here; expected a predicate"),
+    ("(:action a :effect (not idle))", "2:25: expected a fact in parentheses, found 'idle'"),
+    ("(:action a :effect (= (total-cost) 3))", "2:20: '=' cannot stand in an effect; expected (assign FUNCTION VALUE)"),
+    ("(:action a :effect (increase (total-cost)))", "2:20: 'increase' takes 2 operands, found 1"),
+    ("(:action a :effect (increase (total) 1))", "2:31: unknown function 'total'; did you mean 'total-cost'?"),
+    ("(:durative-action a)", "2:1: the durative action 'a' has no :duration; expected :duration (= ?duration ...), or () for any"),
+    ("(:durative-action a :duration 3)", "2:31: expected (= ?duration ...), <=, >= or and of these; found '3'"),
+    ("(:durative-action a :duration (< ?duration 3))", "2:31: expected (= ?duration ...), <=, >= or and of these; found (< ...)"),
+    ("(:durative-action a :duration (= 3 ?duration))", "2:34: expected ?duration, found '3'"),
+    (
+        "(:durative-action a :duration (= ?duration ?duration))",
+        "2:44: '?duration' can only be used in the conditions and effects of a durative action",
+    ),
+    (
+        "(:durative-action a :duration () :precondition (idle))",
+        "2:34: unknown part of the durative action 'a' ':precondition'; did you mean ':condition'?",
+    ),
+    (
+        "(:durative-action a :duration () :condition (idle))",
+        "2:45: expected (at start ...), (over all ...), (at end ...), and or forall; found (idle)",
+    ),
+    ("(:durative-action a :duration () :effect (and (idle)))", "2:47: expected (at start ...), (at end ...), and, forall or when; found (idle)"),
+    (
+        "(:durative-action a :duration () :effect (over all (idle)))",
+        "2:42: expected (at start ...), (at end ...), and, forall or when; found (over ...)",
+    ),
+]
+
+PROBLEMS = [
+    ("", "1:1: there is no :goal; expected (:goal CONDITION)"),
+    ("(:goa (idle))", "2:2: unknown section ':goa'; did you mean ':goal'?"),
+    ("(:goal)", "2:1: expected (:goal CONDITION), found 0 conditions"),
+    ("(:goal (idle) (idle))", "2:1: expected (:goal CONDITION), found 2 conditions"),
+    ("(:goal ())\n(:goal ())", "3:1: a second :goal section; the first is in line 2"),
+    ("(:goal (at r2 nowhere))", "2:15: unknown object 'nowhere'; expected one of hall, r2, kitchen"),
+    ("(:goal (at r2 kitchn))", "2:15: unknown object 'kitchn'; did you mean 'kitchen'?"),
+    ("(:goal (at r2))", "2:8: (at ?r - robot ?l - room) takes 2 arguments, found 1"),
+    ("(:goal (at kitchen r2))", "2:12: 'kitchen' is of type room; expected robot"),
+    ("(:goal (sometime (idle)))", "2:8: trajectory constraints are not supported yet; checks over a whole run would be needed"),
+    ("(:goal (> (charge r2) ?duration))", "2:23: '?duration' can only be used in the conditions and effects of a durative action"),
+    ("(:objects r2 - room)", "2:11: the object 'r2' is of type room here, but of type robot before"),
+    ("(:objects HALL)", "2:11: the object 'HALL' is of type object here, but of type room before"),
+    ("(:objects 5 - room)", "2:11: expected a name for a object, found '5'"),
+    ("(:init idle)", "2:8: expected a fact, (= FUNCTION NUMBER) or (at TIME ...), found 'idle'"),
+    ("(:init (idel))", "2:9: unknown predicate 'idel'; did you mean 'idle'?"),
+    ("(:init (at r2 ?x))", "2:15: unknown variable '?x'; none is declared"),
+    ("(:init (at -1 (idle)))", "2:12: expected a time of at least 0, found '-1'"),
+    ("(:init (at 5 hall))", "2:12: unknown object '5'; expected one of hall, r2, kitchen"),
+    ("(:init (= (charge r2) hall))", "2:23: expected a number, found 'hall'"),
+    ("(:init (= (charge r2) 1) (= (charge r2) 2))", "2:26: (charge r2) has another value before; expected one value"),
+    ("(:init (idle) (not (idle)))", "2:15: (idle) has another value before; expected one value"),
+    ("(:init (at 5 (idle)) (at 5.0 (not (idle))))", "2:22: (idle) has another value before; expected one value"),
+    ("(:init (oneof (idle)))", "2:8: uncertain initial states (oneof in :init) are not supported yet; a contingent planner would be needed"),
+    ("(:init (unknown (idle)))", "2:8: uncertain initial states (unknown in :init) are not supported yet; a contingent planner would be needed"),
+    ("(:init (or (idle)))", "2:8: uncertain initial states (or in :init) are not supported yet; a contingent planner would be needed"),
+    ("(:init (and (idle)))", "2:9: 'and' cannot stand here; expected a predicate"),
+    ("(:goal ()) (:metric minimise (total-time))", "2:12: expected (:metric minimize EXPRESSION) or (:metric maximize EXPRESSION)"),
+    (
+        "(:goal ()) (:metric minimize (is-violated p))",
+        "2:30: preferences (is-violated) are not supported yet; a planner that weighs which goals to give up would be needed",
+    ),
+    ("(:constraints (and))", "2:2: trajectory constraints (:constraints) are not supported yet; checks over a whole run would be needed"),
+    ("(:htn)", "2:2: task networks (HDDL) are not supported yet; a hierarchical planner would be needed"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), WHOLE, ids=[message for _, message in WHOLE])
+def test_a_text_that_is_no_domain_is_refused(text: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse_domain(text)
+    assert str(caught.value) == f"domain.pddl:{message}"
+
+
+DOMAINS = [*NOT_SUPPORTED, *DECLARATIONS, *ACTIONS]
+
+
+@pytest.mark.parametrize(("text", "message"), DOMAINS, ids=[message for _, message in DOMAINS])
+def test_a_bad_domain_is_refused(text: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        domain_with(text)
+    assert str(caught.value) == f"domain.pddl:{message}"
+
+
+@pytest.mark.parametrize(("text", "message"), PROBLEMS, ids=[message for _, message in PROBLEMS])
+def test_a_bad_problem_is_refused(text: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        problem_with(text)
+    assert str(caught.value) == f"problem.pddl:{message}"
+
+
+def test_a_domain_is_no_problem() -> None:
+    with pytest.raises(InputError, match=r"1:9: expected \(problem NAME\), found \(domain \.\.\.\); this file is not a problem"):
+        parse_problem("(define (domain d))", domain_with(""))
+
+
+def test_files_that_cannot_be_read_are_refused_at_their_beginning(tmp_path: Path) -> None:
+    (tmp_path / "empty").write_text("")
+    (tmp_path / "zeros").write_bytes(b"(define\0)")
+    (tmp_path / "bytes").write_bytes(b"(define \xff)")
+    for name, message in {
+        "missing": "1:1: cannot be read: No such file or directory",
+        "": "1:1: cannot be read: Is a directory",
+        "empty": "1:1: the file is empty; expected (define (domain NAME) ...)",
+        "zeros": "1:1: not a text file: it contains zero bytes",
+        "bytes": "1:9: not a text file: byte 0xff is not UTF-8",
+    }.items():
+        with pytest.raises(InputError) as caught:
+            read_domain(tmp_path / name)
+        assert str(caught.value) == f"{tmp_path / name}:{message}"
+
+
+# --- what is read: declarations ------------------------------------------------------------
+
+
+def test_an_empty_domain_is_read() -> None:
+    assert parse_domain("(define (domain d))") == Domain("d")
+    assert parse_domain("(define (domain d) (:types) (:constants) (:predicates) (:functions))") == Domain("d")
+
+
+def test_types_have_parents() -> None:
+    domain = parse_domain("(define (domain d) (:types a b - c d - (either c e) a - e a f - object))")
+    assert domain.types == {"a": ("c", "e"), "b": ("c",), "c": (), "d": ("c", "e"), "e": (), "f": ()}
+    assert list(domain.types) == ["a", "b", "c", "d", "e", "f"]
+    assert domain.supertypes("d") == {"object", "c", "e", "d"}
+
+
+def test_sections_stand_in_any_order() -> None:
+    text = "(:action a :parameters (?x - t) :effect (p ?x c)) (:functions (f ?x - t)) (:predicates (p ?x ?y - t)) (:constants c - t) (:types t)"
+    domain = parse_domain(f"(define (domain d) {text})")
+    assert domain.actions["a"].end_effects == (Set(("p", "?x", "c"), Constant(True)),)
+
+
+@pytest.mark.parametrize("suffix", ["", " - number", " -number", " - Number"])
+def test_functions_are_numbers(suffix: str) -> None:
+    domain = parse_domain(f"(define (domain d) (:functions (f ?x){suffix} (g)))")
+    assert domain.functions == {"f": Declaration("f", (Variable("?x"),)), "g": Declaration("g")}
+
+
+def test_names_may_clash_begin_with_digits_and_repeat_parameters() -> None:
+    domain = parse_domain(
+        "(define (domain a) (:types a 2d) (:constants a - a 3x - 2d) (:predicates (a ?a ?a - a) (4p ?5 - 2d))"
+        " (:action a :parameters (?a - a) :precondition (and (a ?a a) (4p 3x))))"
+    )
+    assert domain.actions["a"].precondition == All((Holds(("a", "?a", "a")), Holds(("4p", "3x"))))
+    assert [variable.name for variable in domain.predicates["a"].parameters] == ["?a", "?a"]
+
+
+def test_typed_lists_need_no_spaces() -> None:
+    assert domain_with("(:action a :parameters (?a -robot?b - room?c))").actions["a"].parameters == (
+        Variable("?a", ("robot",)),
+        Variable("?b", ("room",)),
+        Variable("?c"),
+    )
+
+
+def test_requirements_are_kept_known_or_not() -> None:
+    assert parse_domain("(define (domain d) (:requirements :STRIPS :foo bar :strips))").requirements == (":strips", ":foo", ":bar")
+
+
+def test_names_are_spelled_as_first_declared() -> None:
+    domain = parse_domain(
+        "(DEFINE (DOMAIN D) (:Types Robot) (:CONSTANTS Jack - ROBOT jack - robot) (:Predicates (Busy ?R - robot)) (:Functions (F))"
+        " (:ACTION Go :Parameters (?Robot - rObOt) :Precondition (AND (busy ?ROBOT) (NOT (BUSY JACK))) :EFFECT (Increase (f) 1)))"
+    )
+    go = domain.actions["Go"]
+    assert go.parameters == (Variable("?Robot", ("Robot",)),)
+    assert go.precondition == All((Holds(("Busy", "?Robot")), Not(Holds(("Busy", "Jack")))))
+    assert go.end_effects == (Set(("F",), Constant(1.0), "increase"),)
+    problem = parse_problem("(define (problem P) (:objects JACK Jill - robot) (:init (BUSY jack) (= F 2)) (:GOAL (busy JILL)))", domain)
+    assert problem.own_objects == {"Jill": ("Robot",)}
+    assert problem.init == {("Busy", "Jack"): True, ("F",): 2.0}
+    assert problem.goal == Holds(("Busy", "Jill"))
+
+
+def test_an_inner_variable_hides_an_outer_one_of_another_spelling() -> None:
+    schema = action("(:parameters (?X - robot) :precondition (and (at ?x hall) (exists (?x - robot) (at ?X hall))))"[1:-1])
+    assert schema.precondition == All((Holds(("at", "?X", "hall")), Exists((Variable("?x", ("robot",)),), Holds(("at", "?x", "hall")))))
+
+
+@pytest.mark.parametrize("kind", ["object", "thing", "robot", "(either robot room)", "little"])
+def test_a_variable_is_accepted_where_its_type_could_match(kind: str) -> None:
+    text = f"(:types little - robot) (:action a :parameters (?r - {kind}) :precondition (at ?r hall))"
+    assert domain_with(text).actions["a"].precondition == Holds(("at", "?r", "hall"))
+
+
+def test_an_object_of_either_type_is_accepted_for_both() -> None:
+    problem = problem_with("(:objects both - (either robot room)) (:goal (at both both))")
+    assert problem.goal == Holds(("at", "both", "both"))
+    assert problem.objects_by_type["robot"] == ("r2", "both")
+
+
+# --- what is read: actions -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("parts", ["", ":parameters () :precondition () :effect ()", ":effect (and) :precondition (and (and))"])
+def test_parts_of_an_action_may_be_empty_or_missing(parts: str) -> None:
+    assert action(parts) == ActionSchema("a")
+
+
+IDLE = Holds(("idle",))
+CHARGE = ValueOf(("charge", "?r"))
+
+
+@pytest.mark.parametrize(
+    ("text", "condition"),
+    [
+        ("(idle)", IDLE),
+        ("(and (idle))", IDLE),
+        ("(and (idle) (and (idle) (idle)))", All((IDLE, IDLE, IDLE))),
+        ("(or (idle) (not (idle)))", Any((IDLE, Not(IDLE)))),
+        ("(or)", Any(())),
+        ("(imply (idle) ())", Implies(IDLE, TRUE)),
+        ("(forall (?l - room) (at ?r ?l))", ForAll((Variable("?l", ("room",)),), Holds(("at", "?r", "?l")))),
+        ("(exists (?l - room) (at ?r ?l))", Exists((Variable("?l", ("room",)),), Holds(("at", "?r", "?l")))),
+        ("(= ?r hall)", Compare("=", Constant("?r"), Constant("hall"))),
+        ("(= (charge ?r) 3)", Compare("=", CHARGE, Constant(3.0))),
+        ("(= total-cost total-cost)", Compare("=", ValueOf(("total-cost",)), ValueOf(("total-cost",)))),
+        ("(>= (charge ?r) -.5e1)", Compare(">=", CHARGE, Constant(-5.0))),
+        (
+            "(< (+ 1 2 (charge ?r)) (- (* 2 3 4) (/ 1 (- 2))))",
+            Compare(
+                "<",
+                Arithmetic("+", (Constant(1.0), Constant(2.0), CHARGE)),
+                Arithmetic(
+                    "-",
+                    (
+                        Arithmetic("*", (Constant(2.0), Constant(3.0), Constant(4.0))),
+                        Arithmetic("/", (Constant(1.0), Arithmetic("-", (Constant(2.0),)))),
+                    ),
+                ),
+            ),
+        ),
+    ],
+)
+def test_conditions(text: str, condition: Condition) -> None:
+    assert action(f":parameters (?r - robot) :precondition {text}").precondition == condition
+
+
+SET_IDLE = Set(("idle",), Constant(True))
+NOT_IDLE = Set(("idle",), Constant(False))
+
+
+@pytest.mark.parametrize(
+    ("text", "effects"),
+    [
+        ("(idle)", (SET_IDLE,)),
+        ("(and (idle) (and (not (idle))))", (SET_IDLE, NOT_IDLE)),
+        ("(when (idle) (and (not (idle)) (idle)))", (When(IDLE, (NOT_IDLE, SET_IDLE)),)),
+        ("(forall (?l - room) (not (at ?r ?l)))", (ForEach((Variable("?l", ("room",)),), (Set(("at", "?r", "?l"), Constant(False)),)),)),
+        *((f"({name} (charge ?r) 2)", (Set(("charge", "?r"), Constant(2.0), name),)) for name in OPERATIONS),
+    ],
+)
+def test_effects(text: str, effects: tuple[Effect, ...]) -> None:
+    assert action(f":parameters (?r - robot) :effect {text}").end_effects == effects
+
+
+@pytest.mark.parametrize(
+    ("text", "constraints"),
+    [
+        ("()", ()),
+        ("(and)", ()),
+        ("(= ?duration 3)", (DurationConstraint("=", Constant(3.0)),)),
+        ("(at start (= ?DURATION 3))", (DurationConstraint("=", Constant(3.0)),)),
+        (
+            "(and (<= ?duration 3) (at start (>= ?duration (charge ?r))))",
+            (DurationConstraint("<=", Constant(3.0)), DurationConstraint(">=", CHARGE)),
+        ),
+    ],
+)
+def test_durations(text: str, constraints: tuple[DurationConstraint, ...]) -> None:
+    assert durative(f":parameters (?r - robot) :duration {text}").duration == constraints
+
+
+def test_timed_conditions_go_to_their_moments() -> None:
+    at_hall = Holds(("at", "?r", "hall"))
+    robots = (Variable("?r", ("robot",)),)
+    schema = durative(
+        ":duration () :condition (and (at start (and (idle) (idle))) (over all (idle)) (over all (not (idle))) (at end (>= ?duration 1))"
+        " (forall (?r - robot) (and (at start (at ?r hall)) (at end (at ?r hall)))))"
+    )
+    assert schema.precondition == All((IDLE, IDLE, ForAll(robots, at_hall)))
+    assert schema.invariant == All((IDLE, Not(IDLE)))
+    assert schema.end_condition == All((Compare(">=", ValueOf(DURATION), Constant(1.0)), ForAll(robots, at_hall)))
+
+
+def test_timed_effects_go_to_their_moments() -> None:
+    robots = (Variable("?r", ("robot",)),)
+    charged = Set(("charge", "?r"), Arithmetic("*", (Constant(2.0), ValueOf(DURATION))), "increase")
+    schema = durative(
+        ":duration () :effect (and (at start (not (idle))) (at end (idle)) (at end (when (idle) (idle)))"
+        " (when (at start (idle)) (at start (and (idle) (not (idle)))))"
+        " (forall (?r - robot) (and (at start (idle)) (at end (increase (charge ?r) (* 2 ?duration))) (when (at end (idle)) (at end (idle))))))"
+    )
+    assert schema.start_effects == (NOT_IDLE, When(IDLE, (SET_IDLE, NOT_IDLE)), ForEach(robots, (SET_IDLE,)))
+    assert schema.end_effects == (SET_IDLE, When(IDLE, (SET_IDLE,)), ForEach(robots, (charged, When(IDLE, (SET_IDLE,)))))
+
+
+# --- what is read: problems ----------------------------------------------------------------
+
+
+def test_a_problem_is_read() -> None:
+    problem = problem_with(
+        "(:init (at r2 kitchen) (at r2 kitchen) (not (idle)) (= (charge r2) 10) (= total-cost 0)"
+        " (at 7 (= (charge r2) -3)) (at 5 (idle)) (at 5.0 (not (at r2 kitchen))))"
+        " (:requirements :typing) (:length (:serial 3)) (:metric maximize (- total-time (total-cost))) (:objects r2 - robot) (:goal ())"
+    )
+    assert problem == Problem(
+        "p",
+        domain_with(""),
+        {"r2": ("robot",), "kitchen": ("room",)},
+        {("at", "r2", "kitchen"): True, ("charge", "r2"): 10.0, ("total-cost",): 0.0},
+        (
+            TimedChange(5.0, {("idle",): True, ("at", "r2", "kitchen"): False}),
+            TimedChange(7.0, {("charge", "r2"): -3.0}),
+        ),
+        TRUE,
+        Metric("maximize", Arithmetic("-", (ValueOf(("total-time",)), ValueOf(("total-cost",))))),
+    )
+
+
+def test_at_is_an_ordinary_predicate_too() -> None:
+    domain = parse_domain("(define (domain d) (:predicates (at ?x ?y)))")
+    problem = parse_problem("(define (problem p) (:objects 1st b) (:init (at 1st b) (at 1 (at b b))) (:goal (at b 1st)))", domain)
+    assert problem.init == {("at", "1st", "b"): True}
+    assert problem.timed == (TimedChange(1.0, {("at", "b", "b"): True}),)
+
+
+@pytest.mark.parametrize(
+    ("before", "inner", "after"),
+    [
+        ("(not ", "(p ?x)", ")"),
+        ("(or (p ?x) ", "(p ?x)", ")"),
+        ("(imply (p ?x) ", "(p ?x)", ")"),
+        ("(exists (?y) ", "(p ?x)", ")"),
+        ("(< 1 ", "", ")"),
+    ],
+)
+def test_the_deepest_nesting_is_read_and_written(before: str, inner: str, after: str) -> None:
+    levels = MAX_DEPTH - 3
+    nested = f"(< 1 {'(+ 1 ' * (levels - 1)}1{')' * (levels - 1)})" if not inner else before * levels + inner + after * levels
+    domain = parse_domain(f"(define (domain d) (:predicates (p ?x)) (:action a :parameters (?x) :precondition {nested}))")
+    assert parse_domain(write_domain(domain)) == domain
+    effect = "(when (p ?x) " * levels + "(p ?x)" + ")" * levels
+    domain = parse_domain(f"(define (domain d) (:predicates (p ?x)) (:action a :parameters (?x) :effect {effect}))")
+    assert parse_domain(write_domain(domain)) == domain
+
+
+# --- the law: what is written is read as an equal model ------------------------------------
+
+TYPES = {"thing": (), "robot": ("thing",), "room": ("thing",), "dock": ("room", "place"), "place": ()}
+KINDS = st.sampled_from([("object",), ("thing",), ("robot",), ("dock",), ("robot", "place")])
+NUMBERS = st.one_of(st.integers(-1000, 1000).map(float), st.floats(allow_nan=False, allow_infinity=False))
+FUNCTIONS: list[Fluent] = [("charge", "?r"), ("charge", "R1"), ("total-cost",)]
+FACTS: list[Fluent] = [("at", "?r", "hall"), ("at", "R1", "hall"), ("idle",)]
+OWN = (Variable("?r", ("robot",)), Variable("?Other", ("object",)))
+
+
+def expressions(duration: bool) -> st.SearchStrategy[Expression]:
+    values = st.sampled_from([*FUNCTIONS, *([DURATION] if duration else [])]).map(ValueOf)
+    return st.recursive(
+        st.one_of(NUMBERS.map(Constant), values),
+        lambda inner: st.one_of(
+            st.builds(Arithmetic, st.sampled_from("+*"), st.lists(inner, min_size=2, max_size=3).map(tuple)),
+            st.builds(Arithmetic, st.just("/"), st.tuples(inner, inner)),
+            st.builds(Arithmetic, st.just("-"), st.lists(inner, min_size=1, max_size=2).map(tuple)),
+        ),
+        max_leaves=4,
+    )
+
+
+def joined(parts: list[Condition]) -> Condition:
+    flat = conjuncts(All(tuple(parts)))
+    return flat[0] if len(flat) == 1 else All(flat)
+
+
+VARIABLES = st.lists(st.builds(Variable, st.sampled_from(["?x", "?y", "?z"]), KINDS), max_size=2, unique_by=lambda one: one.name).map(tuple)
+
+
+def conditions(duration: bool = False) -> st.SearchStrategy[Condition]:
+    numbers = st.builds(Compare, st.sampled_from(["=", "<", "<=", ">", ">="]), expressions(duration), expressions(duration))
+    terms = st.sampled_from(["?r", "?Other", "R1", "hall"]).map(Constant)
+    return st.recursive(
+        st.one_of(st.sampled_from(FACTS).map(Holds), numbers, st.builds(Compare, st.just("="), terms, terms)),
+        lambda inner: st.one_of(
+            st.lists(inner, max_size=3).map(joined),
+            st.builds(Any, st.lists(inner, max_size=3).map(tuple)),
+            inner.map(Not),
+            st.builds(Implies, inner, inner),
+            st.builds(ForAll, VARIABLES, inner),
+            st.builds(Exists, VARIABLES, inner),
+        ),
+        max_leaves=6,
+    )
+
+
+def effects(duration: bool = False) -> st.SearchStrategy[tuple[Effect, ...]]:
+    truth = st.builds(Set, st.sampled_from(FACTS), st.booleans().map(Constant))
+    numbers = st.builds(Set, st.sampled_from(FUNCTIONS), expressions(duration), st.sampled_from(OPERATIONS))
+    one = st.recursive(
+        st.one_of(truth, numbers),
+        lambda inner: st.one_of(
+            st.builds(When, conditions(duration), st.lists(inner, max_size=2).map(tuple)),
+            st.builds(ForEach, VARIABLES, st.lists(inner, max_size=2).map(tuple)),
+        ),
+        max_leaves=4,
+    )
+    return st.lists(one, max_size=3).map(tuple)
+
+
+INSTANTANEOUS = st.builds(ActionSchema, st.just("now"), st.just(OWN), precondition=conditions(), end_effects=effects())
+DURATIVE = st.builds(
+    ActionSchema,
+    st.just("later"),
+    st.just(OWN),
+    precondition=conditions(duration=True),
+    invariant=conditions(duration=True),
+    end_condition=conditions(duration=True),
+    start_effects=effects(duration=True),
+    end_effects=effects(duration=True),
+    duration=st.lists(st.builds(DurationConstraint, st.sampled_from(["=", "<=", ">="]), expressions(duration=False)), max_size=2).map(tuple),
+)
+
+
+def domain_of(actions: list[ActionSchema]) -> Domain:
+    return Domain(
+        "d",
+        (":typing", ":adl"),
+        TYPES,
+        {"R1": ("robot",), "hall": ("dock",), "odd": ("robot", "place")},
+        {
+            "at": Declaration("at", (Variable("?r", ("robot",)), Variable("?l", ("room", "robot")))),
+            "same": Declaration("same", (Variable("?x"), Variable("?x"), Variable("?y", ("dock",)))),
+            "idle": Declaration("idle"),
+        },
+        {"charge": Declaration("charge", (Variable("?r", ("robot",)),)), "total-cost": Declaration("total-cost")},
+        {one.name: one for one in actions},
+    )
+
+
+@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@given(st.tuples(INSTANTANEOUS, DURATIVE))
+def test_a_written_domain_reads_as_an_equal_one(actions: tuple[ActionSchema, ActionSchema]) -> None:
+    domain = domain_of(list(actions))
+    text = write_domain(domain)
+    again = parse_domain(text)
+    assert again == domain
+    assert [list(part) for part in (again.types, again.actions)] == [list(part) for part in (domain.types, domain.actions)]
+    kairos.parse_domain(text)
+
+
+GROUND_FACTS = st.sampled_from([("at", "R1", "hall"), ("at", "r2", "hall"), ("idle",)])
+GROUND_FUNCTIONS = st.sampled_from([("charge", "R1"), ("charge", "r2"), ("total-cost",)])
+
+
+def values(truth: st.SearchStrategy[bool]) -> st.SearchStrategy[dict[Fluent, bool | float]]:
+    pairs = st.tuples(st.dictionaries(GROUND_FACTS, truth), st.dictionaries(GROUND_FUNCTIONS, NUMBERS))
+    return pairs.map(lambda pair: {**pair[0], **pair[1]})
+
+
+TIMED = st.dictionaries(st.floats(0, 1e9), values(st.booleans()).filter(bool), max_size=3).map(
+    lambda found: tuple(TimedChange(time, found[time]) for time in sorted(found))
+)
+
+
+@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@given(values(st.just(True)), TIMED, NUMBERS)
+def test_a_written_problem_reads_as_an_equal_one(init: dict[Fluent, bool | float], timed: tuple[TimedChange, ...], number: float) -> None:
+    goal = All((Holds(("idle",)), Compare(">", ValueOf(("charge", "r2")), Constant(number))))
+    metric = Metric("minimize", Arithmetic("*", (Constant(number), ValueOf(("total-time",)))))
+    problem = Problem("p", domain_of([]), {"r2": ("robot",), "x": ("object",), "y": ("robot", "place")}, init, timed, goal, metric)
+    text = write_problem(problem)
+    assert parse_problem(text, problem.domain) == problem
+    kairos.parse_problem(text, kairos.parse_domain(write_domain(problem.domain)))
+
+
+@given(NUMBERS)
+def test_numbers_are_written_exactly_and_without_an_exponent(number: float) -> None:
+    text = number_text(number)
+    assert float(text) == number
+    assert set(text) <= set("-.0123456789")
+
+
+def test_the_layout_is_for_people() -> None:
+    text = write_domain(domain_with("(:durative-action go :parameters (?r - robot ?a ?b - room) :duration (= ?duration 2.50)"
+        " :condition (and (at start (at ?r ?a)) (over all (idle)) (at start (> (charge ?r) 0.1)) (at end (idle)))"
+        " :effect (and (at start (not (at ?r ?a))) (at end (at ?r ?b))))"))  # fmt: skip
+    assert text == (
+        "(define (domain d)\n"
+        "  (:types\n"
+        "    robot room - thing\n"
+        "    thing - object)\n"
+        "  (:constants\n"
+        "    hall - room)\n"
+        "  (:predicates\n"
+        "    (at ?r - robot ?l - room)\n"
+        "    (idle))\n"
+        "  (:functions\n"
+        "    (charge ?r - robot)\n"
+        "    (total-cost))\n"
+        "  (:durative-action go\n"
+        "    :parameters (?r - robot ?a ?b - room)\n"
+        "    :duration (= ?duration 2.5)\n"
+        "    :condition (and\n"
+        "      (at start (at ?r ?a))\n"
+        "      (at start (> (charge ?r) 0.1))\n"
+        "      (over all (idle))\n"
+        "      (at end (idle)))\n"
+        "    :effect (and (at start (not (at ?r ?a))) (at end (at ?r ?b)))))\n"
+    )
+
+
+# --- files of others -----------------------------------------------------------------------
+
+REFUSED = {
+    "blocks_observe": "domain.pddl:11:4: sensing actions (:observe) are not supported yet; a contingent planner would be needed",
+    "rosplan_test_invalid": "problem.pddl:1:2: expected 'define', found 'defie'",
+    "simple_3": "problem.pddl:1:1: this '(' is never closed; expected ')' before the end of the file",
+}
+"""Pairs that are not read, and why; none of `ipc` is among them."""
+
+
+def pairs() -> list[Path]:
+    manifests = sorted(SHARED.glob("*/manifest.json"))
+    return [manifest.parent / pair["name"] for manifest in manifests for pair in json.loads(manifest.read_text())]
+
+
+@pytest.mark.parametrize("folder", [folder for folder in pairs() if folder.name in REFUSED], ids=lambda folder: folder.name)
+def test_pairs_that_are_refused(folder: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        read_problem(folder / "problem.pddl", read_domain(folder / "domain.pddl"))
+    assert str(caught.value) == f"{folder}/{REFUSED[folder.name]}"
+
+
+@pytest.mark.parametrize("folder", [folder for folder in pairs() if folder.name not in REFUSED], ids=lambda folder: folder.name)
+def test_pairs_are_read_and_written(folder: Path) -> None:
+    domain = read_domain(folder / "domain.pddl")
+    problem = read_problem(folder / "problem.pddl", domain)
+    written = write_domain(domain), write_problem(problem)
+    kairos.parse_problem(written[1], kairos.parse_domain(written[0]))
+    again = parse_domain(written[0])
+    assert again == domain
+    assert parse_problem(written[1], again) == problem
+
+
+def test_large_files_are_read_in_time() -> None:
+    facts = "\n".join(f"(at r{index} room{index % 50})" for index in range(20_000))
+    robots = " ".join(f"r{index}" for index in range(20_000))
+    rooms = " ".join(f"room{index}" for index in range(50))
+    text = f"{PROBLEM} (:objects {robots} - robot {rooms} - room) (:init {facts}) (:goal ()))"
+    domain = domain_with("")
+    began = time.process_time()
+    problem = parse_problem(text, domain)
+    assert time.process_time() - began < 0.02 + 0.0015 * len(text) / 1000 * 3  # a busy machine is slower than the promise
+    assert len(problem.init) == 20_000

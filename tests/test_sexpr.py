@@ -1,0 +1,107 @@
+"""Lists of words: what is refused and where, then what is read."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from planner_bridge.sexpr import MAX_DEPTH, Atom, Group, Node, parse, where
+from pnm.errors import InputError
+
+BAD = [
+    (")", "f:1:1: this ')' closes nothing; expected '(' or the end of the file"),
+    ("(a)\n  )", "f:2:3: this ')' closes nothing; expected '(' or the end of the file"),
+    ("(a))(b)", "f:1:4: this ')' closes nothing; expected '(' or the end of the file"),
+    ("(a\n (b", "f:2:2: this '(' is never closed; expected ')' before the end of the file"),
+    ("(a (b)\n", "f:1:1: this '(' is never closed; expected ')' before the end of the file"),
+    ("(a ; )\n", "f:1:1: this '(' is never closed; expected ')' before the end of the file"),
+    (
+        "(define (domain d)\n (:predicates (p)\n (:action a))",
+        "f:2:2: this '(' is not closed before the next section; expected ')' before ':action' in line 3",
+    ),
+    ("(" * 20_000, f"f:1:{MAX_DEPTH + 1}: nested deeper than {MAX_DEPTH} lists"),
+    ("(" * 20_000 + ")" * 20_000, f"f:1:{MAX_DEPTH + 1}: nested deeper than {MAX_DEPTH} lists"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), BAD, ids=[message for _, message in BAD])
+def test_refusals_say_where(text: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse(text, "f")
+    assert str(caught.value) == message
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", []),
+        ("; nothing (\n", []),
+        ("a b;c\nd", ["a", "b", "d"]),
+        ("?c1 - aircraft?a", ["?c1", "-", "aircraft", "?a"]),
+        ("?x -t", ["?x", "-t"]),
+        ("?x-y ?z", ["?x-y", "?z"]),
+        ("-5.2e3\t3d", ["-5.2e3", "3d"]),
+    ],
+)
+def test_words(text: str, words: list[str]) -> None:
+    assert [node.text for node in parse(text, "f") if isinstance(node, Atom)] == words
+
+
+def test_lists_are_nested() -> None:
+    (whole,) = parse("(A (b) () c)", "f")
+    assert isinstance(whole, Group)
+    assert whole.head == "a"
+    assert [str(part) for part in whole.rest] == ["(b)", "()", "'c'"]
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_positions_count_from_one_whatever_ends_a_line(end: str) -> None:
+    nodes = parse(f"a ; comment{end}  (b{end}c)", "f")
+    assert [str(where(node)) for node in nodes] == ["f:1:1", "f:2:3"]
+    assert isinstance(nodes[1], Group)
+    assert [str(where(node)) for node in nodes[1].items] == ["f:2:4", "f:3:1"]
+
+
+def test_the_deepest_nesting_is_read() -> None:
+    node: Node = parse("(" * MAX_DEPTH + ")" * MAX_DEPTH, "f")[0]
+    depth = 1
+    while isinstance(node, Group) and node.items:
+        node, depth = node.items[0], depth + 1
+    assert depth == MAX_DEPTH
+
+
+WORDS = st.text(alphabet="ab1-_:=?", min_size=1, max_size=5).filter(lambda word: "?" not in word[1:])
+TREES = st.recursive(WORDS, lambda inner: st.lists(inner, max_size=4), max_leaves=30)
+
+
+def _written(tree: object) -> str:
+    return f"({' '.join(map(_written, tree))})" if isinstance(tree, list) else str(tree)
+
+
+def _read(node: Node) -> object:
+    return node.text if isinstance(node, Atom) else [_read(part) for part in node.items]
+
+
+@given(TREES)
+def test_what_is_written_is_read(tree: object) -> None:
+    (node,) = parse(_written(tree), "f")
+    assert _read(node) == tree
+
+
+@given(st.lists(TREES, max_size=4), st.sampled_from([" ", "\n", " ; ( ? )\n\t"]))
+def test_every_part_stands_where_it_says(trees: list[object], space: str) -> None:
+    text = space.join(map(_written, trees))
+    lines = text.splitlines()
+    for node in parse(text, "f"):
+        position = where(node)
+        begin = "(" if isinstance(node, Group) else node.text
+        assert lines[position.line - 1][position.column - 1 :].startswith(begin)
+
+
+@given(st.text(alphabet="()?;: \nab", max_size=60))
+def test_any_text_is_read_or_refused_with_a_position(text: str) -> None:
+    try:
+        parse(text, "f")
+    except InputError as error:
+        assert error.position is not None
