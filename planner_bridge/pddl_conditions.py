@@ -174,6 +174,8 @@ class Reader:
                 return (Set(self.function(target), self.expression(value), operation),)
             case "=":
                 raise wrong(node, "'=' cannot stand in an effect; expected (assign FUNCTION VALUE)")
+            case "or" | "imply" | "exists" as word:
+                raise wrong(node, f"'{word}' cannot stand in an effect; expected a fact, not, forall, when or assign")
             case _:
                 return (Set(self.fact(node), Constant(True)),)
 

@@ -19,7 +19,7 @@ def requirements(parts: Parts) -> tuple[str, ...]:
     for part in parts:
         if not isinstance(part, Atom):
             raise wrong(part, f"expected a requirement such as :typing, found {part}")
-        found.append(":" + new_name(Atom(part.key.lstrip(":"), part.offset, part.source), "requirement"))
+        found.append(":" + new_name(Atom(part.key.lstrip(":") or ":", part.offset, part.source), "requirement"))
     return tuple(dict.fromkeys(found))
 
 

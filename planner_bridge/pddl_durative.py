@@ -34,7 +34,7 @@ def _conditions(node: Node, reader: Reader) -> Timed[Condition]:
             return {moment: [ForAll(variables, conjunction(parts))] for moment, parts in inner.items()}
         case Group() if node.head == "preference":
             reader.condition(node)  # which refuses it
-    moment, body = _timed(node, MOMENTS)
+    moment, body = _timed(node, MOMENTS, "and or forall")
     return {moment: [reader.condition(body)]}
 
 
@@ -56,7 +56,7 @@ def _effects(node: Node, reader: Reader) -> Timed[Effect]:
             return _conditional(node, reader)
         case Group() if node.head in OPERATIONS:
             reader.effects(node)  # which refuses a continuous one
-    moment, body = _timed(node, ("at start", "at end"))
+    moment, body = _timed(node, ("at start", "at end"), "and, forall or when")
     return {moment: list(reader.effects(body))}
 
 
@@ -66,19 +66,19 @@ def _conditional(node: Group, reader: Reader) -> Timed[Effect]:
     effects = _effects(effect, reader)
     for moment in conditions:
         if set(effects) - {moment}:
-            what = f"conditional effects of '{', '.join(effects)}' on a condition '{moment}'"
-            raise unsupported(node, what, "a memory of the condition from one moment to the other")
+            what = f"conditional effects '{', '.join(effects)}' on a condition '{moment}'"
+            raise unsupported(node, what, "a memory of the condition until the effect")
     return {moment: [When(conditions.get(moment, TRUE), tuple(parts))] for moment, parts in effects.items()}
 
 
-def _timed(node: Node, moments: tuple[Moment, ...]) -> tuple[Moment, Node]:
+def _timed(node: Node, moments: tuple[Moment, ...], others: str) -> tuple[Moment, Node]:
     if isinstance(node, Group) and len(node.items) == 3:
         first, second, body = node.items
         for moment in moments:
             if isinstance(first, Atom) and isinstance(second, Atom) and f"{first.key} {second.key}" == moment:
                 return moment, body
     expected = ", ".join(f"({moment} ...)" for moment in moments)
-    raise wrong(node, f"expected {expected}, and or forall; found {node}")
+    raise wrong(node, f"expected {expected}, {others}; found {node}")
 
 
 def _merged(parts: list[Timed[T]]) -> Timed[T]:

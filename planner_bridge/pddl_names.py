@@ -84,13 +84,17 @@ def new_name(node: Node, kind: str, forbidden: Collection[str] = ()) -> str:
     """Return a name that is being declared, spelled as it stands."""
     match node:
         case Atom() if node.key in forbidden:
-            raise wrong(node, f"{node} is a word of PDDL and cannot name a {kind}")
+            raise wrong(node, f"{node} is a word of PDDL and cannot name {_one(kind)}")
         case Atom(text) if _NAME.fullmatch(text) and not is_number(node):
             return text
         case Atom(text) if text[0] != "?" and text[0] != ":" and not is_number(node):
-            raise wrong(node, f"{node} cannot name a {kind}; expected letters, digits and _ - . @")
+            raise wrong(node, f"{node} cannot name {_one(kind)}; expected letters, digits and _ - . @")
         case _:
-            raise wrong(node, f"expected a name for a {kind}, found {node}")
+            raise wrong(node, f"expected the name of {_one(kind)}, found {node}")
+
+
+def _one(kind: str) -> str:
+    return f"an {kind}" if kind[0] in "aeiou" else f"a {kind}"
 
 
 def runs(items: Sequence[Node]) -> Iterator[tuple[list[Node], Node | None]]:
@@ -208,7 +212,7 @@ class Names:
     ) -> Declaration:
         word = node.items[0] if isinstance(node, Group) and node.items else node
         if not isinstance(word, Atom):
-            raise wrong(word, f"expected the name of a {kind}, found {word}")
+            raise wrong(word, f"expected the name of {_one(kind)}, found {word}")
         if word.key in known:
             return known[word.key]
         if word.key in other:

@@ -77,11 +77,11 @@ def _section(node: Node, known: tuple[str, ...]) -> Group:
     if not isinstance(node, Group) or not node.head.startswith(":"):
         raise wrong(node, f"expected a section such as ({known[1]} ...), found {node}")
     if node.head not in known:
-        raise unknown_key(node.items[0], "section", known)
+        raise _unknown(node.items[0], "section", known)
     return node
 
 
-def keyed(items: tuple[Node, ...], kind: str, known: tuple[str, ...]) -> dict[str, Node]:
+def keyed(items: tuple[Node, ...], place: str, known: tuple[str, ...]) -> dict[str, Node]:
     """Read ``:key value :key value``, each key a known one and there once."""
     found: dict[str, Node] = {}
     rest = iter(items)
@@ -89,7 +89,7 @@ def keyed(items: tuple[Node, ...], kind: str, known: tuple[str, ...]) -> dict[st
         if not isinstance(key, Atom) or key.text[0] != ":":
             raise wrong(key, f"expected one of {', '.join(known)}; found {key}")
         if key.key not in known:
-            raise unknown_key(key, f"part of {kind}", known)
+            raise _unknown(key, "key", known, f" in {place}")
         if key.key in found:
             raise wrong(key, f"a second {key.key}; expected one")
         value = next(rest, None)
@@ -99,11 +99,10 @@ def keyed(items: tuple[Node, ...], kind: str, known: tuple[str, ...]) -> dict[st
     return found
 
 
-def unknown_key(key: Node, kind: str, known: Iterable[str]) -> InputError:
-    """Return the error for a keyword that is not known here, or is not supported."""
+def _unknown(key: Node, kind: str, known: Iterable[str], place: str = "") -> InputError:
     word = key.key if isinstance(key, Atom) else ""
     if word in _UNSUPPORTED:
         return unsupported(key, *_UNSUPPORTED[word])
     near = get_close_matches(word, list(known), 1)
     hint = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(known)}"
-    return wrong(key, f"unknown {kind} {key}; {hint}")
+    return wrong(key, f"unknown {kind} {key}{place}; {hint}")

@@ -15,7 +15,7 @@ of *spent*, by an arc whose weight is the whole budget.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from pnm.actions.base import OutcomeKind
@@ -124,7 +124,7 @@ class _Generator:
                 self.out_of[end] = [last[-1]]
         return first, last
 
-    def transition(self, name: str, rule: Rule, inputs: Mapping[str, int] | Iterable[str], outputs: Iterable[str]) -> None:
+    def transition(self, name: str, rule: Rule, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str]) -> None:
         self.net.transition(name, inputs, outputs)
         self.rules[name] = rule
 
@@ -139,6 +139,7 @@ class _Block:
 
     def build(self) -> None:
         index = self.call.index
+        self.title = str(self.call)
         announced = self.all.out_of.get(PlanEvent(index, Moment.START), [])
         self.awaited = self.all.into.get(PlanEvent(index, Moment.END), [])
         for name in ("running", "overdue", "stopping", "finished", "done", "failed"):
@@ -244,7 +245,7 @@ class _Block:
         return self.all.net.place(self.name(name))
 
     def name(self, name: str) -> str:
-        return f"{self.call} {name}"
+        return f"{self.title} {name}"
 
 
 def _before_invariant(action: GroundAction) -> Condition:

@@ -182,7 +182,7 @@ class PetriNetMachine:
         """P_g: the run has reached its goal when one of these is marked."""
         return frozenset({self.goal_place})
 
-    @property
+    @cached_property
     def record_places(self) -> frozenset[str]:
         """Places that may stay marked at the end: failures and budgets."""
         return frozenset(self.failure_places) | self.budget_places

@@ -130,12 +130,12 @@ class NetBuilder:
         self._places[name] = None
         return name
 
-    def transition(self, name: str, inputs: Weights | Iterable[str], outputs: Weights | Iterable[str]) -> str:
-        """Add a transition with its arcs and return its name; a plain list of places means weight one."""
+    def transition(self, name: str, inputs: dict[str, int] | Iterable[str], outputs: dict[str, int] | Iterable[str]) -> str:
+        """Add a transition with its arcs and return its name; names alone mean weight one."""
         if name in self._places or name in self._inputs:
             raise NetError(f"the name {name!r} is used twice")
         for weights, chosen in ((self._inputs, inputs), (self._outputs, outputs)):
-            connected = dict(chosen) if isinstance(chosen, Mapping) else dict.fromkeys(chosen, 1)
+            connected = dict(chosen) if isinstance(chosen, dict) else dict.fromkeys(chosen, 1)
             for place, weight in connected.items():
                 if place not in self._places:
                     raise NetError(f"{name!r} is connected to {place!r}, which is not a place")

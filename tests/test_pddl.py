@@ -76,8 +76,8 @@ WHOLE = [
     ("(define d)", "1:9: expected (domain NAME), found 'd'"),
     ("(define (domain))", "1:9: expected (domain NAME), found (domain)"),
     ("(define (problem p))", "1:9: expected (domain NAME), found (problem ...); this file is not a domain"),
-    ("(define (domain 3))", "1:17: expected a name for a domain, found '3'"),
-    ("(define (domain (d)))", "1:17: expected a name for a domain, found (d)"),
+    ("(define (domain 3))", "1:17: expected the name of a domain, found '3'"),
+    ("(define (domain (d)))", "1:17: expected the name of a domain, found (d)"),
     ("(define (domain d))\n(define (domain e))", "2:1: expected the end of the file after (define (domain NAME) ...), found (define ...)"),
     ("(define (domain d)\n predicates)", "2:2: expected a section such as (:predicates ...), found 'predicates'"),
     ("(define (domain d)\n (predicates))", "2:2: expected a section such as (:predicates ...), found (predicates)"),
@@ -95,7 +95,10 @@ WHOLE = [
 ]
 
 NOT_SUPPORTED = [
-    ("(:derived (p) (q))", "2:2: derived predicates (:derived) are not supported yet; rules that are applied after every change would be needed"),
+    (
+        "(:derived (p) (q))",
+        "2:2: derived predicates (:derived) are not supported yet; rules that are applied after every change would be needed",
+    ),
     ("(:constraints (and))", "2:2: trajectory constraints (:constraints) are not supported yet; checks over a whole run would be needed"),
     ("(:process p)", "2:2: processes (:process) are not supported yet; a simulation of change over time would be needed"),
     ("(:event e)", "2:2: events (:event) are not supported yet; changes that happen without an action would be needed"),
@@ -125,12 +128,17 @@ NOT_SUPPORTED = [
     ),
     (
         "(:durative-action a :duration (at end (= ?duration 3)))",
-        "2:31: durations that are decided at the end are not supported yet; a bound that is only known when the action ends would be needed",
+        "2:31: durations that are decided at the end are not supported yet;"
+        " a bound that is only known when the action ends would be needed",
     ),
-    ("(:action a :effect (oneof (idle) (and)))", "2:20: uncertain facts (oneof) are not supported yet; a contingent planner would be needed"),
+    (
+        "(:action a :effect (oneof (idle) (and)))",
+        "2:20: uncertain facts (oneof) are not supported yet; a contingent planner would be needed",
+    ),
 ]
 
 DECLARATIONS = [
+    ("(:requirements :)", "2:16: expected the name of a requirement, found ':'"),
     ("(:requirements (a))", "2:16: expected a requirement such as :typing, found (a)"),
     ("(:types a - b b - a)", "2:9: the type 'a' is a kind of itself"),
     ("(:types object - thing)", "2:9: the type 'object' is a kind of itself"),
@@ -139,9 +147,9 @@ DECLARATIONS = [
     ("(:types a - (either))", "2:13: expected a type or (either TYPE ...), found (either)"),
     ("(:types a - (or a b))", "2:13: expected a type or (either TYPE ...), found (or ...)"),
     ("(:types é)", "2:9: 'é' cannot name a type; expected letters, digits and _ - . @"),
-    ("(:types ?x)", "2:9: expected a name for a type, found '?x'"),
+    ("(:types ?x)", "2:9: expected the name of a type, found '?x'"),
     ("(:constants c - rom)", "2:17: unknown type 'rom'; did you mean 'room'?"),
-    ("(:constants c - x)", "2:17: unknown type 'x'; expected one of object, thing, robot, room"),
+    ("(:constants c - x)", "2:17: unknown type 'x'; expected one of object, robot, room, thing"),
     ("(:constants Hall - robot)", "2:13: the object 'Hall' is of type robot here, but of type room before"),
     ("(:predicates p)", "2:14: expected a predicate in parentheses such as (name ?x - type), found 'p'"),
     ("(:predicates ())", "2:14: expected a predicate in parentheses such as (name ?x - type), found ()"),
@@ -155,9 +163,9 @@ DECLARATIONS = [
 
 ACTIONS = [
     ("(:action)", "2:1: expected a name after ':action', found nothing"),
-    ("(:action (a))", "2:10: expected a name for a action, found (a)"),
+    ("(:action (a))", "2:10: expected the name of an action, found (a)"),
     ("(:action a)\n(:durative-action A :duration ())", "3:1: the action 'A' is declared twice; the first time in line 2"),
-    ("(:action a :efect (idle))", "2:12: unknown part of the action 'a' ':efect'; did you mean ':effect'?"),
+    ("(:action a :efect (idle))", "2:12: unknown key ':efect' in the action 'a'; did you mean ':effect'?"),
     ("(:action a (idle))", "2:12: expected one of :parameters, :precondition, :effect; found (idle)"),
     ("(:action a :effect)", "2:12: expected a value after ':effect', found nothing"),
     ("(:action a :precondition :effect (idle))", "2:12: expected a value after ':precondition', found ':effect'"),
@@ -198,7 +206,7 @@ ACTIONS = [
         "2:29: '?duration' can only be used in the conditions and effects of a durative action",
     ),
     ("(:action a :effect idle)", "2:20: expected an effect in parentheses, found 'idle'"),
-    ("(:action a :effect (or (idle)))", "2:21: 'or' cannot stand in an effect; expected a fact, not, forall, when or assign"),
+    ("(:action a :effect (or (idle)))", "2:20: 'or' cannot stand in an effect; expected a fact, not, forall, when or assign"),
     ("(:action a :effect (not (not (idle))))", "2:26: 'not' cannot stand here; expected a predicate"),
     ("(:action a :effect (not idle))", "2:25: expected a fact in parentheses, found 'idle'"),
     ("(:action a :effect (= (total-cost) 3))", "2:20: '=' cannot stand in an effect; expected (assign FUNCTION VALUE)"),
@@ -214,13 +222,16 @@ ACTIONS = [
     ),
     (
         "(:durative-action a :duration () :precondition (idle))",
-        "2:34: unknown part of the durative action 'a' ':precondition'; did you mean ':condition'?",
+        "2:34: unknown key ':precondition' in the durative action 'a'; did you mean ':condition'?",
     ),
     (
         "(:durative-action a :duration () :condition (idle))",
         "2:45: expected (at start ...), (over all ...), (at end ...), and or forall; found (idle)",
     ),
-    ("(:durative-action a :duration () :effect (and (idle)))", "2:47: expected (at start ...), (at end ...), and, forall or when; found (idle)"),
+    (
+        "(:durative-action a :duration () :effect (and (idle)))",
+        "2:47: expected (at start ...), (at end ...), and, forall or when; found (idle)",
+    ),
     (
         "(:durative-action a :duration () :effect (over all (idle)))",
         "2:42: expected (at start ...), (at end ...), and, forall or when; found (over ...)",
@@ -241,18 +252,25 @@ PROBLEMS = [
     ("(:goal (> (charge r2) ?duration))", "2:23: '?duration' can only be used in the conditions and effects of a durative action"),
     ("(:objects r2 - room)", "2:11: the object 'r2' is of type room here, but of type robot before"),
     ("(:objects HALL)", "2:11: the object 'HALL' is of type object here, but of type room before"),
-    ("(:objects 5 - room)", "2:11: expected a name for a object, found '5'"),
+    ("(:objects 5 - room)", "2:11: expected the name of an object, found '5'"),
     ("(:init idle)", "2:8: expected a fact, (= FUNCTION NUMBER) or (at TIME ...), found 'idle'"),
     ("(:init (idel))", "2:9: unknown predicate 'idel'; did you mean 'idle'?"),
     ("(:init (at r2 ?x))", "2:15: unknown variable '?x'; none is declared"),
     ("(:init (at -1 (idle)))", "2:12: expected a time of at least 0, found '-1'"),
+    ("(:init (at r2 (idle)))", "2:15: expected an object or a variable, found (idle)"),
     ("(:init (at 5 hall))", "2:12: unknown object '5'; expected one of hall, r2, kitchen"),
     ("(:init (= (charge r2) hall))", "2:23: expected a number, found 'hall'"),
     ("(:init (= (charge r2) 1) (= (charge r2) 2))", "2:26: (charge r2) has another value before; expected one value"),
     ("(:init (idle) (not (idle)))", "2:15: (idle) has another value before; expected one value"),
     ("(:init (at 5 (idle)) (at 5.0 (not (idle))))", "2:22: (idle) has another value before; expected one value"),
-    ("(:init (oneof (idle)))", "2:8: uncertain initial states (oneof in :init) are not supported yet; a contingent planner would be needed"),
-    ("(:init (unknown (idle)))", "2:8: uncertain initial states (unknown in :init) are not supported yet; a contingent planner would be needed"),
+    (
+        "(:init (oneof (idle)))",
+        "2:8: uncertain initial states (oneof in :init) are not supported yet; a contingent planner would be needed",
+    ),
+    (
+        "(:init (unknown (idle)))",
+        "2:8: uncertain initial states (unknown in :init) are not supported yet; a contingent planner would be needed",
+    ),
     ("(:init (or (idle)))", "2:8: uncertain initial states (or in :init) are not supported yet; a contingent planner would be needed"),
     ("(:init (and (idle)))", "2:9: 'and' cannot stand here; expected a predicate"),
     ("(:goal ()) (:metric minimise (total-time))", "2:12: expected (:metric minimize EXPRESSION) or (:metric maximize EXPRESSION)"),
@@ -326,7 +344,8 @@ def test_types_have_parents() -> None:
 
 
 def test_sections_stand_in_any_order() -> None:
-    text = "(:action a :parameters (?x - t) :effect (p ?x c)) (:functions (f ?x - t)) (:predicates (p ?x ?y - t)) (:constants c - t) (:types t)"
+    text = "(:action a :parameters (?x - t) :effect (p ?x c)) (:functions (f ?x - t))"
+    text += " (:predicates (p ?x ?y - t)) (:constants c - t) (:types t)"
     domain = parse_domain(f"(define (domain d) {text})")
     assert domain.actions["a"].end_effects == (Set(("p", "?x", "c"), Constant(True)),)
 
@@ -360,9 +379,11 @@ def test_requirements_are_kept_known_or_not() -> None:
 
 def test_names_are_spelled_as_first_declared() -> None:
     domain = parse_domain(
-        "(DEFINE (DOMAIN D) (:Types Robot) (:CONSTANTS Jack - ROBOT jack - robot) (:Predicates (Busy ?R - robot)) (:Functions (F))"
+        "(DEFINE (DOMAIN D) (:Types Robot ROBOT - Thing thing) (:CONSTANTS Jack - ROBOT jack - robot)"
+        " (:Predicates (Busy ?R - robot)) (:Functions (F))"
         " (:ACTION Go :Parameters (?Robot - rObOt) :Precondition (AND (busy ?ROBOT) (NOT (BUSY JACK))) :EFFECT (Increase (f) 1)))"
     )
+    assert domain.types == {"Robot": ("Thing",), "Thing": ()}
     go = domain.actions["Go"]
     assert go.parameters == (Variable("?Robot", ("Robot",)),)
     assert go.precondition == All((Holds(("Busy", "?Robot")), Not(Holds(("Busy", "Jack")))))
@@ -490,7 +511,8 @@ def test_timed_effects_go_to_their_moments() -> None:
     schema = durative(
         ":duration () :effect (and (at start (not (idle))) (at end (idle)) (at end (when (idle) (idle)))"
         " (when (at start (idle)) (at start (and (idle) (not (idle)))))"
-        " (forall (?r - robot) (and (at start (idle)) (at end (increase (charge ?r) (* 2 ?duration))) (when (at end (idle)) (at end (idle))))))"
+        " (forall (?r - robot) (and (at start (idle)) (at end (increase (charge ?r) (* 2 ?duration)))"
+        " (when (at end (idle)) (at end (idle))))))"
     )
     assert schema.start_effects == (NOT_IDLE, When(IDLE, (SET_IDLE, NOT_IDLE)), ForEach(robots, (SET_IDLE,)))
     assert schema.end_effects == (SET_IDLE, When(IDLE, (SET_IDLE,)), ForEach(robots, (charged, When(IDLE, (SET_IDLE,)))))
@@ -618,7 +640,9 @@ DURATIVE = st.builds(
     end_condition=conditions(duration=True),
     start_effects=effects(duration=True),
     end_effects=effects(duration=True),
-    duration=st.lists(st.builds(DurationConstraint, st.sampled_from(["=", "<=", ">="]), expressions(duration=False)), max_size=2).map(tuple),
+    duration=st.lists(st.builds(DurationConstraint, st.sampled_from(["=", "<=", ">="]), expressions(duration=False)), max_size=2).map(
+        tuple
+    ),
 )
 
 
@@ -708,6 +732,44 @@ def test_the_layout_is_for_people() -> None:
         "      (at end (idle)))\n"
         "    :effect (and (at start (not (at ?r ?a))) (at end (at ?r ?b)))))\n"
     )
+
+
+WORDS = ["(", ")", "?", "?x", "-", ":", ":effect", "and", "at", "start", "not", "=", "3", "?duration", "when", "forall", "either", "é", ";"]
+
+
+@settings(deadline=None)
+@given(st.data())
+def test_a_damaged_text_is_read_or_refused_with_a_position(data: st.DataObject) -> None:
+    domain = domain_of([SAMPLE, EARLY])
+    texts = write_domain(domain), write_problem(Problem("p", domain, init={("idle",): True, ("charge", "R1"): 3.0}, timed=SOON, goal=IDLE))
+    which = data.draw(st.integers(0, 1))
+    words = texts[which].replace("(", " ( ").replace(")", " ) ").split()
+    for _ in range(data.draw(st.integers(1, 3))):
+        at = data.draw(st.integers(0, len(words) - 1))
+        words[at : at + data.draw(st.integers(0, 2))] = data.draw(st.lists(st.sampled_from([*WORDS, *words[:40]]), max_size=2))
+    error = _error(" ".join(words), domain if which else None)
+    assert error is None or error.position is not None
+
+
+def _error(text: str, domain: Domain | None) -> InputError | None:
+    try:
+        parse_problem(text, domain) if domain else parse_domain(text)
+    except InputError as error:
+        return error
+    return None
+
+
+SOON = (TimedChange(5.0, {("idle",): False, ("charge", "R1"): 1.0}),)
+SAMPLE = ActionSchema(
+    "later",
+    OWN,
+    precondition=All((IDLE, Compare("=", CHARGE, ValueOf(DURATION)))),
+    end_condition=ForAll((Variable("?x"),), Not(IDLE)),
+    start_effects=(ForEach((Variable("?x"),), (When(IDLE, (NOT_IDLE,)), SET_IDLE)),),
+    end_effects=(Set(("charge", "?r"), Arithmetic("+", (Constant(1.0), CHARGE)), "increase"),),
+    duration=(DurationConstraint("<=", Constant(5.0)),),
+)
+EARLY = ActionSchema("now", OWN, precondition=Any((IDLE, Implies(IDLE, IDLE))), end_effects=(When(IDLE, (SET_IDLE,)),))
 
 
 # --- files of others -----------------------------------------------------------------------

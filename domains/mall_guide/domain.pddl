@@ -111,8 +111,36 @@
       (at end (route_known ?robot ?shop))
       (at end (topic ?person ?shop))))
 
+  ; When the data base does not answer: slower, and by telephone, so nobody else is spoken to.
+  (:durative-action ask_colleague
+    :parameters (?robot - robot ?person - person ?shop - shop)
+    :duration (= ?duration 8)
+    :condition (and
+      (at start (wants ?person ?shop))
+      (at start (not (speaking ?robot))))
+    :effect (and
+      (at start (speaking ?robot))
+      (at end (not (speaking ?robot)))
+      (at end (route_known ?robot ?shop))
+      (at end (topic ?person ?shop))))
+
   ; --- speech ---------------------------------------------------------------------------------
   ; Each utterance takes the voice at its start and gives it back at its end.
+
+  ; "Would you please come before me?" Speech in place of motion, for a robot that cannot turn.
+  (:durative-action call_over
+    :parameters (?robot - robot ?person - person ?spot - spot)
+    :duration (= ?duration 6)
+    :condition (and
+      (at start (not (facing ?robot ?person)))
+      (at start (not (speaking ?robot)))
+      (over all (at ?robot ?spot))
+      (over all (at ?person ?spot)))
+    :effect (and
+      (at start (speaking ?robot))
+      (forall (?other - person) (at start (not (facing ?robot ?other))))
+      (at end (not (speaking ?robot)))
+      (at end (facing ?robot ?person))))
 
   (:durative-action ask_wish
     :parameters (?robot - robot ?person - person ?shop - shop ?spot - spot)

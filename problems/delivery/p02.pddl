@@ -20,13 +20,15 @@
     door2 - door)
 
   (:init
-    (at r1 store) (empty r1) (= (speed r1) 1)
-    (at r2 hall)  (empty r2) (= (speed r2) 1)
+    (at r1 store) (empty r1) (gripper r1) (= (speed r1) 1)
+    (at r2 hall)  (empty r2)              (= (speed r2) 1)
     (at parcel1 store)
     (at parcel2 kitchen)                ; on the floor: to be picked up
     (at parcel3 store)
 
     (station store) (free store)
+    (takes_parcels store) (takes_parcels hall) (takes_parcels corridor)
+    (takes_parcels kitchen) (takes_parcels office)
 
     (connected store hall)       (connected hall store)
     (connected hall kitchen)     (connected kitchen hall)

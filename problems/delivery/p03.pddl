@@ -20,9 +20,9 @@
     door1 door2 - door)
 
   (:init
-    (at r1 store)  (empty r1) (= (speed r1) 1)
-    (at r2 office) (empty r2) (= (speed r2) 1)
-    (at r3 garage) (empty r3) (= (speed r3) 0.5)
+    (at r1 store)  (empty r1) (gripper r1) (= (speed r1) 1)
+    (at r2 office) (empty r2) (gripper r2) (= (speed r2) 1)
+    (at r3 garage) (empty r3)              (= (speed r3) 0.5)
     (at parcel1 garage)
     (at parcel2 kitchen)                ; on the floor: to be picked up
     (at parcel3 store)
@@ -30,6 +30,9 @@
 
     (station store)  (free store)
     (station garage) (free garage)
+    (takes_parcels store) (takes_parcels hall) (takes_parcels corridor)
+    (takes_parcels kitchen) (takes_parcels office) (takes_parcels lab)
+    (takes_parcels garage)
 
     (connected store hall)      (connected hall store)
     (connected hall kitchen)    (connected kitchen hall)

@@ -1,4 +1,5 @@
-; One robot, five waypoints, and not enough energy for all of them: it has to come back and charge.
+; One robot, and not enough energy for the whole round: it has to come back and charge. The gate need
+; not be inspected; it is only on the way.
 ;
 ;    dock1 ----10---- gate ----15---- fence
 ;      |               |               |
@@ -41,7 +42,6 @@
     (= (look_around yard) 2)     (= (reserve yard) 15))
 
   (:goal (and
-    (inspected gate)
     (inspected fence)
     (inspected pond)
     (inspected barn)

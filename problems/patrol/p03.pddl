@@ -16,8 +16,8 @@
     dock1 dock2 gate fence mast pond barn yard shed quarry - place)
 
   (:init
-    (at r1 dock1) (= (battery r1) 50) (= (full r1) 100) (= (effort r1) 0)
-    (at r2 dock2) (= (battery r2) 50) (= (full r2) 100) (= (effort r2) 0)
+    (at r1 dock1) (= (battery r1) 70) (= (full r1) 100) (= (effort r1) 0)
+    (at r2 dock2) (= (battery r2) 70) (= (full r2) 100) (= (effort r2) 0)
     (dock dock1) (dock dock2)
 
     (connected dock1 gate)   (connected gate dock1)

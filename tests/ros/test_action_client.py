@@ -59,6 +59,7 @@ def test_cancel_is_confirmed_by_the_end(play, shared):
 
 def test_cancel_before_acceptance_is_sent_on_acceptance(play, shared):
     async def scenario(client):
+        assert await client.ros2.prepare([GroundAction("act")], limit=10.0) == ()
         sent = client.send("act", action="hesitate", arguments=["0.5"])
         client.cancel(sent)
         await sent.accepted()
@@ -195,10 +196,10 @@ def test_an_unanswered_goal_ends_and_is_cancelled_when_accepted_after_all(play, 
 
     async def scenario(client):
         late = client.send("act", action="hesitate", arguments=["2"])
-        outcome = await late.ended(4.0)
+        outcome = await late.ended()
         assert (outcome.kind, outcome.message) == (OutcomeKind.UNAVAILABLE, f"/{name} did not answer within 1 s")
         # Both threads are kept busy by goals nobody waits for, unless these are cancelled.
-        await client.send("act", action="hesitate", arguments=["2"]).ended(4.0)
+        await client.send("act", action="hesitate", arguments=["2"]).ended()
         assert (await client.send("patient", action="succeed").ended()).kind is OutcomeKind.SUCCEEDED
         assert late.reports.empty()
 
@@ -213,7 +214,7 @@ def test_a_server_that_shuts_down_is_lost(play, start, names):
         sent = client.send("act", action="hang")
         await sent.accepted()
         await asyncio.to_thread(server.stop)
-        assert (await sent.ended(6.0)).kind is OutcomeKind.LOST
+        assert (await sent.ended(10.0)).kind is OutcomeKind.LOST
 
     play(scenario, act=Binding(server=name))
 
@@ -227,7 +228,7 @@ def test_a_restarted_server_is_noticed_quickly_and_used_again(play, start, names
         await sent.accepted()
         server.kill()
         await asyncio.to_thread(start, name)
-        outcome = await sent.ended(5.0)
+        outcome = await sent.ended(10.0)  # the lease of the old process lasts 20 s
         assert (outcome.kind, outcome.message) == (OutcomeKind.LOST, f"/{name} no longer knows the goal; it was restarted")
         assert (await client.send("act", action="succeed").ended()).kind is OutcomeKind.SUCCEEDED
 

@@ -1,0 +1,92 @@
+"""The thread: work goes to it, errors come back, and it ends."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from pnm.ros.node import RosError, RosThread
+
+
+def test_functions_run_on_the_thread_in_order(ros):
+    seen = []
+    ros.call(lambda: seen.append("first"))
+    assert ros.wait(lambda: seen.append("second") or threading.current_thread().name) == "ros"
+    assert seen == ["first", "second"]
+    assert ros.wait(lambda: ros.wait(lambda: 3)) == 3
+
+
+def test_errors_come_back_and_do_not_end_the_thread(ros, caplog):
+    with pytest.raises(ZeroDivisionError):
+        ros.wait(lambda: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        asyncio.run(ros.ask(lambda: 1 / 0))
+    ros.call(lambda: 1 / 0)
+    assert ros.wait(lambda: True)
+    assert "a function on the ROS 2 thread failed" in caplog.text
+
+
+def test_waiting_has_a_limit(ros):
+    release = threading.Event()
+    ros.call(lambda: release.wait(10.0))
+    with pytest.raises(RosError, match=r"did not answer within 0\.1 s"):
+        ros.wait(lambda: None, limit=0.1)
+    release.set()
+
+
+def test_a_callback_that_fails_does_not_end_the_thread(ros, caplog):
+    fired = threading.Event()
+
+    def fail():
+        fired.set()
+        raise RuntimeError("a bug")
+
+    timer = ros.wait(lambda: ros.timer(0.01, fail))
+    assert fired.wait(5.0)
+    ros.wait(timer.destroy)
+    assert "a ROS 2 callback failed" in caplog.text
+
+
+def test_namespace_and_remapping():
+    thread = RosThread("one", namespace="r1", args=["--ros-args", "-r", "move:=drive"])
+    assert thread.wait(lambda: thread.node.resolve_topic_name("move")) == "/r1/drive"
+    assert thread.close()
+
+
+def test_close_runs_what_waits_and_may_be_repeated():
+    thread = RosThread("closing")
+    seen = []
+    thread.call(lambda: seen.append(1))
+    assert thread.close()
+    assert thread.close()
+    thread.call(lambda: seen.append(2))
+    with pytest.raises(RosError, match="is closed"):
+        thread.wait(lambda: None)
+    assert seen == [1]
+
+
+def test_a_node_that_cannot_be_made_says_why():
+    with pytest.raises(RosError, match="the ROS 2 node 'two words' cannot be made"):
+        RosThread("two words")
+
+
+WITHOUT = """
+import sys
+sys.modules["rclpy"] = None
+import pnm.ros.action_client, pnm.ros.sensing
+from pnm.ros.node import RosError, RosThread
+try:
+    RosThread()
+except RosError as error:
+    print(error)
+"""
+
+
+def test_without_ros_the_modules_import_and_the_thread_says_what_to_install():
+    ended = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True, timeout=30.0, check=True)
+    assert "pip install 'petri-net-machines[ros2]'" in ended.stdout
+    assert "source a ROS 2 installation" in ended.stdout

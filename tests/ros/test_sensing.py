@@ -1,0 +1,82 @@
+"""Reports about the world, from processes of their own."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from time import monotonic
+
+import pytest
+from pnm_interfaces.msg import State
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from pnm.conditions import UNKNOWN
+from pnm.errors import InputError
+from pnm.knowledge import KnowledgeBase
+from pnm.ros.messages import to_message
+from pnm.ros.sensing import Sensing, read_state, write_state
+
+LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+FACTS = {("at", "r1", "hall"): True, ("battery", "r1"): 80.0, ("battery", "r2"): UNKNOWN}
+
+
+def test_a_report_is_handed_on_and_recorded(ros, start):
+    report = {"names": ["at", "battery"], "facts": ["(at r1 hall)"], "fluents": ["(battery r1)"], "values": [80.0], "sequence": 7}
+    world = KnowledgeBase({("at", "r1", "kitchen"): True})
+    sequences = []
+
+    def record(names, facts, sequence):
+        world.replace(names, facts)
+        sequences.append(sequence)
+
+    async def scenario():
+        sensing = Sensing(ros, asyncio.get_running_loop(), record)
+        await asyncio.to_thread(start, "--report", json.dumps(report))
+        async with asyncio.timeout(15.0):
+            while not await sensing.first(5.0):
+                pass
+        sensing.close()
+
+    asyncio.run(scenario())
+    assert sequences == [7]
+    assert world.facts() == {("at", "r1", "hall"): True, ("battery", "r1"): 80.0}
+
+
+def test_nobody_who_reports_is_not_waited_for(ros):
+    async def scenario():
+        sensing = Sensing(ros, asyncio.get_running_loop(), lambda *_: None, topic="nobody/reports")
+        await ros.settled()
+        since = monotonic()
+        assert not await sensing.first(20.0)
+        sensing.close()
+        return monotonic() - since
+
+    assert asyncio.run(scenario()) < 1.5
+
+
+def test_a_malformed_report_is_ignored_and_logged(ros, caplog):
+    heard = []
+
+    async def scenario():
+        sensing = Sensing(ros, asyncio.get_running_loop(), lambda *report: heard.append(report), topic="knowledge/malformed")
+        publisher = await ros.ask(lambda: ros.node.create_publisher(State, "knowledge/malformed", LATCHED))
+        await ros.ask(lambda: publisher.publish(State(names=["at"], facts=["at r1 hall"])))
+        await ros.ask(lambda: publisher.publish(State(names=["at"], sequence=2)))
+        await sensing.first(10.0)
+        sensing.close()
+        await ros.ask(lambda: ros.node.destroy_publisher(publisher))
+
+    asyncio.run(scenario())
+    assert heard == [(frozenset({"at"}), {}, 2)]
+    assert "ignored a report on knowledge/malformed: not a fact: 'at r1 hall'" in caplog.text
+
+
+def test_what_is_written_is_read():
+    data = write_state(frozenset({"at", "battery"}), {**FACTS, ("at", "r2", "hall"): False}, 3)
+    assert read_state(to_message(State, data)) == FACTS
+    assert data["names"] == ["at", "battery"]
+
+
+def test_values_must_match_fluents():
+    with pytest.raises(InputError, match="1 fluents, but 2 values"):
+        read_state(State(fluents=["(x)"], values=[1.0, 2.0]))
