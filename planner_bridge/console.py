@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 
 from pnm.actions.base import Outcome, OutcomeKind, Request
+from pnm.analysis import Proof
 from pnm.machine import PetriNetMachine
 from pnm.plan_graph import ActionCall
 from pnm.results import Failure, RunResult
@@ -37,10 +38,11 @@ class ConsoleObserver(TaskObserver):
         self._waiting.close()
         print_plan(self._console, plan)
 
-    def generated(self, machine: PetriNetMachine) -> None:
+    def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
         """Print the size of the machine."""
         net = machine.net
-        self._console.print(f"[bold]machine[/]  {len(net.places)} places, {len(net.transitions)} transitions, {len(machine.orderings)} orderings")
+        size = f"{len(net.places)} places, {len(net.transitions)} transitions, {len(machine.orderings)} orderings"
+        self._console.print(f"[bold]machine[/]  {size}; proved {proof}", highlight=False, soft_wrap=True)
 
     def sent(self, call: ActionCall, request: Request, now: float) -> None:
         """Print that a call starts."""
@@ -66,7 +68,7 @@ class ConsoleObserver(TaskObserver):
             case PlanAgain(forbidden, why):
                 without = f"; not again: {', '.join(sorted(map(str, forbidden)))}" if forbidden else ""
                 text = f"a new plan is needed: {why}{without}"
-        self._console.print(f"[bold yellow]replan[/]   {escape(text)}", highlight=False)
+        self._console.print(f"[bold yellow]replan[/]   {escape(text)}", highlight=False, soft_wrap=True)
 
     def _line(self, now: float, word: str, text: str) -> None:
         if self._began is None:
@@ -92,8 +94,15 @@ def print_result(console: Console, result: TaskResult) -> None:
     console.print(f"{word}: {escape(result.reason)}" if not result.goal_reached else word, highlight=False, soft_wrap=True)
     sent = sum(call.attempts for call in result.calls)
     assumed = sum(call.assumed for call in result.calls)
-    told = f", {assumed} with effects that nothing reports" if assumed else ""
-    console.print(f"         {result.plans} plans, {result.replans} replans, {sent} requests, {len(result.failures)} failures{told}", highlight=False)
+    told = f"; {assumed} calls had effects that nothing reports" if assumed else ""
+    counts = ", ".join(_count(number, word) for number, word in (
+        (result.plans, "plan"), (result.replans, "replan"), (sent, "request"), (len(result.failures), "failure")
+    ))
+    console.print(f"         {counts}{told}", highlight=False, soft_wrap=True)
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"
 
 
 __all__ = ["ConsoleObserver", "print_plan", "print_result"]

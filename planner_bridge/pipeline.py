@@ -13,6 +13,7 @@ from typing import Any, Literal, TypeAlias, cast
 from uuid import UUID, uuid4
 
 from pnm.actions.faults import NO_FAULTS, Faults
+from pnm.analysis import Proof, verify
 from pnm.bindings import Bindings
 from pnm.clock import run_async
 from pnm.executor import Executor
@@ -45,8 +46,8 @@ class TaskObserver(Observer):
     def planned(self, plan: Plan) -> None:
         """Note that a plan was found."""
 
-    def generated(self, machine: PetriNetMachine) -> None:
-        """Note that a machine is ready to run."""
+    def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
+        """Note that a machine is ready to run, and proved sound."""
 
     def replanning(self, decision: Resume | PlanAgain, result: RunResult) -> None:
         """Note that a run failed and what follows."""
@@ -257,7 +258,9 @@ class _Task:
     async def _run(self, graph: PlanGraph) -> tuple[PetriNetMachine, RunResult]:
         with self.seconds.of("translate"):
             machine = generate(graph, self.settings.bindings, on_failure=self.settings.on_failure)
-        self.observer.generated(machine)
+        with self.seconds.of("verify"):
+            proof = verify(machine)
+        self.observer.generated(machine, proof)
         await self.site.prepare({call.action: None for call in graph.calls})
         run = Run(
             machine,

@@ -15,7 +15,7 @@
     dock1 gate fence pond barn yard - place)
 
   (:init
-    (at r1 dock1) (= (battery r1) 60) (= (full r1) 100) (= (effort r1) 0)
+    (at r1 dock1) (= (battery r1) 70) (= (full r1) 100) (= (effort r1) 0)
     (dock dock1)
 
     (connected dock1 gate) (connected gate dock1)
