@@ -2,7 +2,7 @@
 
 *Sound* means: whatever its servers and the world answer, and whenever it is told to stop, the
 machine ends, with exactly one token on its goal place or on its failed place and none elsewhere
-but on record places; and no other place ever holds two tokens.
+but on record places; no place ever holds two tokens, a budget never more than it began with.
 
 `explore` walks through all states: the oracle, for machines of a few calls. `verify` is linear
 in the number of calls. It trusts nothing but the net and the rules: every block (the transitions
@@ -161,6 +161,9 @@ class _Explorer:
     index: dict[str, int] = field(init=False)
     consumers: list[list[int]] = field(init=False)
 
+    most: list[int] = field(init=False)
+    """How many tokens each place may hold."""
+
     def __post_init__(self) -> None:
         self.index = {place: number for number, place in enumerate(self.part.places)}
         self.consumers = [[] for _ in self.part.places]
@@ -168,7 +171,8 @@ class _Explorer:
             for place in step.inputs:
                 self.consumers[self.index[place]].append(number)
         self.failures = [self.index[place] for place in self.part.failures]
-        self.unsafe = [number for place, number in self.index.items() if place not in self.part.records]
+        budget = sum(tokens for place, tokens in self.part.initial.items() if place in self.part.records)
+        self.most = [budget if place in self.part.records - self.part.failures else 1 for place in self.part.places]
 
     def successors(self, state: _State) -> Iterator[tuple[str, _State]]:
         """Yield everything that can happen next."""
@@ -213,9 +217,9 @@ class _Explorer:
 
     def check(self, state: _State, stuck: bool) -> str:
         """Tell what is wrong with a state; empty when nothing is."""
-        for number in self.unsafe:
-            if state.tokens[number] > 1:
-                return f"{self.part.places[number]} holds {state.tokens[number]} tokens"
+        for number, tokens in enumerate(state.tokens):
+            if tokens > self.most[number]:
+                return f"{self.part.places[number]} holds {tokens} tokens"
         if not stuck:
             return ""
         missing = len(self.part.supplies) - state.supplied

@@ -43,7 +43,6 @@
     (may_want ben bakery)
     (may_want ben bookshop))
 
-
   (:goal (and
     (guided anna)
     (guided ben)))

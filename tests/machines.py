@@ -1,0 +1,50 @@
+"""Small plans for tests: calls by number, and orderings such as ``"0e<1s"``."""
+
+from __future__ import annotations
+
+from hypothesis import strategies as st
+
+from pnm.conditions import TRUE, Condition, Constant, Fluent, Holds
+from pnm.effects import Set
+from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+
+_MOMENTS = {"s": Moment.START, "e": Moment.END}
+
+
+def call(index: int, *, invariant: bool = False, release: float = 0.0) -> ActionCall:
+    """An action that makes (done aN) true and, if it has an invariant, needs (ok) all the time."""
+    action = GroundAction(
+        f"a{index}",
+        invariant=Holds(("ok",)) if invariant else TRUE,
+        end_effects=(Set(("done", f"a{index}"), Constant(True)),),
+        duration=float(index + 1),
+    )
+    return ActionCall(index, action, release)
+
+
+def ordering(text: str, protects: tuple[Fluent, ...] = ()) -> Ordering:
+    """Read ``"0e<1s"``: the end of call 0 comes before the start of call 1."""
+    before, after = (PlanEvent(int(side[:-1]), _MOMENTS[side[-1]]) for side in text.split("<"))
+    return Ordering(before, after, protects)
+
+
+def plan(calls: int, *orderings: str, invariants: bool = False, goal: Condition = TRUE) -> PlanGraph:
+    """A plan of so many calls with these orderings."""
+    return PlanGraph(tuple(call(index, invariant=invariants) for index in range(calls)), tuple(map(ordering, orderings)), goal)
+
+
+@st.composite
+def plans(draw: st.DrawFn, most: int = 4) -> PlanGraph:
+    """Any partial order of events: each ordering leads forward in a random order that keeps starts before ends."""
+    count = draw(st.integers(0, most))
+    events = [PlanEvent(index, moment) for index in range(count) for moment in Moment]
+    shuffled = draw(st.permutations(events))
+    rank = {event: position for position, event in enumerate(shuffled)}
+    for index in range(count):
+        start, end = PlanEvent(index, Moment.START), PlanEvent(index, Moment.END)
+        if rank[start] > rank[end]:
+            rank[start], rank[end] = rank[end], rank[start]
+    pairs = [(one, other) for one in events for other in events if one.call != other.call and rank[one] < rank[other]]
+    chosen = draw(st.lists(st.sampled_from(pairs), max_size=5, unique=True)) if pairs else []
+    calls = tuple(call(index, invariant=draw(st.booleans()), release=draw(st.sampled_from((0.0, 0.0, 2.5)))) for index in range(count))
+    return PlanGraph(calls, tuple(Ordering(*pair) for pair in chosen))

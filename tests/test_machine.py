@@ -1,0 +1,140 @@
+"""Machines are sound: explored exhaustively when small, and proved block by block at any size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pnm.analysis import Unsound, explore, verify
+from pnm.bindings import Binding, Bindings
+from pnm.generate import generate
+from pnm.machine import Always, Ends, OnFailure, PetriNetMachine, Rule
+from pnm.net import PetriNet
+from pnm.plan_graph import PlanGraph, PlanGraphError
+from tests.machines import ordering, plan, plans
+
+SHAPES = {
+    "empty": plan(0),
+    "one call": plan(1),
+    "one call with an over-all condition": plan(1, invariants=True),
+    "side by side": plan(2),
+    "chain": plan(2, "0e<1s"),
+    "fork": plan(3, "0e<1s", "0e<2s"),
+    "join": plan(3, "0e<2s", "1e<2s"),
+    "start before start": plan(2, "0s<1s"),
+    "start before end": plan(2, "0s<1e"),
+    "end before end": plan(2, "0e<1e"),
+    "inside": plan(2, "0s<1s", "1e<0e", invariants=True),
+    "crossing": plan(2, "0s<1s", "0e<1e"),
+    "chain inside": plan(3, "0s<1s", "1e<2s", "2e<0e"),
+}
+
+
+def bindings(retries: int) -> Bindings:
+    return Bindings({f"a{index}": Binding(retries=retries) for index in range(10)})
+
+
+@pytest.mark.parametrize("on_failure", OnFailure)
+@pytest.mark.parametrize("retries", [0, 1, 2])
+@pytest.mark.parametrize("name", SHAPES)
+def test_every_answer_of_the_world_leads_to_goal_or_failed(name: str, retries: int, on_failure: OnFailure) -> None:
+    machine = generate(SHAPES[name], bindings(retries if len(SHAPES[name].calls) < 3 else min(retries, 1)), on_failure=on_failure)
+    explore(machine)
+    verify(machine)
+
+
+def test_an_n_shape_of_four_calls_is_sound() -> None:
+    explore(generate(plan(4, "0e<2s", "0e<3s", "1e<3s"), bindings(0)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(plans(most=3), st.integers(0, 1), st.sampled_from(OnFailure))
+def test_any_partial_order_of_events_is_sound(graph: PlanGraph, retries: int, on_failure: OnFailure) -> None:
+    machine = generate(graph, bindings(retries if len(graph.calls) < 3 else 0), on_failure=on_failure)
+    explore(machine)
+    verify(machine)
+
+
+def _without(net: PetriNet, transition: str) -> PetriNet:
+    inputs = {name: weights for name, weights in net.inputs.items() if name != transition}
+    return PetriNet(net.places, inputs, {name: net.outputs[name] for name in inputs})
+
+
+def _with_output(net: PetriNet, transition: str, place: str) -> PetriNet:
+    outputs = {**net.outputs, transition: {**net.outputs[transition], place: net.outputs[transition].get(place, 0) + 1}}
+    return PetriNet(net.places, net.inputs, outputs)
+
+
+def _less_output(net: PetriNet, transition: str, place: str) -> PetriNet:
+    kept = {name: weight for name, weight in net.outputs[transition].items() if name != place}
+    return PetriNet(net.places, net.inputs, {**net.outputs, transition: kept})
+
+
+def mutants(machine: PetriNetMachine) -> list[PetriNetMachine]:
+    """The machine with one transition lost, one arc more, one arc less, or one guard always open."""
+    found = []
+    for name in machine.rules:
+        rules = {other: rule for other, rule in machine.rules.items() if other != name}
+        found.append(replace(machine, net=_without(machine.net, name), rules=rules))
+        found += [replace(machine, net=_less_output(machine.net, name, place)) for place in machine.net.outputs[name]]
+        found += [replace(machine, net=_with_output(machine.net, name, place)) for place in machine.net.places[:: max(1, len(machine.net.places) // 5)]]
+        found.append(replace(machine, rules={**machine.rules, name: Rule(name, Always(), machine.rules[name].call)}))
+    return found
+
+
+@pytest.mark.parametrize("name", ["one call with an over-all condition", "chain", "inside"])
+def test_the_block_proof_accepts_no_machine_that_the_state_space_refutes(name: str) -> None:
+    refuted = accepted = 0
+    for mutant in mutants(generate(SHAPES[name], bindings(1))):
+        try:
+            explore(mutant)
+        except Unsound:
+            refuted += 1
+            with pytest.raises(Unsound):
+                verify(mutant)
+        else:
+            accepted += 1
+    assert refuted > accepted
+
+
+def test_a_missing_outcome_is_refuted_by_name() -> None:
+    machine = generate(SHAPES["one call"])
+    rules = {name: rule for name, rule in machine.rules.items() if rule.name != "aborted"}
+    broken = replace(machine, net=_without(machine.net, "a0()#0 aborted"), rules=rules)
+    with pytest.raises(Unsound, match=r"a0\(\)#0 running has no exit for .*ABORTED"):
+        verify(broken)
+
+
+def test_a_budget_is_spent_by_an_arc_of_its_weight() -> None:
+    machine = generate(SHAPES["one call"], bindings(3))
+    assert machine.initial["a0()#0 budget"] == 3
+    assert machine.net.inputs["a0()#0 give_up"] == {"a0()#0 recover": 1, "a0()#0 spent": 3}
+
+
+def test_every_outcome_has_a_transition() -> None:
+    machine = generate(SHAPES["one call"])
+    names = {rule.name for rule in machine.rules.values()}
+    assert {"succeeded", "aborted", "canceled", "rejected", "timed_out", "unavailable", "lost", "effects_missing", "precondition_false"} <= names
+    at_running = [rule.guard for name, rule in machine.rules.items() if "a0()#0 running" in machine.net.inputs[name] and isinstance(rule.guard, Ends)]
+    assert len(at_running) == len({guard.kinds for guard in at_running})
+
+
+def test_orderings_that_contradict_each_other_are_refused() -> None:
+    with pytest.raises(PlanGraphError, match="cycle"):
+        plan(2, "0e<1s", "1e<0s")
+
+
+@given(plans())
+def test_the_order_of_events_keeps_every_ordering(graph: PlanGraph) -> None:
+    position = {event: number for number, event in enumerate(graph.in_order())}
+    assert len(position) == 2 * len(graph.calls)
+    assert all(position[one.before] < position[one.after] for one in graph.orderings)
+
+
+def test_an_ordering_place_knows_the_fact_it_protects() -> None:
+    graph = replace(plan(2), orderings=(ordering("0e<1s", (("at", "r1", "hall"),)),))
+    machine = generate(graph)
+    assert [one.protects for one in machine.orderings.values()] == [(("at", "r1", "hall"),)]
