@@ -7,7 +7,7 @@ every search, and a search can be cancelled from another thread.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Final, TypeAlias
 
 import kairos
@@ -24,6 +24,8 @@ Planner: TypeAlias = Callable[[Problem, float, threading.Event], PlanningResult]
 
 DEFAULT_PLANNER: Final = "kairos"
 _POLL: Final = 0.05
+_THREADS: Final = 1
+"""Phases of the search that run at once; one, so that the same problem always gets the same plan."""
 
 _STATUS: Final[Mapping[kairos.Status, PlanningStatus]] = {
     kairos.Status.SOLVED: PlanningStatus.SOLVED,
@@ -54,7 +56,7 @@ def solve(problem: Problem, *, planner: str = DEFAULT_PLANNER, timeout: float = 
 def validate(problem: Problem, plan: Plan) -> str:
     """Return why the plan does not solve the problem by Kairos' validator; empty when it does."""
     report = kairos.validate(_load(problem), kairos.parse_plan(plan_text(plan)))
-    return "" if report.valid else "; ".join(one.message for one in report.diagnostics) or str(report.status)
+    return "" if report.valid else _told(report.diagnostics) or str(report.status)
 
 
 def plan_text(plan: Plan) -> str:
@@ -79,18 +81,23 @@ def _load(problem: Problem) -> kairos.Problem:
 
 def _solve_with_kairos(problem: Problem, timeout: float, cancel: threading.Event) -> PlanningResult:
     loaded = _load(problem)
-    search = kairos.Planner().start(loaded, timeout=timeout, anytime=False)
+    search = kairos.Planner().start(loaded, timeout=timeout, anytime=False, threads=_THREADS)
     while search.running() and not cancel.is_set():
         search.next_plan(_POLL)
     search.stop()
     result = search.wait()
-    status, message = _STATUS[result.status], "; ".join(one.message for one in result.diagnostics)
+    status, message = _STATUS[result.status], _told(result.diagnostics)
     if result.plan is None:
         return PlanningResult(PlanningStatus.NO_PLAN if status is PlanningStatus.SOLVED else status, message=message)
     report = kairos.validate(loaded, result.plan)
     if not report.valid:
-        return PlanningResult(PlanningStatus.CRASHED, message=f"the plan is not valid: {'; '.join(one.message for one in report.diagnostics)}")
+        return PlanningResult(PlanningStatus.CRASHED, message=f"the plan is not valid: {_told(report.diagnostics)}")
     return PlanningResult(PlanningStatus.SOLVED, _plan(result.plan, problem))
+
+
+def _told(diagnostics: Iterable[kairos.Diagnostic]) -> str:
+    """Return what the diagnostics say, on one line."""
+    return "; ".join(" ".join(one.message.split()) for one in diagnostics)
 
 
 def _plan(found: kairos.Plan, problem: Problem) -> Plan:

@@ -145,9 +145,6 @@ def _binding(entry: Mapped) -> Binding:
         raise InputError("expected goal fields and their values", entry.position("goal"))
     if store is not None and not (isinstance(store, dict) and all(isinstance(name, str) for name in store.values())):
         raise InputError("expected result fields and the variables to store them in", entry.position("store"))
-    retries = entry.number("retries", 1)
-    if retries != int(retries):
-        raise InputError(f"expected a whole number of retries, found {retries:g}", entry.position("retries"))
     server = entry.string("server")
     if server is not None:
         _check_pattern(server, entry)
@@ -159,7 +156,7 @@ def _binding(entry: Mapped) -> Binding:
         timeout=entry.number("timeout", None),
         accept=entry.number("accept", DEFAULT.accept),
         cancel=entry.number("cancel", DEFAULT.cancel),
-        retries=int(retries),
+        retries=entry.whole("retries", DEFAULT.retries),
     )
 
 

@@ -243,6 +243,8 @@ def value_of(expression: Expression, state: State, env: Environment = NOTHING) -
     match expression:
         case Constant(value):
             return env.get(value, value) if isinstance(value, str) else value
+        case ValueOf(fluent) if fluent == DURATION and DURATION[0] in env:
+            return float(env[DURATION[0]])
         case ValueOf(fluent):
             found = state.value(bind(fluent, env))
             return UNKNOWN if found is None else found
@@ -253,6 +255,12 @@ def value_of(expression: Expression, state: State, env: Environment = NOTHING) -
             return _calculate(operation, [float(number) for number in numbers])  # type: ignore[arg-type]
         case _:
             assert_never(expression)
+
+
+def same(one: Value | Unknown | None, other: Value | Unknown | None) -> bool:
+    """Tell whether two recorded values are the same; nothing recorded is false, and 0 is not."""
+    one, other = (False if value is None else value for value in (one, other))
+    return isinstance(one, bool) is isinstance(other, bool) and one == other
 
 
 def negate(truth: Truth) -> Truth:
@@ -362,7 +370,8 @@ def expression_fluents(expression: Expression, env: Environment = NOTHING) -> It
         case Constant():
             return
         case ValueOf(fluent):
-            yield bind(fluent, env)
+            if fluent != DURATION or DURATION[0] not in env:
+                yield bind(fluent, env)
         case Arithmetic(_, operands):
             for operand in operands:
                 yield from expression_fluents(operand, env)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Final, TypeAlias, assert_never
+from typing import Final, TypeAlias, TypeGuard, assert_never
 
 from pnm.conditions import (
     NOTHING,
@@ -30,6 +30,7 @@ from pnm.conditions import (
     ground,
     ground_expression,
     hidden,
+    same,
     show,
     value_of,
 )
@@ -200,10 +201,10 @@ def undo(before: Changes, after: Changes, now: State) -> Changes:
     result: Changes = {}
     for fluent, value in after.items():
         current, old = now.value(fluent), before[fluent]
-        if (current or False) == (value or False) if isinstance(value, bool) else current == value:
+        if same(current, value):
             result[fluent] = old
-        elif all(isinstance(number, float) for number in (current, old, value)):
-            result[fluent] = current - (value - old)  # type: ignore[operator]
+        elif _is_number(current) and _is_number(old) and _is_number(value):
+            result[fluent] = current - (value - old)
     return result
 
 
@@ -217,7 +218,7 @@ def facts(effects: Iterable[Effect], state: State) -> Changes | None:
 
 
 def _combine(operation: str, before: Value | Unknown | None, by: Value | Unknown) -> Value | Unknown:
-    if not isinstance(before, float) or not isinstance(by, float):
+    if not _is_number(before) or not _is_number(by):
         return UNKNOWN
     match operation:
         case "increase":
@@ -230,3 +231,7 @@ def _combine(operation: str, before: Value | Unknown | None, by: Value | Unknown
             return before / by
         case _:
             return UNKNOWN
+
+
+def _is_number(value: Value | Unknown | None) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from pnm.conditions import Fluent, Unknown, Value
+from pnm.conditions import Fluent, Unknown, Value, same
 from pnm.effects import Changes
 from pnm.errors import InputError
 
@@ -80,18 +80,14 @@ class KnowledgeBase:
     def update(self, changes: Mapping[Fluent, Value | Unknown]) -> Changes:
         """Record all of the changes, or none if one is malformed; return those that changed something."""
         for fluent in changes:
-            if not isinstance(fluent, tuple) or not fluent:
+            if not isinstance(fluent, tuple) or not fluent or not all(isinstance(name, str) for name in fluent):
                 raise InputError(f"not a fluent: {fluent!r}; expected a tuple of names such as ('at', 'r1', 'kitchen')")
-        real = {fluent: value for fluent, value in changes.items() if self._differs(fluent, value)}
+        real = {fluent: value for fluent, value in changes.items() if not same(self._facts.get(fluent), value)}
         self._facts.update(real)
         if real:
             for listener in tuple(self._listeners):
                 listener(real)
         return real
-
-    def _differs(self, fluent: Fluent, value: Value | Unknown) -> bool:
-        recorded = self._facts.get(fluent)
-        return value is not recorded if isinstance(value, bool) and recorded is not None else value not in (recorded, recorded or False)
 
     def replace(self, names: Iterable[str], facts: Mapping[Fluent, Value | Unknown]) -> Changes:
         """Record a complete report about the named predicates and functions: what it omits is no longer so."""

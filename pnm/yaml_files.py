@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
+from sys import float_info
 from typing import Final, TypeVar
 
 import yaml
@@ -18,6 +19,11 @@ MAX_NODES: Final = 200_000
 MAX_DEPTH: Final = 60
 
 T = TypeVar("T")
+
+_CORE: Final = "tag:yaml.org,2002:"
+_TEXTS: Final = frozenset({"str", "timestamp", "value"})
+"""Kinds of values that stay text; so do dates, which no action server and no JSON has."""
+_PLAIN: Final = frozenset({"map", "seq", "int", "float", "bool", "null"}) | _TEXTS
 
 
 def load_yaml(path: Path) -> Mapped:
@@ -33,8 +39,10 @@ def load_yaml(path: Path) -> Mapped:
         mark = error.problem_mark
         where = Position(str(path), mark.line + 1, mark.column + 1) if mark else Position(str(path), 1, 1)
         raise InputError(f"not YAML: {error.problem}", where) from error
-    except (yaml.YAMLError, RecursionError) as error:
-        raise InputError(f"not YAML: {str(error).splitlines()[0] if str(error) else 'nested too deeply'}", Position(str(path), 1, 1)) from error
+    except yaml.YAMLError as error:
+        raise InputError(f"not YAML: {str(error).splitlines()[0]}", Position(str(path), 1, 1)) from error
+    except RecursionError as error:
+        raise InputError(f"nested deeper than {MAX_DEPTH}", Position(str(path), 1, 1)) from error
     if node is None:
         raise InputError("the file is empty; expected a mapping", Position(str(path), 1, 1))
     _bounded(node, str(path))
@@ -71,24 +79,34 @@ def _bounded(root: yaml.Node, file: str) -> None:
         if count > MAX_NODES or depth > MAX_DEPTH:
             what = f"more than {MAX_NODES} values" if count > MAX_NODES else f"nested deeper than {MAX_DEPTH}"
             raise InputError(what, _at(node, file))
+        if _kind(node) not in _PLAIN:
+            raise InputError(f"the tag {node.tag.replace(_CORE, '!!')} is not allowed; expected plain data", _at(node, file))
         if isinstance(node, yaml.MappingNode):
-            stack.extend((part, depth + 1) for pair in node.value for part in pair)
+            stack.extend((part, depth + 1) for pair in reversed(node.value) for part in reversed(pair))
         elif isinstance(node, yaml.SequenceNode):
-            stack.extend((part, depth + 1) for part in node.value)
+            stack.extend((part, depth + 1) for part in reversed(node.value))
 
 
 def _at(node: yaml.Node, file: str) -> Position:
     return Position(file, node.start_mark.line + 1, node.start_mark.column + 1)
 
 
+def _kind(node: yaml.Node) -> str:
+    return str(node.tag).removeprefix(_CORE)
+
+
 def _plain(node: yaml.Node, file: str) -> object:
-    if not node.tag.startswith("tag:yaml.org,2002:"):
-        raise InputError(f"the tag {node.tag} is not allowed; expected plain data", _at(node, file))
+    if isinstance(node, yaml.MappingNode):
+        return {key: _plain(value, file) for key, (_, value) in Mapped.of(node, file).nodes.items()}
+    if isinstance(node, yaml.SequenceNode):
+        return [_plain(item, file) for item in node.value]
+    if _kind(node) in _TEXTS:
+        return node.value
     constructor = yaml.SafeLoader("")
     try:
-        return constructor.construct_document(node)
-    except yaml.MarkedYAMLError as error:
-        raise InputError(f"not plain data: {error.problem}", _at(node, file)) from error
+        return constructor.construct_object(node)
+    except (yaml.YAMLError, ValueError, LookupError) as error:
+        raise InputError(f"cannot be read as {_kind(node)}: {node.value[:40]!r}", _at(node, file)) from error
     finally:
         constructor.dispose()
 
@@ -167,9 +185,25 @@ class Mapped:
         value = self.plain(key)
         if value is None:
             return default
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < float("inf"):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= float_info.max:
             raise InputError(f"expected a number of at least 0 under {key!r}, found {value!r}", self.position(key))
         return float(value)
+
+    def whole(self, key: str, default: T) -> int | T:
+        """Return a whole number that is not negative, or the default when the key is not there."""
+        value = self.number(key, default)
+        if not isinstance(value, float):
+            return value
+        if not value.is_integer():
+            raise InputError(f"expected a whole number under {key!r}, found {value:g}", self.position(key))
+        return int(value)
+
+    def flag(self, key: str) -> bool:
+        """Return true or false; false when the key is not there."""
+        value = self.plain(key)
+        if value is not None and not isinstance(value, bool):
+            raise InputError(f"expected true or false under {key!r}, found {value!r}", self.position(key))
+        return bool(value)
 
     def plain(self, key: str) -> object:
         """Return the value as plain data, or None when the key is not there."""
@@ -180,4 +214,4 @@ class Mapped:
 
 
 def _is_null(node: yaml.Node) -> bool:
-    return isinstance(node, yaml.ScalarNode) and node.tag == "tag:yaml.org,2002:null"
+    return isinstance(node, yaml.ScalarNode) and _kind(node) == "null"

@@ -100,14 +100,13 @@ def _fault(entry: Mapped) -> Fault:
     kinds = [one.value for one in FaultKind]
     if kind not in kinds:
         raise InputError(f"expected 'do' to be one of {', '.join(kinds)}; found {kind!r}", entry.position("do"))
-    times = entry.number("times", None)
     return Fault(
         what=action or ground_name(call or ""),
         kind=FaultKind(kind),
-        after=int(entry.number("after", 0)),
-        times=None if times is None else int(times),
+        after=entry.whole("after", 0),
+        times=entry.whole("times", None),
         message=entry.string("message") or "",
-        ignores_cancel=entry.plain("ignores_cancel") is True,
+        ignores_cancel=entry.flag("ignores_cancel"),
     )
 
 

@@ -38,6 +38,8 @@ class _Job:
     activity: Activity
     fault: Fault | None
     timer: asyncio.TimerHandle | None = None
+    broken: str = ""
+    """What of the over-all condition has not been so all the time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,11 +130,14 @@ class SimulatedRobots:
                 job.timer = self._later(duration, self._succeed, job)
 
     def _succeed(self, job: _Job) -> None:
+        if job.broken:
+            self._fail(job, OutcomeKind.ABORTED, f"{job.request.action} went wrong: {job.broken} was not so all the time")
+            return
+        self._forget(job)
         problem = ""
         if job.fault and job.fault.kind is FaultKind.NO_EFFECT:
             job.activity.undo()
         else:
-            self._forget(job)
             problem = job.activity.finish()
         kind = OutcomeKind.ABORTED if problem else OutcomeKind.SUCCEEDED
         self._end(job, Outcome(kind, message=problem))
@@ -176,11 +181,9 @@ class SimulatedRobots:
                 self.world.change(change.changes)
 
     def _check(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
-        """End the actions that cannot go on in the world as it now is."""
-        for job in tuple(self._jobs.values()):
-            if broken := job.activity.broken:
-                message = f"{job.request.action} cannot go on: {broken} is not so"
-                asyncio.get_running_loop().call_soon(self._fail, job, OutcomeKind.ABORTED, message)
+        """Note which actions can no longer end well; like real robots they learn of it at their end."""
+        for job in self._jobs.values():
+            job.broken = job.broken or job.activity.broken
 
     def _later(self, seconds: float, callback: object, *args: object) -> asyncio.TimerHandle:
         return asyncio.get_running_loop().call_later(seconds / self.speed, callback, *args)  # type: ignore[arg-type]

@@ -1,0 +1,59 @@
+"""Who may import whom, read from the code; and that importing stays quick enough to be unnoticed."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ONLY = {
+    "rclpy": "pnm/ros/",
+    "unified_planning": "planner_bridge/up.py",
+    "kairos": "planner_bridge/planning.py",
+    "typer": "planner_bridge/cli.py",
+}
+
+
+def modules() -> list[Path]:
+    return sorted(path for package in ("pnm", "planner_bridge") for path in (ROOT / package).rglob("*.py"))
+
+
+def imported(path: Path) -> Iterator[str]:
+    """The modules a file imports, at any depth."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f"{path}: relative import"
+            yield node.module or ""
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(ROOT)))
+def test_imports_lead_one_way(path: Path) -> None:
+    name = str(path.relative_to(ROOT))
+    for module in imported(path):
+        top = module.split(".")[0]
+        assert not (name.startswith("pnm/") and top in ("planner_bridge", "kairos", "unified_planning")), f"{name} imports {module}"
+        if top in ONLY:
+            assert name.startswith(ONLY[top]), f"{name} imports {module}"
+        if not name.startswith("pnm/ros/") and module.startswith("pnm.ros"):
+            assert name in ("planner_bridge/sites.py", "planner_bridge/simulate.py"), f"{name} imports {module}"
+
+
+@pytest.mark.parametrize("package", ["pnm", "planner_bridge", "planner_bridge.cli"])
+def test_importing_brings_in_nothing_heavy(package: str) -> None:
+    code = f"import {package}, sys; print(*sorted({{name.split('.')[0] for name in sys.modules}}))"
+    loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT).stdout.split())
+    assert not loaded & {"rclpy", "unified_planning", "numpy", "scipy", "networkx", "starlette"}
+
+
+def test_the_core_does_no_io() -> None:
+    core = ("net", "marking", "semantics", "compiled", "analysis", "conditions", "effects", "plan_graph", "machine", "generate", "events", "run", "checks")
+    for name in core:
+        used = {module.split(".")[0] for module in imported(ROOT / "pnm" / f"{name}.py")}
+        assert not used & {"asyncio", "threading", "time", "socket", "sqlite3", "os", "pathlib", "random"}, name

@@ -1,0 +1,106 @@
+"""The causal order of plans: as loose as the causes allow, and never looser."""
+
+from __future__ import annotations
+
+import random
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pnm.plan_graph import Moment, PlanEvent, PlanGraph
+from planner_bridge.model import Problem
+from planner_bridge.plan import Plan, PlanStep
+from planner_bridge.planning import solve, validate
+from planner_bridge.plans import plan_graph
+from planner_bridge.replanning import why_not
+from planner_bridge.state import initial_knowledge
+from tests.domains import matches, rooms
+
+
+def sequence(*steps: str) -> Plan:
+    return Plan(tuple(PlanStep(step.split()[0], tuple(step.split()[1:]), float(index)) for index, step in enumerate(steps)))
+
+
+def shown(graph: PlanGraph) -> list[str]:
+    return [str(ordering) for ordering in graph.orderings]
+
+
+def test_independent_calls_are_not_ordered() -> None:
+    assert shown(plan_graph(rooms(), sequence("move r1 a b", "move r2 a d"))) == []
+
+
+def test_an_ordering_names_the_fact_it_protects() -> None:
+    graph = plan_graph(rooms(), sequence("move r1 a b", "move r1 b c"))
+    assert shown(graph) == ["end of #0 < start of #1 ((at r1 b))"]
+
+
+def test_a_reader_comes_before_the_next_writer() -> None:
+    graph = plan_graph(rooms(), sequence("sweep r1 a", "move r1 a b"))
+    assert shown(graph) == ["end of #0 < start of #1 ((at r1 a))"]
+
+
+def test_a_counter_that_only_a_metric_reads_orders_nothing() -> None:
+    graph = plan_graph(rooms(), sequence(*(f"move {robot} a b" for robot in ("r1", "r2"))))
+    assert graph.orderings == ()
+
+
+def test_a_call_inside_another_starts_after_its_start_and_ends_before_its_end() -> None:
+    problem = matches(1)
+    plan = Plan((PlanStep("strike", ("m0",), 0.0, 8.0), PlanStep("mend", ("f0", "m0"), 0.0, 5.0)), temporal=True)
+    assert shown(plan_graph(problem, plan)) == ["start of #0 < start of #1 ((light m0))", "end of #1 < end of #0 ((light m0))"]
+
+
+def test_an_enveloping_call_waits_for_what_its_insides_wait_for() -> None:
+    problem = matches(2)
+    found = solve(problem).plan
+    assert found
+    graph = plan_graph(problem, found)
+    strikes = {call.action.arguments[0]: call.index for call in graph.calls if call.action.name == "strike"}
+    mends = sorted((call for call in graph.calls if call.action.name == "mend"), key=lambda call: found.steps[call.index].start)
+    second = strikes[mends[1].action.arguments[1]]
+    assert any(one.before == PlanEvent(mends[0].index, Moment.END) and one.after == PlanEvent(second, Moment.START) for one in graph.orderings)
+
+
+def any_order(graph: PlanGraph, seed: int) -> list[PlanEvent]:
+    """A random order of all events that keeps every ordering."""
+    chooser = random.Random(seed)
+    left = {PlanEvent(call.index, moment) for call in graph.calls for moment in Moment}
+    order: list[PlanEvent] = []
+    while left:
+        free = [
+            event
+            for event in left
+            if not any(one.after == event and one.before in left for one in graph.orderings)
+            and not (event.moment is Moment.END and PlanEvent(event.call, Moment.START) in left)
+        ]
+        order.append(chooser.choice(sorted(free, key=str)))
+        left.remove(order[-1])
+    return order
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.sampled_from(["r1", "r2"]), min_size=1, max_size=10), st.randoms(use_true_random=False))
+def test_every_order_that_the_graph_allows_is_a_valid_plan(robots: list[str], chooser: random.Random) -> None:
+    problem = rooms(goal="(and)", ways="ab bc cd da ad dc cb ba")
+    plan = _walk(problem, robots, chooser)
+    graph = plan_graph(problem, plan)
+    order = any_order(graph, chooser.randrange(10**6))
+    starts = [event.call for event in order if event.moment is Moment.START]
+    reordered = Plan(tuple(plan.steps[index] for index in starts))
+    assert validate(problem, reordered) == ""
+    assert why_not(graph, initial_knowledge(problem)) == ""
+
+
+def _walk(problem: Problem, robots: list[str], chooser: random.Random) -> Plan:
+    """A random plan in which the robots walk about and sweep."""
+    at, clean, steps = {"r1": "a", "r2": "a"}, set[str](), []
+    links = [(fluent[1], fluent[2]) for fluent in problem.init if fluent[0] == "way"]
+    for robot in robots:
+        here = at[robot]
+        if here not in clean and chooser.random() < 0.4:
+            steps.append(f"sweep {robot} {here}")
+            clean.add(here)
+        else:
+            at[robot] = chooser.choice([there for one, there in links if one == here])
+            steps.append(f"move {robot} {here} {at[robot]}")
+    return sequence(*steps)

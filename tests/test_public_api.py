@@ -1,0 +1,21 @@
+"""What is public is listed; a change of the lists is a change of the contract."""
+
+from __future__ import annotations
+
+import pnm
+import planner_bridge
+
+
+def test_every_public_name_is_there_and_documented() -> None:
+    for package in (pnm, planner_bridge):
+        for name in package.__all__:
+            assert getattr(package, name) is not None
+            if callable(getattr(package, name)):
+                assert getattr(package, name).__doc__, name
+
+
+def test_the_lists_are_sorted_and_complete() -> None:
+    for package in (pnm, planner_bridge):
+        assert list(package.__all__) == sorted(package.__all__, key=lambda name: (not name.isupper(), name[0].islower(), name))
+        public = {name for name, value in vars(package).items() if not name.startswith("_") and getattr(value, "__module__", "").startswith(("pnm.", "planner_bridge."))}
+        assert public <= set(package.__all__)
