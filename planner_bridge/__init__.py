@@ -4,14 +4,19 @@
 function: `load`, `solve`, `plan_graph`, `pnm.generate`.
 """
 
-from planner_bridge.model import ActionSchema, Domain, Problem
-from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
-from planner_bridge.pddl_writer import write_domain, write_problem
-from planner_bridge.pipeline import Settings, TaskObserver, TaskResult, achieve, load
-from planner_bridge.plan import Plan, PlanningResult, PlanningStatus, PlanStep
-from planner_bridge.planning import solve, validate
-from planner_bridge.plans import plan_graph
-from planner_bridge.replanning import Limits
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from planner_bridge.loading import load
+    from planner_bridge.model import ActionSchema, Domain, Problem
+    from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
+    from planner_bridge.pddl_writer import write_domain, write_problem
+    from planner_bridge.pipeline import Settings, TaskObserver, TaskResult, achieve
+    from planner_bridge.plan import Plan, PlanningResult, PlanningStatus, PlanStep
+    from planner_bridge.planning import solve, validate
+    from planner_bridge.plans import plan_graph
+    from planner_bridge.replanning import Limits
 
 __all__ = [
     "ActionSchema",
@@ -37,3 +42,39 @@ __all__ = [
     "write_domain",
     "write_problem",
 ]
+
+# Loaded when asked for, so that importing the package costs nothing.
+_WHERE = {
+    "ActionSchema": "planner_bridge.model",
+    "Domain": "planner_bridge.model",
+    "Problem": "planner_bridge.model",
+    "parse_domain": "planner_bridge.pddl",
+    "parse_problem": "planner_bridge.pddl",
+    "read_domain": "planner_bridge.pddl",
+    "read_problem": "planner_bridge.pddl",
+    "write_domain": "planner_bridge.pddl_writer",
+    "write_problem": "planner_bridge.pddl_writer",
+    "Settings": "planner_bridge.pipeline",
+    "TaskObserver": "planner_bridge.pipeline",
+    "TaskResult": "planner_bridge.pipeline",
+    "achieve": "planner_bridge.pipeline",
+    "load": "planner_bridge.loading",
+    "Plan": "planner_bridge.plan",
+    "PlanningResult": "planner_bridge.plan",
+    "PlanningStatus": "planner_bridge.plan",
+    "PlanStep": "planner_bridge.plan",
+    "solve": "planner_bridge.planning",
+    "validate": "planner_bridge.planning",
+    "plan_graph": "planner_bridge.plans",
+    "Limits": "planner_bridge.replanning",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_WHERE[name]), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__]

@@ -19,11 +19,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from pnm.errors import InputError
-
 from planner_bridge.model import Problem
 from planner_bridge.pddl_writer import write_domain, write_problem
 from planner_bridge.plan import Plan, PlanningResult, PlanningStatus, PlanStep
+from pnm.errors import InputError
 
 GRACE: Final = 5.0
 """Seconds that a child may take besides its limit: it imports unified-planning first."""
@@ -58,7 +57,13 @@ def _group(command: list[str], folder: Path) -> Iterator[subprocess.Popen[bytes]
     path = os.pathsep.join(filter(None, (str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH"))))
     with (folder / "output.txt").open("wb") as output:
         child = subprocess.Popen(
-            command, cwd=folder, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True, env={**os.environ, "PYTHONPATH": path}
+            command,
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            start_new_session=True,
+            env={**os.environ, "PYTHONPATH": path},
         )
         try:
             yield child

@@ -1,56 +1,30 @@
-"""The `pnm` command. Exit status: 0 the goal holds, 1 it does not, 2 the input is wrong."""
+"""The `pnm` command. Exit status: 0 the goal holds, 1 it does not, 2 the input is wrong.
+
+Commands import what they need themselves: the first thing a person notices is how long a command
+takes to begin.
+"""
 
 from __future__ import annotations
 
 import json
 import sys
 from collections.abc import Callable
-from enum import Enum
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, ParamSpec
+from typing import TYPE_CHECKING, Any, ParamSpec
 
-import typer
-from rich.console import Console
+import click
 
-from pnm.actions.faults import NO_FAULTS, read_faults
-from pnm.bindings import Bindings, read_bindings
 from pnm.errors import InputError, PnmError
-from pnm.machine import OnFailure
 
-from planner_bridge.replanning import Limits
-
-app = typer.Typer(
-    name="pnm",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    help="Run robots from goals: PDDL goal, plan, Petri Net Machine, ROS 2 actions, and a new plan when something fails.",
-)
+if TYPE_CHECKING:
+    from pnm.actions.faults import Faults
+    from pnm.bindings import Bindings
 
 P = ParamSpec("P")
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
-DomainFile = Annotated[Path, typer.Argument(metavar="DOMAIN", help="PDDL domain file")]
-ProblemFile = Annotated[Path, typer.Argument(metavar="PROBLEM", help="PDDL problem file")]
-PlannerName = Annotated[str, typer.Option("--planner", help="kairos, or any engine of unified-planning")]
-PlannerTimeout = Annotated[float, typer.Option("--timeout", min=0.01, help="seconds the planner may take")]
-AsJson = Annotated[bool, typer.Option("--json", help="print one JSON object as the last line, and nothing else")]
-BindingsFile = Annotated[Path | None, typer.Option("--bindings", help="how actions are bound to servers; by default bindings.yaml beside DOMAIN")]
-FaultsFile = Annotated[Path | None, typer.Option("--faults", help="what goes wrong in simulation")]
-
-
-class ActionsChoice(str, Enum):
-    """Where actions are carried out."""
-
-    simulated = "simulated"
-    ros2 = "ros2"
-
-
-class FormatChoice(str, Enum):
-    """How a machine is written."""
-
-    json = "json"
-    dot = "dot"
+_FILE = click.Path(path_type=Path)
 
 
 def _command(function: Callable[P, int]) -> Callable[P, None]:
@@ -69,16 +43,46 @@ def _command(function: Callable[P, int]) -> Callable[P, None]:
         except KeyboardInterrupt:
             print("cancelled", file=sys.stderr)
             status = 1
-        raise typer.Exit(status)
+        sys.exit(status)
 
     return run
 
 
+def _options(*options: Decorator) -> Decorator:
+    """Combine options that several commands share."""
+
+    def add(function: Callable[..., Any]) -> Callable[..., Any]:
+        for option in reversed(options):
+            function = option(function)
+        return function
+
+    return add
+
+
+files = _options(click.argument("domain", type=_FILE), click.argument("problem", type=_FILE))
+planning = _options(
+    click.option("--planner", default="kairos", show_default=True, help="kairos, or any engine of unified-planning"),
+    click.option("--timeout", type=click.FloatRange(0.01), default=30.0, show_default=True, help="seconds the planner may take"),
+)
+as_json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object as the last line, and nothing else")
+bindings_option = click.option("--bindings", type=_FILE, help="how actions are bound to servers; by default bindings.yaml beside DOMAIN")
+faults_option = click.option("--faults", type=_FILE, help="what goes wrong in simulation")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(package_name="petri-net-machines", prog_name="pnm")
+def app() -> None:
+    """Run robots from goals: PDDL goal, plan, Petri Net Machine, ROS 2 actions, and a new plan when something fails."""
+
+
 @app.command()
+@files
+@planning
+@as_json_option
 @_command
-def plan(domain: DomainFile, problem: ProblemFile, planner: PlannerName = "kairos", timeout: PlannerTimeout = 30.0, as_json: AsJson = False) -> int:
+def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: bool) -> int:
     """Find and print a plan."""
-    from planner_bridge.pipeline import load
+    from planner_bridge.loading import load
     from planner_bridge.planning import solve
 
     found = solve(load(domain, problem), planner=planner, timeout=timeout)
@@ -89,33 +93,27 @@ def plan(domain: DomainFile, problem: ProblemFile, planner: PlannerName = "kairo
         ]
         print(json.dumps({"status": found.status.value, "message": found.message, "steps": steps if found.plan else None}))
     elif found.plan:
-        from planner_bridge.console import print_plan
-
-        print_plan(Console(), found.plan)
+        print(f"plan     {found.plan}")
     else:
         print(f"no plan: {found.reason}")
     return 0 if found.plan else 1
 
 
 @app.command()
+@files
+@click.option("--format", "written_as", type=click.Choice(["json", "dot"]), default="json", show_default=True, help="how it is written")
+@click.option("-o", "--output", type=_FILE, help="a file; by default the terminal")
+@bindings_option
+@planning
 @_command
-def net(
-    domain: DomainFile,
-    problem: ProblemFile,
-    written_as: Annotated[FormatChoice, typer.Option("--format", help="how the machine is written")] = FormatChoice.json,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="a file; by default the terminal")] = None,
-    bindings: BindingsFile = None,
-    planner: PlannerName = "kairos",
-    timeout: PlannerTimeout = 30.0,
-) -> int:
+def net(domain: Path, problem: Path, written_as: str, output: Path | None, bindings: Path | None, planner: str, timeout: float) -> int:
     """Plan, and write the machine."""
+    from planner_bridge.loading import load
+    from planner_bridge.planning import solve
+    from planner_bridge.plans import plan_graph
     from pnm.export.dot import to_dot
     from pnm.export.json import to_json
     from pnm.generate import generate
-
-    from planner_bridge.pipeline import load
-    from planner_bridge.planning import solve
-    from planner_bridge.plans import plan_graph
 
     chosen, loaded = _bindings(bindings, domain), load(domain, problem)
     found = solve(loaded, planner=planner, timeout=timeout)
@@ -123,7 +121,7 @@ def net(
         print(f"no plan: {found.reason}", file=sys.stderr)
         return 1
     machine = generate(plan_graph(loaded, found.plan), chosen)
-    text = to_json(machine) if written_as is FormatChoice.json else to_dot(machine)
+    text = to_json(machine) if written_as == "json" else to_dot(machine)
     if output is None:
         print(text, end="")
     else:
@@ -132,34 +130,54 @@ def net(
 
 
 @app.command()
+@files
+@click.option("--actions", type=click.Choice(["simulated", "ros2"]), default="simulated", show_default=True, help="who performs actions")
+@bindings_option
+@faults_option
+@planning
+@click.option("--replans", type=click.IntRange(0), default=10, show_default=True, help="how many new machines may follow the first")
+@click.option("--seconds", type=click.FloatRange(0), default=3600.0, show_default=True, help="how long the goal is pursued")
+@click.option(
+    "--on-failure",
+    type=click.Choice(["drain", "cancel"]),
+    default="drain",
+    show_default=True,
+    help="what running actions do when one has failed",
+)
+@as_json_option
 @_command
 def run(
-    domain: DomainFile,
-    problem: ProblemFile,
-    actions: Annotated[ActionsChoice, typer.Option("--actions", help="simulated robots, or the action servers of ROS 2")] = ActionsChoice.simulated,
-    bindings: BindingsFile = None,
-    faults: FaultsFile = None,
-    planner: PlannerName = "kairos",
-    timeout: PlannerTimeout = 30.0,
-    replans: Annotated[int, typer.Option("--replans", min=0, help="how many new machines may follow the first")] = 10,
-    seconds: Annotated[float, typer.Option("--seconds", min=0.0, help="how long the goal is pursued")] = 3600.0,
-    on_failure: Annotated[OnFailure, typer.Option("--on-failure", help="what running actions do when one has failed")] = OnFailure.DRAIN,
-    as_json: AsJson = False,
+    *,
+    domain: Path,
+    problem: Path,
+    actions: str,
+    bindings: Path | None,
+    faults: Path | None,
+    planner: str,
+    timeout: float,
+    replans: int,
+    seconds: float,
+    on_failure: str,
+    as_json: bool,
 ) -> int:
     """Plan, execute, and replan until the goal holds."""
+    from rich.console import Console
+
     from planner_bridge.console import ConsoleObserver, print_result
     from planner_bridge.pipeline import Settings, TaskObserver, achieve
+    from planner_bridge.replanning import Limits
+    from pnm.machine import OnFailure
 
-    if faults and actions is ActionsChoice.ros2:
+    if faults and actions == "ros2":
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
-    settings = Settings(planner, timeout, _bindings(bindings, domain), Limits(replans=replans, seconds=seconds), on_failure)
-    console = Console(stderr=as_json)
+    limits = Limits(replans=replans, seconds=seconds)
+    console = Console()
     result = achieve(
         domain,
         problem,
-        actions=actions.value,
-        faults=read_faults(faults) if faults else NO_FAULTS,
-        settings=settings,
+        actions="ros2" if actions == "ros2" else "simulated",
+        faults=_faults(faults),
+        settings=Settings(planner, timeout, _bindings(bindings, domain), limits, OnFailure(on_failure)),
         observer=TaskObserver() if as_json else ConsoleObserver(console),
     )
     if as_json:
@@ -170,31 +188,39 @@ def run(
 
 
 @app.command()
+@files
+@bindings_option
+@faults_option
+@click.option("--speed", type=click.FloatRange(0.001), default=20.0, show_default=True, help="seconds simulated in one real second")
+@click.option("--log", type=_FILE, help="write what truly happens, a JSON object per line")
 @_command
-def simulate(
-    domain: DomainFile,
-    problem: ProblemFile,
-    bindings: BindingsFile = None,
-    faults: FaultsFile = None,
-    speed: Annotated[float, typer.Option("--speed", min=0.001, help="how many seconds of the simulation pass in one real second")] = 20.0,
-    log: Annotated[Path | None, typer.Option("--log", help="write what truly happens, a JSON object per line")] = None,
-) -> int:
-    """Play the robots: offer one ROS 2 action server per action, and publish what sensors see."""
+def simulate(domain: Path, problem: Path, bindings: Path | None, faults: Path | None, speed: float, log: Path | None) -> int:
+    """Play the robots: offer a ROS 2 action server per action, and publish what sensors see."""
     from planner_bridge.simulate import play
 
-    return play(domain, problem, _bindings(bindings, domain), read_faults(faults) if faults else NO_FAULTS, speed, log)
+    return play(domain, problem, _bindings(bindings, domain), _faults(faults), speed, log)
 
 
 @app.command()
 @_command
 def demo() -> int:
     """Show the whole story on simulated robots: plan, machine, run, failure, replan, goal."""
+    from rich.console import Console
+
     from planner_bridge.demo import show
 
     return show(Console())
 
 
+def _faults(file: Path | None) -> Faults:
+    from pnm.actions.faults import NO_FAULTS, read_faults
+
+    return read_faults(file) if file else NO_FAULTS
+
+
 def _bindings(file: Path | None, domain: Path) -> Bindings:
+    from pnm.bindings import Bindings, read_bindings
+
     beside = domain.parent / "bindings.yaml"
     if file is None and not beside.is_file():
         return Bindings()

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 
-from pnm.actions.base import Outcome, OutcomeKind, Request
-from pnm.analysis import Proof
-from pnm.machine import PetriNetMachine
-from pnm.plan_graph import ActionCall
-from pnm.results import Failure, RunResult
 from rich.console import Console
 from rich.markup import escape
 
 from planner_bridge.pipeline import TaskObserver, TaskResult
 from planner_bridge.plan import Plan
 from planner_bridge.replanning import PlanAgain, Resume
+from pnm.actions.base import Outcome, OutcomeKind, Request
+from pnm.analysis import Proof
+from pnm.machine import PetriNetMachine
+from pnm.plan_graph import ActionCall
+from pnm.results import Failure, RunResult
 
 
 class ConsoleObserver(TaskObserver):
@@ -36,7 +36,7 @@ class ConsoleObserver(TaskObserver):
     def planned(self, plan: Plan) -> None:
         """Print the plan."""
         self._waiting.close()
-        print_plan(self._console, plan)
+        self._console.print(f"[bold]plan[/]     {escape(str(plan))}", highlight=False, soft_wrap=True)
 
     def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
         """Print the size of the machine."""
@@ -58,7 +58,9 @@ class ConsoleObserver(TaskObserver):
 
     def failed(self, failure: Failure, now: float) -> None:
         """Print that a failure place is marked."""
-        self._line(now, "[bold red]failed[/]", f"{failure.call.action}: {failure.cause}; expected {failure.expected}; observed {failure.observed}")
+        self._line(
+            now, "[bold red]failed[/]", f"{failure.call.action}: {failure.cause}; expected {failure.expected}; observed {failure.observed}"
+        )
 
     def replanning(self, decision: Resume | PlanAgain, result: RunResult) -> None:
         """Print what follows a failed run."""
@@ -76,18 +78,6 @@ class ConsoleObserver(TaskObserver):
         self._console.print(f"  {now - self._began:8.2f} s  {word} {escape(text)}", highlight=False, soft_wrap=True)
 
 
-def print_plan(console: Console, plan: Plan) -> None:
-    """Print a plan, a line per step."""
-    if not plan.steps:
-        console.print("[bold]plan[/]     nothing to do: the goal holds already")
-        return
-    console.print(f"[bold]plan[/]     {len(plan.steps)} calls" + (f", {plan.makespan:.1f} s" if plan.temporal else ""), highlight=False)
-    for number, step in enumerate(plan.steps):
-        when = f"{step.start:8.2f} s" if plan.temporal else f"{number + 1:8d}. "
-        lasts = f" [{step.duration:.2f} s]" if plan.temporal else ""
-        console.print(escape(f"  {when}  {step}{lasts}"), highlight=False, soft_wrap=True)
-
-
 def print_result(console: Console, result: TaskResult) -> None:
     """Print how the task ended."""
     word = "[bold green]goal[/]     holds" if result.goal_reached else "[bold red]goal[/]     not reached"
@@ -95,14 +85,12 @@ def print_result(console: Console, result: TaskResult) -> None:
     sent = sum(call.attempts for call in result.calls)
     assumed = sum(call.assumed for call in result.calls)
     told = f"; {assumed} calls had effects that nothing reports" if assumed else ""
-    counts = ", ".join(_count(number, word) for number, word in (
-        (result.plans, "plan"), (result.replans, "replan"), (sent, "request"), (len(result.failures), "failure")
-    ))
+    counts = ", ".join(
+        _count(number, word)
+        for number, word in ((result.plans, "plan"), (result.replans, "replan"), (sent, "request"), (len(result.failures), "failure"))
+    )
     console.print(f"         {counts}{told}", highlight=False, soft_wrap=True)
 
 
 def _count(number: int, word: str) -> str:
     return f"{number} {word}{'' if number == 1 else 's'}"
-
-
-__all__ = ["ConsoleObserver", "print_plan", "print_result"]

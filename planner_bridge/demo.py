@@ -7,14 +7,14 @@ from typing import Final
 
 from rich.console import Console
 
+from planner_bridge.console import ConsoleObserver, print_result
+from planner_bridge.loading import load
+from planner_bridge.pipeline import Settings, Stopwatch, pursue
+from planner_bridge.sites import SimulatedSite
 from pnm.actions.faults import read_faults
 from pnm.bindings import read_bindings
 from pnm.clock import run_async
 from pnm.conditions import conjuncts
-
-from planner_bridge.console import ConsoleObserver, print_result
-from planner_bridge.pipeline import Settings, Stopwatch, load, pursue
-from planner_bridge.sites import SimulatedSite
 
 _HERE: Final = Path(__file__).parent
 
@@ -35,12 +35,16 @@ def show(console: Console) -> int:
 
     console.print("Two robots and a goal, written in PDDL. A planner finds the plan; the plan becomes a Petri Net Machine.", soft_wrap=True)
     for fault in faults.faults:
-        console.print(f"The robots are simulated, and something will go wrong: {fault.what} fails, {fault.message}.", highlight=False, soft_wrap=True)
+        console.print(
+            f"The robots are simulated, and something will go wrong: {fault.what} fails, {fault.message}.", highlight=False, soft_wrap=True
+        )
     console.print(f"[bold]goal[/]     {' '.join(map(str, conjuncts(problem.goal)))}", highlight=False, soft_wrap=True)
     result = run_async(pursue(problem, site, settings, ConsoleObserver(console), Stopwatch()), virtual=True)
     print_result(console, result)
     console.print("In the simulated world, which nobody but the simulation sees:", soft_wrap=True)
     for part in conjuncts(problem.goal):
         console.print(f"         {part} is {'[green]true[/]' if world.holds(part) else '[red]false[/]'}", highlight=False)
-    console.print("Next: pnm run DOMAIN PROBLEM with your own files, or pnm net DOMAIN PROBLEM --format dot to see a machine.", soft_wrap=True)
+    console.print(
+        "Next: pnm run DOMAIN PROBLEM with your own files, or pnm net DOMAIN PROBLEM --format dot to see a machine.", soft_wrap=True
+    )
     return 0 if result.goal_reached and world.holds(problem.goal) else 1

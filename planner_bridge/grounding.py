@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pnm.conditions import DURATION, Environment, State, UNKNOWN, ground, value_of
+from planner_bridge.model import ActionSchema
+from pnm.conditions import DURATION, UNKNOWN, Environment, State, ground, value_of
 from pnm.effects import ground_effects
 from pnm.errors import InputError
 from pnm.plan_graph import GroundAction
-
-from planner_bridge.model import ActionSchema
 
 
 def ground_action(schema: ActionSchema, arguments: tuple[str, ...], duration: float | None = None) -> GroundAction:

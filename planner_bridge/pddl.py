@@ -22,7 +22,7 @@ from planner_bridge.pddl_names import Names, is_number, number, unsupported
 from planner_bridge.pddl_sections import Definition, define
 from planner_bridge.sexpr import Atom, Group, Node, wrong
 from pnm.conditions import Condition, Fluent, Value, show
-from pnm.yaml_files import read_text
+from pnm.text_files import read_text
 
 MAX_BYTES: Final = 50_000_000
 

@@ -12,6 +12,14 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias, cast
 from uuid import UUID, uuid4
 
+from planner_bridge.loading import load
+from planner_bridge.model import Domain, Problem
+from planner_bridge.plan import Plan, PlanningResult
+from planner_bridge.planning import DEFAULT_PLANNER, solve
+from planner_bridge.plans import plan_graph
+from planner_bridge.replanning import GiveUp, History, Limits, PlanAgain, Resume, decide
+from planner_bridge.sites import Ros2Site, SimulatedSite, Site
+from planner_bridge.state import initial_knowledge, problem_now
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.analysis import Proof, verify
 from pnm.bindings import Bindings
@@ -24,15 +32,6 @@ from pnm.observer import Observer
 from pnm.plan_graph import PlanGraph
 from pnm.results import CallResult, Failure, RunResult
 from pnm.run import Run
-
-from planner_bridge.model import Domain, Problem
-from planner_bridge.pddl import read_domain, read_problem
-from planner_bridge.plan import Plan, PlanningResult
-from planner_bridge.planning import DEFAULT_PLANNER, solve
-from planner_bridge.plans import plan_graph
-from planner_bridge.replanning import GiveUp, History, Limits, PlanAgain, Resume, decide
-from planner_bridge.sites import Ros2Site, SimulatedSite, Site
-from planner_bridge.state import initial_knowledge, problem_now
 
 Where: TypeAlias = Literal["simulated", "ros2"]
 
@@ -147,19 +146,6 @@ def achieve(
     return run_async(task, virtual=actions == "simulated")
 
 
-def load(domain: Path | str | Domain | None, problem: Path | str | Problem | Any) -> Problem:
-    """Return the problem, read from files where files are named."""
-    if isinstance(problem, Problem):
-        return problem
-    if not isinstance(problem, Path | str):
-        from planner_bridge.up import from_unified_planning  # here, because unified-planning takes seconds to import
-
-        return from_unified_planning(problem)
-    if domain is None:
-        raise TypeError("a problem file needs a domain")
-    return read_problem(Path(problem), domain if isinstance(domain, Domain) else read_domain(Path(domain)))
-
-
 async def pursue(problem: Problem, site: Site, settings: Settings, observer: TaskObserver, seconds: Stopwatch) -> TaskResult:
     """Plan, execute and replan at a site; `achieve` does this with a loop of its own."""
     knowledge = initial_knowledge(problem)
@@ -227,7 +213,9 @@ class _Task:
                 return self._ended(result.goal, result.reason)
             self.history = self.history.after(result.calls, result.failures)
             elapsed = asyncio.get_running_loop().time() - began
-            decision = decide(graph, result.calls, self.knowledge, self.history, self.settings.limits, elapsed, timed=bool(self.problem.timed))
+            decision = decide(
+                graph, result.calls, self.knowledge, self.history, self.settings.limits, elapsed, timed=bool(self.problem.timed)
+            )
             self.episodes.append(Episode(machine, result, decision))
             match decision:
                 case GiveUp(reason):

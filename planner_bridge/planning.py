@@ -12,12 +12,10 @@ from typing import Final, TypeAlias
 
 import kairos
 
-from pnm.errors import InputError
-
-from planner_bridge.child import solve_in_child
 from planner_bridge.model import Domain, Problem
 from planner_bridge.pddl_writer import write_domain, write_problem
 from planner_bridge.plan import Plan, PlanningResult, PlanningStatus, PlanStep
+from pnm.errors import InputError
 
 Planner: TypeAlias = Callable[[Problem, float, threading.Event], PlanningResult]
 """Takes a problem, a limit in seconds and an event that cancels the search."""
@@ -41,11 +39,15 @@ _STATUS: Final[Mapping[kairos.Status, PlanningStatus]] = {
 }
 
 
-def solve(problem: Problem, *, planner: str = DEFAULT_PLANNER, timeout: float = 30.0, cancel: threading.Event | None = None) -> PlanningResult:
+def solve(
+    problem: Problem, *, planner: str = DEFAULT_PLANNER, timeout: float = 30.0, cancel: threading.Event | None = None
+) -> PlanningResult:
     """Search for a plan with the named planner, at most `timeout` seconds, and validate it."""
     stop = cancel or threading.Event()
     if planner == DEFAULT_PLANNER:
         return _solve_with_kairos(problem, timeout, stop)
+    from planner_bridge.child import solve_in_child  # here, because Kairos needs no child
+
     result = solve_in_child(problem, planner, timeout, stop)
     if result.plan is None:
         return result
@@ -81,7 +83,9 @@ def _load(problem: Problem) -> kairos.Problem:
 
 def _solve_with_kairos(problem: Problem, timeout: float, cancel: threading.Event) -> PlanningResult:
     loaded = _load(problem)
-    search = kairos.Planner().start(loaded, timeout=timeout, anytime=False, threads=_THREADS)
+    search = kairos.Planner().start(  # type: ignore[no-untyped-call]
+        loaded, timeout=timeout, anytime=False, threads=_THREADS
+    )
     while search.running() and not cancel.is_set():
         search.next_plan(_POLL)
     search.stop()

@@ -14,15 +14,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
-from pnm.conditions import Fluent, State, expression_fluents, fluents, names
-from pnm.effects import Effects, ForEach, Set, When, read, written
-from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
-
 from planner_bridge.envelopes import tightened
 from planner_bridge.grounding import ground_action
 from planner_bridge.model import Problem
 from planner_bridge.plan import Plan, PlanStep
 from planner_bridge.state import dynamic_names, initial_knowledge
+from pnm.conditions import Fluent, State, expression_fluents, fluents, names
+from pnm.effects import Effects, ForEach, Set, When, read, written
+from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 
 _DIGITS: Final = 5
 """Times are compared at this many decimals: planners separate events by 0.001 and compute in floats."""
@@ -175,7 +174,8 @@ class _Causes:
     def graph(self, steps: list[GroundAction], problem: Problem) -> PlanGraph:
         """Return the plan graph, orderings that others imply left out."""
         calls = tuple(
-            ActionCall(index, action, self.releases.get(index, 0.0), self.lasting.get(index, frozenset())) for index, action in enumerate(steps)
+            ActionCall(index, action, self.releases.get(index, 0.0), self.lasting.get(index, frozenset()))
+            for index, action in enumerate(steps)
         )
         return PlanGraph(calls, tuple(_strongest(self.orderings)), problem.goal)
 

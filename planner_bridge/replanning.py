@@ -8,13 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
+from planner_bridge.state import ForbiddenCall
 from pnm.conditions import Condition, evaluate, failing, observed
 from pnm.effects import changes
 from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.results import CallResult, Failure
-
-from planner_bridge.state import ForbiddenCall
 
 _FINISHED = frozenset({"succeeded", "already true"})
 

@@ -15,6 +15,11 @@ from itertools import product
 from pathlib import Path
 from typing import TextIO
 
+from planner_bridge.grounding import ground_action, modelled_duration
+from planner_bridge.loading import load
+from planner_bridge.model import ActionSchema, Problem
+from planner_bridge.sites import simulated_robots
+from planner_bridge.state import initial_knowledge
 from pnm.actions.base import Accepted, Ended, Report, Reporter, Request
 from pnm.actions.faults import Faults
 from pnm.actions.simulated import SimulatedRobots
@@ -22,12 +27,6 @@ from pnm.bindings import Bindings, placeholders
 from pnm.conditions import Fluent, Unknown, Value, show
 from pnm.errors import InputError
 from pnm.plan_graph import GroundAction
-
-from planner_bridge.grounding import ground_action, modelled_duration
-from planner_bridge.model import ActionSchema, Problem
-from planner_bridge.pipeline import load
-from planner_bridge.sites import simulated_robots
-from planner_bridge.state import initial_knowledge
 
 DEFAULT_TYPE = "pnm_interfaces/action/GroundAction"
 

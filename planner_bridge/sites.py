@@ -9,6 +9,8 @@ import asyncio
 from collections.abc import Iterable
 from typing import Final, Protocol
 
+from planner_bridge.model import Problem
+from planner_bridge.state import dynamic_names, initial_knowledge
 from pnm.actions.base import ActionClient
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.actions.simulated import ScheduledChange, SimulatedRobots, sense
@@ -16,9 +18,6 @@ from pnm.actions.world import World
 from pnm.bindings import Bindings
 from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import GroundAction
-
-from planner_bridge.model import Problem
-from planner_bridge.state import dynamic_names, initial_knowledge
 
 DISCOVERY: Final = 10.0
 """Seconds to look for action servers before a plan starts; those that are not there then fail by name."""
@@ -80,14 +79,14 @@ class Ros2Site:
         """Join the ROS 2 graph and wait for the first report about the world, if anybody publishes one."""
         from pnm.ros.action_client import Ros2ActionClient  # here, because rclpy is an extra
         from pnm.ros.node import RosThread
-        from pnm.ros.sensing import Sensing
+        from pnm.ros.sensing import Facts, Sensing
 
         loop = asyncio.get_running_loop()
         self._ros = RosThread("pnm")
         self._client = Ros2ActionClient(self._ros, self._bindings, loop)
         lag = self._bindings.lag
 
-        def tell(names: frozenset[str], facts: dict[tuple[str, ...], bool | float], _sequence: int) -> None:
+        def tell(names: frozenset[str], facts: Facts, _sequence: int) -> None:
             watched = names - self._bindings.assumed
             knowledge.sense(watched, lag=lag)
             knowledge.replace(watched, {fluent: value for fluent, value in facts.items() if fluent[0] in watched})

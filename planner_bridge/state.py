@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from pnm.conditions import All, Holds, Not, Value, Fluent
-from pnm.conditions import UNKNOWN
+from planner_bridge.model import ActionSchema, Declaration, Domain, Problem, TimedChange
+from pnm.conditions import UNKNOWN, All, Fluent, Holds, Not, Value
 from pnm.effects import names_written
 from pnm.knowledge import KnowledgeBase
-
-from planner_bridge.model import ActionSchema, Declaration, Domain, Problem, TimedChange
 
 
 def initial_knowledge(problem: Problem) -> KnowledgeBase:
@@ -35,7 +33,9 @@ class ForbiddenCall:
         return f"{self.action}({', '.join(self.arguments)})"
 
 
-def problem_now(problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0, forbidden: frozenset[ForbiddenCall] = frozenset()) -> Problem:
+def problem_now(
+    problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0, forbidden: frozenset[ForbiddenCall] = frozenset()
+) -> Problem:
     """Return the problem that starts from what is known, so many seconds after the original one, without the forbidden calls."""
     init = {fluent: value for fluent, value in knowledge.facts().items() if value is not UNKNOWN}
     timed = tuple(TimedChange(change.time - elapsed, change.changes) for change in problem.timed if change.time > elapsed)

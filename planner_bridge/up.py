@@ -17,10 +17,9 @@ from unified_planning.engines.results import PlanGenerationResult
 from unified_planning.exceptions import UPException
 from unified_planning.io import PDDLReader, PDDLWriter
 
-from pnm.errors import InputError
-
 from planner_bridge.model import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
+from pnm.errors import InputError
 
 _STATUS = {
     Status.UNSOLVABLE_PROVEN: "UNSOLVABLE",
@@ -53,9 +52,9 @@ def _solve(engine: str, timeout: float) -> dict[str, object]:
     environment = up.get_environment()
     environment.credits_stream = None
     environment.error_used_name = False
-    known = sorted(environment.factory.engines)
+    known = sorted(name for name in environment.factory.engines if environment.factory.engine(name).is_oneshot_planner())
     if engine not in known:
-        return {"status": "unknown engine", "message": f"there is no planner {engine!r}; installed: kairos, {', '.join(known)}"}
+        return {"status": "unknown engine", "message": f"there is no planner {engine!r}; installed: {', '.join(known)}"}
     try:
         problem = PDDLReader().parse_problem("domain.pddl", "problem.pddl")
     except Exception as error:  # the reader raises whatever its grammar raises

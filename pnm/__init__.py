@@ -5,23 +5,27 @@ A `PlanGraph` says which calls of actions wait for which; `generate` turns it in
 connects a run to an `ActionClient`, a clock and knowledge.
 """
 
-from pnm.actions.base import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Request
-from pnm.analysis import Proof, Unsound, explore, verify
-from pnm.bindings import Binding, Bindings, read_bindings
-from pnm.conditions import UNKNOWN, Condition, Fluent, evaluate
-from pnm.effects import Effect, changes
-from pnm.errors import InputError, NotEnabled, PnmError, Position
-from pnm.executor import Executor
-from pnm.generate import generate
-from pnm.knowledge import MISSING, KnowledgeBase, Layered
-from pnm.machine import OnFailure, PetriNetMachine
-from pnm.marking import Marking
-from pnm.net import Arc, NetBuilder, PetriNet
-from pnm.observer import Observer
-from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
-from pnm.results import CallResult, Failure, RunResult
-from pnm.run import Run
-from pnm.semantics import enabled, fire, is_enabled
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pnm.actions.base import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Request
+    from pnm.analysis import Proof, Unsound, explore, verify
+    from pnm.bindings import Binding, Bindings, read_bindings
+    from pnm.conditions import UNKNOWN, Condition, Fluent, evaluate
+    from pnm.effects import Effect, changes
+    from pnm.errors import InputError, NotEnabled, PnmError, Position
+    from pnm.executor import Executor
+    from pnm.generate import generate
+    from pnm.knowledge import MISSING, KnowledgeBase, Layered
+    from pnm.machine import OnFailure, PetriNetMachine
+    from pnm.marking import Marking
+    from pnm.net import Arc, NetBuilder, PetriNet
+    from pnm.observer import Observer
+    from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+    from pnm.results import CallResult, Failure, RunResult
+    from pnm.run import Run
+    from pnm.semantics import enabled, fire, is_enabled
 
 __all__ = [
     "MISSING",
@@ -73,3 +77,65 @@ __all__ = [
     "read_bindings",
     "verify",
 ]
+
+# Loaded when asked for, so that importing the package costs nothing.
+_WHERE = {
+    "Accepted": "pnm.actions.base",
+    "ActionClient": "pnm.actions.base",
+    "Ended": "pnm.actions.base",
+    "Outcome": "pnm.actions.base",
+    "OutcomeKind": "pnm.actions.base",
+    "Request": "pnm.actions.base",
+    "Proof": "pnm.analysis",
+    "Unsound": "pnm.analysis",
+    "explore": "pnm.analysis",
+    "verify": "pnm.analysis",
+    "Binding": "pnm.bindings",
+    "Bindings": "pnm.bindings",
+    "read_bindings": "pnm.bindings",
+    "UNKNOWN": "pnm.conditions",
+    "Condition": "pnm.conditions",
+    "Fluent": "pnm.conditions",
+    "evaluate": "pnm.conditions",
+    "Effect": "pnm.effects",
+    "changes": "pnm.effects",
+    "InputError": "pnm.errors",
+    "NotEnabled": "pnm.errors",
+    "PnmError": "pnm.errors",
+    "Position": "pnm.errors",
+    "Executor": "pnm.executor",
+    "generate": "pnm.generate",
+    "MISSING": "pnm.knowledge",
+    "KnowledgeBase": "pnm.knowledge",
+    "Layered": "pnm.knowledge",
+    "OnFailure": "pnm.machine",
+    "PetriNetMachine": "pnm.machine",
+    "Marking": "pnm.marking",
+    "Arc": "pnm.net",
+    "NetBuilder": "pnm.net",
+    "PetriNet": "pnm.net",
+    "Observer": "pnm.observer",
+    "ActionCall": "pnm.plan_graph",
+    "GroundAction": "pnm.plan_graph",
+    "Moment": "pnm.plan_graph",
+    "Ordering": "pnm.plan_graph",
+    "PlanEvent": "pnm.plan_graph",
+    "PlanGraph": "pnm.plan_graph",
+    "CallResult": "pnm.results",
+    "Failure": "pnm.results",
+    "RunResult": "pnm.results",
+    "Run": "pnm.run",
+    "enabled": "pnm.semantics",
+    "fire": "pnm.semantics",
+    "is_enabled": "pnm.semantics",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_WHERE[name]), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__]

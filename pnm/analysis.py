@@ -227,7 +227,9 @@ class _Explorer:
             return f"{late[0]} is not marked although only later inputs are missing"
         if missing:
             return ""
-        left = {place: state.tokens[number] for place, number in self.index.items() if state.tokens[number] and place not in self.part.records}
+        left = {
+            place: state.tokens[number] for place, number in self.index.items() if state.tokens[number] and place not in self.part.records
+        }
         return self.part.is_proper(left)
 
 
@@ -345,7 +347,11 @@ def _block(
     steps = tuple(_step(machine, name) for name in names)
     places = tuple(dict.fromkeys(place for step in steps for place in (*step.inputs, *step.outputs)))
     inputs = [place for place in places if call in readers[place] and writers[place] - {call}]
-    outputs = [place for place in places if call in writers[place] and (readers[place] - {call} or place in (machine.goal_place, machine.failed_place))]
+    outputs = [
+        place
+        for place in places
+        if call in writers[place] and (readers[place] - {call} or place in (machine.goal_place, machine.failed_place))
+    ]
     first = [place for place in inputs if not any(place in step.outputs for step in steps) and not _is_awaited(place, steps)]
     rest = [place for place in inputs if place not in first]
     for together in (first, rest):

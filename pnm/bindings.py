@@ -7,6 +7,7 @@ are always there: the action's name and the list of its arguments.
 
 from __future__ import annotations
 
+import re
 import string
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -43,6 +44,7 @@ class Binding:
 
 
 DEFAULT = Binding()
+_NAME = re.compile(r"[A-Za-z][\w-]*\Z")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +62,17 @@ class Bindings:
         return self.actions.get(action, DEFAULT)
 
     def server(self, action: GroundAction) -> str:
-        """Return the name of the server that performs the ground action."""
+        """Return the name of the server that performs the ground action.
+
+        Raises:
+            InputError: the name has a part in braces that is not a parameter of the action.
+        """
         pattern = self.of(action.name).server or action.name
-        return pattern.format_map(dict(zip(action.parameters, action.arguments, strict=True)))
+        own = dict(zip(action.parameters, action.arguments, strict=True))
+        for name in placeholders(pattern):
+            if name not in own:
+                raise InputError(f"the server {pattern!r} of {action.name} names {{{name}}}, which is not a parameter ({', '.join(own)})")
+        return pattern.format_map(own)
 
     def timeout(self, action: GroundAction) -> float:
         """Return how many seconds the action may run."""
@@ -143,6 +153,7 @@ def _binding(entry: Mapped) -> Binding:
     store = entry.plain("store")
     if goal is not None and not isinstance(goal, dict):
         raise InputError("expected goal fields and their values", entry.position("goal"))
+    _check_fluents(goal, entry)
     if store is not None and not (isinstance(store, dict) and all(isinstance(name, str) for name in store.values())):
         raise InputError("expected result fields and the variables to store them in", entry.position("store"))
     server = entry.string("server")
@@ -160,11 +171,26 @@ def _binding(entry: Mapped) -> Binding:
     )
 
 
+def _check_fluents(source: object, entry: Mapped) -> None:
+    if isinstance(source, dict):
+        source = list(source.values())
+    if isinstance(source, list):
+        for part in source:
+            _check_fluents(part, entry)
+    if isinstance(source, str) and source.startswith("("):
+        try:
+            parse_fluent(source)
+        except InputError as error:
+            raise InputError(error.message, entry.position("goal")) from error
+
+
 def _check_pattern(server: str, entry: Mapped) -> None:
     try:
-        list(placeholders(server))
+        wrong = [f"{{{name}}} is no parameter" for name in placeholders(server) if not _NAME.match(name)]
     except ValueError as error:
-        raise InputError(f"{error} in {server!r}; expected something like /{{robot}}/navigate", entry.position("server")) from error
+        wrong = [str(error)]
+    if wrong:
+        raise InputError(f"{wrong[0]} in {server!r}; expected something like /{{robot}}/navigate", entry.position("server"))
 
 
 def placeholders(server: str) -> Iterator[str]:

@@ -32,7 +32,9 @@ def expected(call: ActionCall, knowledge: Layered) -> dict[Fluent, Value]:
     lasting = {fluent: value for fluent, value in changes(action.start_effects, knowledge).items() if fluent in call.lasting}
     effects = action.end_effects
     if action.duration is not None:
-        conditional = names_written(tuple(effect for effect in effects if facts((effect,), knowledge) is None and not isinstance(effect, Set)))
+        conditional = names_written(
+            tuple(effect for effect in effects if facts((effect,), knowledge) is None and not isinstance(effect, Set))
+        )
         effects = tuple(effect for effect in effects if not names_written((effect,)) & conditional)
     wanted: Changes = lasting | changes(effects, knowledge)
     return {fluent: value for fluent, value in wanted.items() if isinstance(value, bool) and knowledge.world.is_sensed(fluent)}

@@ -151,7 +151,9 @@ class Run:
         return f"every call is done but the goal does not hold: expected {expected}; observed {seen}"
 
     def __repr__(self) -> str:
-        return f"<Run {self.machine!r}, {len(self._open)} requests open, {'over' if self.over else 'ending' if self.ending else 'going on'}>"
+        return (
+            f"<Run {self.machine!r}, {len(self._open)} requests open, {'over' if self.over else 'ending' if self.ending else 'going on'}>"
+        )
 
     # --- events -------------------------------------------------------------------------------
 
@@ -340,7 +342,9 @@ class Run:
         if isinstance(guard, Denied):
             return Failure(about, rule.name, *self._explain(guard.condition))
         if isinstance(guard, DataMissing):
-            return Failure(about, rule.name, f"values for {', '.join(self._goal(call)[1])}", "no argument, variable or constant of that name")
+            return Failure(
+                about, rule.name, f"values for {', '.join(self._goal(call)[1])}", "no argument, variable or constant of that name"
+            )
         return Failure(about, *self._causes[call])
 
     def _explain(self, condition: Condition) -> tuple[str, str]:

@@ -12,6 +12,7 @@ from typing import Final, TypeVar
 import yaml
 
 from pnm.errors import InputError, Position
+from pnm.text_files import read_text
 
 MAX_BYTES: Final = 4_000_000
 MAX_NODES: Final = 200_000
@@ -32,7 +33,7 @@ def load_yaml(path: Path) -> Mapped:
     Raises:
         InputError: there is no such file, or it is not YAML, not text, too large, or not a mapping.
     """
-    text = read_text(path)
+    text = read_text(path, MAX_BYTES)
     try:
         node = yaml.compose(text, Loader=yaml.SafeLoader)
     except yaml.MarkedYAMLError as error:
@@ -47,27 +48,6 @@ def load_yaml(path: Path) -> Mapped:
         raise InputError("the file is empty; expected a mapping", Position(str(path), 1, 1))
     _bounded(node, str(path))
     return Mapped.of(node, str(path))
-
-
-def read_text(path: Path, limit: int = MAX_BYTES) -> str:
-    """Read a text file, with clear refusals of what is missing, too large or not text."""
-    start = Position(str(path), 1, 1)
-    try:
-        size = path.stat().st_size
-        if size > limit:
-            raise InputError(f"the file has {size} bytes; at most {limit} are read", start)
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", start) from error
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
-        column = error.start - raw.rfind(b"\n", 0, error.start)
-        raise InputError(f"not a text file: byte {raw[error.start]:#04x} is not UTF-8", Position(str(path), line, column)) from error
-    if "\0" in text:
-        raise InputError("not a text file: it contains zero bytes", start)
-    return text
 
 
 def _bounded(root: yaml.Node, file: str) -> None:
@@ -152,7 +132,8 @@ class Mapped:
             return {}
         inner = Mapped.of(self.nodes[key][1], self.file)
         return {
-            name: Mapped(self.file, where, {}) if _is_null(node) else Mapped.of(node, self.file) for name, (where, node) in inner.nodes.items()
+            name: Mapped(self.file, where, {}) if _is_null(node) else Mapped.of(node, self.file)
+            for name, (where, node) in inner.nodes.items()
         }
 
     def sequence(self, key: str) -> list[Mapped]:

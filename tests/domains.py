@@ -36,7 +36,8 @@ MATCHES = """
 def rooms(init: str = "(at r1 a) (at r2 a)", goal: str = "(and (at r1 c) (at r2 c))", ways: str = "ab bc ad dc") -> Problem:
     """Rooms a, b, c, d; by default two ways from a to c, over b and over d."""
     links = " ".join(f"(way {way[0]} {way[1]})" for way in ways.split())
-    text = f"(define (problem p) (:domain rooms) (:objects r1 r2 - robot a b c d - room) (:init {init} {links} (= (total-cost) 0)) (:goal {goal}))"
+    things = "(:objects r1 r2 - robot a b c d - room)"
+    text = f"(define (problem p) (:domain rooms) {things} (:init {init} {links} (= (total-cost) 0)) (:goal {goal}))"
     return parse_problem(text, parse_domain(ROOMS))
 
 

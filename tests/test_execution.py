@@ -110,7 +110,9 @@ def test_effects_that_hold_already_are_skipped() -> None:
     assert done.attempts() == [0]
 
 
-HOLD = GroundAction("hold", ("r1",), ("robot",), invariant=Holds(("ok",)), end_effects=(Set(("at", "r1", "kitchen"), Constant(True)),), duration=9.0)
+HOLD = GroundAction(
+    "hold", ("r1",), ("robot",), invariant=Holds(("ok",)), end_effects=(Set(("at", "r1", "kitchen"), Constant(True)),), duration=9.0
+)
 
 
 def test_an_over_all_condition_that_breaks_cancels_the_call() -> None:
@@ -209,7 +211,9 @@ def test_every_call_done_is_not_yet_the_goal() -> None:
     done = simulate(plan, AT_START, elsewhere)
     assert not done.result.goal
     assert done.result.failures == ()
-    assert done.result.reason == "every call is done but the goal does not hold: expected (at r1 kitchen); observed (at r1 kitchen) is false"
+    assert (
+        done.result.reason == "every call is done but the goal does not hold: expected (at r1 kitchen); observed (at r1 kitchen) is false"
+    )
 
 
 def test_an_empty_plan_reaches_a_goal_that_holds() -> None:

@@ -80,7 +80,10 @@ def mutants(machine: PetriNetMachine) -> list[PetriNetMachine]:
         rules = {other: rule for other, rule in machine.rules.items() if other != name}
         found.append(replace(machine, net=_without(machine.net, name), rules=rules))
         found += [replace(machine, net=_less_output(machine.net, name, place)) for place in machine.net.outputs[name]]
-        found += [replace(machine, net=_with_output(machine.net, name, place)) for place in machine.net.places[:: max(1, len(machine.net.places) // 5)]]
+        found += [
+            replace(machine, net=_with_output(machine.net, name, place))
+            for place in machine.net.places[:: max(1, len(machine.net.places) // 5)]
+        ]
         found.append(replace(machine, rules={**machine.rules, name: Rule(name, Always(), machine.rules[name].call)}))
     return found
 
@@ -117,8 +120,20 @@ def test_a_budget_is_spent_by_an_arc_of_its_weight() -> None:
 def test_every_outcome_has_a_transition() -> None:
     machine = generate(SHAPES["one call"])
     names = {rule.name for rule in machine.rules.values()}
-    assert {"succeeded", "aborted", "canceled", "rejected", "timed_out", "unavailable", "lost", "effects_missing", "precondition_false"} <= names
-    at_running = [rule.guard for name, rule in machine.rules.items() if "a0()#0 running" in machine.net.inputs[name] and isinstance(rule.guard, Ends)]
+    assert {
+        "succeeded",
+        "aborted",
+        "canceled",
+        "rejected",
+        "timed_out",
+        "unavailable",
+        "lost",
+        "effects_missing",
+        "precondition_false",
+    } <= names
+    at_running = [
+        rule.guard for name, rule in machine.rules.items() if "a0()#0 running" in machine.net.inputs[name] and isinstance(rule.guard, Ends)
+    ]
     assert len(at_running) == len({guard.kinds for guard in at_running})
 
 

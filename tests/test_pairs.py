@@ -7,19 +7,37 @@ from typing import Final
 
 import pytest
 
-from pnm.conditions import evaluate
-from pnm.errors import InputError
-from planner_bridge.pipeline import Settings, Stopwatch, TaskObserver, load, pursue
+from planner_bridge.loading import load
+from planner_bridge.pipeline import Settings, Stopwatch, TaskObserver, pursue
 from planner_bridge.sites import SimulatedSite
 from pnm.clock import run_async
+from pnm.conditions import evaluate
+from pnm.errors import InputError
 
 FOLDER = Path(__file__).parents[2] / "shared" / "pddl" / "robots"
 
-SOLVED: Final = (
-    "amazon charging delivery_deadline_w6_m3_g3 delivery_deadline_w6_m4_g3 delivery_w4_m3_g2 delivery_w4_m3_g3 delivery_w4_m4_g3 "
-    "delivery_w5_m3_g2 delivery_w5_m4_g3 delivery_w5_m5_g3 delivery_w6_m3_g3 delivery_w6_m5_g3 elevators_netbenefit lights match_cellar "
-    "road_trip rosplan_test simple_1 test_2 turtlebot"
-).split()
+SOLVED: Final = [
+    "amazon",
+    "charging",
+    "delivery_deadline_w6_m3_g3",
+    "delivery_deadline_w6_m4_g3",
+    "delivery_w4_m3_g2",
+    "delivery_w4_m3_g3",
+    "delivery_w4_m4_g3",
+    "delivery_w5_m3_g2",
+    "delivery_w5_m4_g3",
+    "delivery_w5_m5_g3",
+    "delivery_w6_m3_g3",
+    "delivery_w6_m5_g3",
+    "elevators_netbenefit",
+    "lights",
+    "match_cellar",
+    "road_trip",
+    "rosplan_test",
+    "simple_1",
+    "test_2",
+    "turtlebot",
+]
 NO_PLAN: Final = ("rosplan_test_no_solution", "simple_2")
 REFUSED: Final = {
     "rosplan_test_invalid": "problem.pddl:1:2: expected 'define', found 'defie'",

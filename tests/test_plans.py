@@ -7,13 +7,13 @@ import random
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pnm.plan_graph import Moment, PlanEvent, PlanGraph
 from planner_bridge.model import Problem
 from planner_bridge.plan import Plan, PlanStep
 from planner_bridge.planning import solve, validate
 from planner_bridge.plans import plan_graph
 from planner_bridge.replanning import why_not
 from planner_bridge.state import initial_knowledge
+from pnm.plan_graph import Moment, PlanEvent, PlanGraph
 from tests.domains import matches, rooms
 
 
@@ -58,7 +58,9 @@ def test_an_enveloping_call_waits_for_what_its_insides_wait_for() -> None:
     strikes = {call.action.arguments[0]: call.index for call in graph.calls if call.action.name == "strike"}
     mends = sorted((call for call in graph.calls if call.action.name == "mend"), key=lambda call: found.steps[call.index].start)
     second = strikes[mends[1].action.arguments[1]]
-    assert any(one.before == PlanEvent(mends[0].index, Moment.END) and one.after == PlanEvent(second, Moment.START) for one in graph.orderings)
+    assert any(
+        one.before == PlanEvent(mends[0].index, Moment.END) and one.after == PlanEvent(second, Moment.START) for one in graph.orderings
+    )
 
 
 def any_order(graph: PlanGraph, seed: int) -> list[PlanEvent]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-import pnm
+import pytest
+
 import planner_bridge
+import pnm
 
 
 def test_every_public_name_is_there_and_documented() -> None:
@@ -17,5 +19,10 @@ def test_every_public_name_is_there_and_documented() -> None:
 def test_the_lists_are_sorted_and_complete() -> None:
     for package in (pnm, planner_bridge):
         assert list(package.__all__) == sorted(package.__all__, key=lambda name: (not name.isupper(), name[0].islower(), name))
-        public = {name for name, value in vars(package).items() if not name.startswith("_") and getattr(value, "__module__", "").startswith(("pnm.", "planner_bridge."))}
-        assert public <= set(package.__all__)
+        assert dir(package) == list(package.__all__)
+        assert set(package._WHERE) == set(package.__all__)
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="has no attribute 'spam'"):
+        pnm.spam  # noqa: B018

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import pytest
 
+from planner_bridge.model import Problem
+from planner_bridge.pipeline import Settings, Stopwatch, TaskObserver, TaskResult, pursue
+from planner_bridge.replanning import GiveUp, History, Limits, PlanAgain, Resume
+from planner_bridge.sites import SimulatedSite
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.bindings import Binding, Bindings
 from pnm.clock import run_async
 from pnm.conditions import evaluate
 from pnm.knowledge import KnowledgeBase
-from planner_bridge.model import Problem
-from planner_bridge.pipeline import Settings, Stopwatch, TaskObserver, TaskResult, pursue
-from planner_bridge.replanning import GiveUp, History, Limits, PlanAgain, Resume
-from planner_bridge.sites import SimulatedSite
 from tests.domains import matches, rooms
 
 
-def pursued(problem: Problem, faults: Faults = NO_FAULTS, *, limits: Limits = Limits(), bindings: Bindings = Bindings()) -> tuple[TaskResult, KnowledgeBase]:
+def pursued(
+    problem: Problem, faults: Faults = NO_FAULTS, *, limits: Limits = Limits(), bindings: Bindings = Bindings()
+) -> tuple[TaskResult, KnowledgeBase]:
     """Pursue the goal of the problem and return the result with the truth; the verdict must be true to the world."""
     site = SimulatedSite(problem, bindings, faults)
     result = run_async(pursue(problem, site, Settings(limits=limits, bindings=bindings), TaskObserver(), Stopwatch()), virtual=True)
@@ -87,12 +89,17 @@ def test_the_limit_of_replans_ends_a_task_by_name() -> None:
     result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc"), aborts("move"), limits=limits)
     assert not result.goal_reached
     assert result.replans == 2
-    assert result.reason == "the limit of 2 replans is reached; last failure: move(r1, a, b)#0: aborted: expected success; observed the action failed"
+    assert (
+        result.reason
+        == "the limit of 2 replans is reached; last failure: move(r1, a, b)#0: aborted: expected success; observed the action failed"
+    )
     assert decisions(result) == [Resume, Resume, GiveUp]
 
 
 def test_the_limit_in_seconds_ends_a_task_by_name() -> None:
-    result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc"), aborts("move"), limits=Limits(seconds=0.5, forbid_after=100))
+    result, _ = pursued(
+        rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc"), aborts("move"), limits=Limits(seconds=0.5, forbid_after=100)
+    )
     assert result.reason.startswith("the limit of 0.5 s is reached")
 
 

@@ -133,7 +133,9 @@ ANSWERS = st.lists(
 
 @settings(max_examples=150, deadline=None)
 @given(plans(most=4), ANSWERS)
-def test_whatever_the_world_answers_the_run_ends_and_every_marking_follows_from_the_firings(graph: PlanGraph, answers: list[tuple[object, int, float]]) -> None:
+def test_whatever_the_world_answers_the_run_ends_and_every_marking_follows_from_the_firings(
+    graph: PlanGraph, answers: list[tuple[object, int, float]]
+) -> None:
     log = Log()
     run, commands = begun(graph, Bindings({f"a{index}": Binding(accept=5.0, timeout=30.0, cancel=3.0) for index in range(4)}), log)
     now, open_requests, wake = 0.0, sent(commands), _wake(commands, None)

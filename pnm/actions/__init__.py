@@ -1,0 +1,1 @@
+"""Clients that carry out actions: the protocol, and simulated robots."""

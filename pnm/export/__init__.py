@@ -1,0 +1,1 @@
+"""Machines written in other formats. Pure functions; the same machine gives the same bytes."""

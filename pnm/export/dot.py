@@ -16,8 +16,12 @@ def to_dot(machine: PetriNetMachine) -> str:
 
 def _body(machine: PetriNetMachine) -> Iterator[str]:
     for call in machine.plan.calls:
-        yield f"  subgraph cluster_{call.index} {{ label={_quote(str(call))}; color=gray; fontname=\"sans-serif\";"
-        yield from (f"    {_place(machine, place)}" for place in machine.net.places if place.startswith(f"{call} ") and place not in machine.orderings)
+        yield f'  subgraph cluster_{call.index} {{ label={_quote(str(call))}; color=gray; fontname="sans-serif";'
+        yield from (
+            f"    {_place(machine, place)}"
+            for place in machine.net.places
+            if place.startswith(f"{call} ") and place not in machine.orderings
+        )
         yield from (f"    {_transition(machine, name)}" for name, rule in machine.rules.items() if rule.call == call.index)
         yield "  }"
     owned = tuple(f"{call} " for call in machine.plan.calls)

@@ -25,7 +25,13 @@ def as_data(machine: PetriNetMachine) -> dict[str, Any]:
         ],
         "places": [{"name": place, "role": role(machine, place), "tokens": machine.initial[place]} for place in machine.net.places],
         "transitions": [
-            {"name": name, "event": rule.name, "call": rule.call, "guard": _guard(rule.guard), "deed": rule.deed.name if rule.deed else None}
+            {
+                "name": name,
+                "event": rule.name,
+                "call": rule.call,
+                "guard": _guard(rule.guard),
+                "deed": rule.deed.name if rule.deed else None,
+            }
             for name, rule in machine.rules.items()
         ],
         "arcs": [{"source": arc.source, "target": arc.target, "weight": arc.weight} for arc in machine.net.arcs],
@@ -37,5 +43,11 @@ def _guard(guard: Guard) -> dict[str, Any]:
     found: dict[str, Any] = {"kind": type(guard).__name__}
     for one in fields(guard):
         value = getattr(guard, one.name)
-        found[one.name] = sorted(kind.value for kind in value) if isinstance(value, frozenset) else value if isinstance(value, int | float) else str(value)
+        found[one.name] = (
+            sorted(kind.value for kind in value)
+            if isinstance(value, frozenset)
+            else value
+            if isinstance(value, int | float)
+            else str(value)
+        )
     return found

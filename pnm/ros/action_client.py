@@ -10,7 +10,7 @@ from time import monotonic
 from typing import Any, Final
 from uuid import UUID
 
-from pnm.actions.base import Ended, OutcomeKind, Report, Reporter, Request
+from pnm.actions.base import Ended, Outcome, OutcomeKind, Report, Reporter, Request
 from pnm.bindings import Bindings
 from pnm.errors import PnmError
 from pnm.plan_graph import GroundAction
@@ -24,6 +24,8 @@ LOOK: Final = 0.25
 
 _log = logging.getLogger(__name__)
 
+_CLOSED: Final = "the ROS 2 node was closed"
+
 _Key = tuple[str, str | None]
 
 
@@ -31,7 +33,8 @@ class Ros2ActionClient:
     """An `ActionClient` for action servers of any type.
 
     A server that has not been reached yet is waited for, for a few seconds; a goal whose values do not fit
-    its fields counts as rejected. Every request that was sent is answered by exactly one `Ended` until `close`.
+    its fields counts as rejected. Every request that was sent is answered by exactly one `Ended` until `close`,
+    even when the ROS thread is closed before.
 
     The mutable state is on the ROS thread (the links and the open goals), except `_closed`.
     """
@@ -44,6 +47,7 @@ class Ros2ActionClient:
         self._goals: dict[UUID, tuple[Goal, ServerLink]] = {}
         self._closed = False
         self._timer: Any = None
+        ros.on_close(self._lose_all)
 
     def __repr__(self) -> str:
         return f"<Ros2ActionClient {len(self._links)} servers, {len(self._goals)} goals>"
@@ -51,9 +55,10 @@ class Ros2ActionClient:
     # on the event loop's thread
 
     async def prepare(self, actions: Iterable[GroundAction], limit: float = 5.0) -> tuple[str, ...]:
-        """Connect to the servers of the actions; return the names of those not there within `limit` seconds.
+        """Connect to the servers of the actions; return the names of those that are not there.
 
-        It is no error when a server is missing: it is looked for again when a goal is sent to it.
+        Waits `limit` seconds at most, and only for servers that may still come: not for one that has been
+        missing for long. It is no error when one is: it is looked for again when a goal is sent to it.
 
         Raises:
             InputError: a binding names a type that is not installed, or a server by what cannot be a name.
@@ -62,9 +67,9 @@ class Ros2ActionClient:
         links = await self._ros.ask(lambda: [self._link(key) for key in keys])
         until = monotonic() + limit
         while True:
-            missing = await self._ros.ask(lambda: tuple(link.name for link in links if not link.ready()))
-            if not missing or monotonic() >= until:
-                return missing
+            missing = await self._ros.ask(lambda: [link for link in links if not link.ready()])
+            if not any(link.expected for link in missing) or monotonic() >= until:
+                return tuple(link.name for link in missing)
             await asyncio.sleep(0.1)
 
     def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
@@ -74,7 +79,8 @@ class Ros2ActionClient:
 
     def send(self, request: Request, report: Reporter, /) -> None:
         """Send the goal; `report` is called later, on the event loop's thread."""
-        self._ros.call(partial(self._send, request, report))
+        if not self._ros.call(partial(self._send, request, report)):
+            self._loop.call_soon(report, Ended(request.id, Outcome(OutcomeKind.UNAVAILABLE, message=_CLOSED)))
 
     def cancel(self, request: UUID, /) -> None:
         """Ask for the request to be cancelled; it ends when the server says so, or not at all if it refuses."""
@@ -93,7 +99,7 @@ class Ros2ActionClient:
 
     def _link(self, key: _Key) -> ServerLink:
         if key not in self._links:
-            self._links[key] = ServerLink(self._ros.node, *key)
+            self._links[key] = ServerLink(self._ros.node, *key, self._ros.joined)
         return self._links[key]
 
     def _send(self, request: Request, report: Reporter) -> None:
@@ -132,10 +138,13 @@ class Ros2ActionClient:
 
     def _look(self) -> None:
         for link in self._links.values():
-            if link.busy:
-                link.look()
+            link.look()
         if not self._goals:
             self._timer.cancel()
+
+    def _lose_all(self) -> None:
+        for goal, _ in tuple(self._goals.values()):
+            goal.end(OutcomeKind.LOST if goal.handle else OutcomeKind.UNAVAILABLE, _CLOSED)
 
     def _end(self) -> None:
         if self._timer is not None:

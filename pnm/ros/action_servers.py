@@ -11,6 +11,7 @@ import logging
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final
 from uuid import UUID, uuid4
 
@@ -69,11 +70,13 @@ class ActionServers:
     async def offer(self, offers: list[Offer]) -> None:
         """Bring the servers up."""
         types = {one.server: import_type(one.type) for one in offers}
-        await self._ros.ask(lambda: [self._serve(one, types[one.server]) for one in offers])
+        for one in offers:
+            await self._ros.ask(partial(self._serve, one, types[one.server]))
 
     async def close(self) -> None:
         """Take all servers down."""
-        await self._ros.ask(lambda: [self._remove(name) for name in tuple(self._servers)])
+        for name in tuple(self._servers):
+            await self._ros.ask(partial(self._remove, name))
 
     # on the ROS thread
 

@@ -25,8 +25,6 @@ class Goal:
     accept: float
     """Seconds the server may take to answer."""
     tell: Callable[[Report], None]
-    patience: float = 0.0
-    """Until when to wait for a server that is not there."""
     sent: float = 0.0
     handle: Any = None
     watch: Watch = field(default_factory=lambda: Watch(frozenset()))

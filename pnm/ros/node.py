@@ -45,7 +45,7 @@ class RosError(PnmError):
 class RosThread:
     """A ROS 2 node and the daemon thread that spins it.
 
-    The mutable state is the queue of functions, and `_closing`. The node belongs to the thread: use
+    The mutable state is the queue of functions, those for the end, and `_closing`. The node belongs to the thread: use
     `node` only in functions given to `call`, `wait` or `ask`.
 
     Args:
@@ -63,6 +63,7 @@ class RosThread:
             raise RosError(f"ROS 2 is not there ({_missing}); {advice}") from _missing
         self.node: Any = None
         self._functions: deque[Callable[[], object]] = deque()
+        self._last: list[Callable[[], object]] = []
         self._lock = threading.Lock()
         self._closing = False
         self._guard: Any = None
@@ -74,18 +75,16 @@ class RosThread:
         except Exception as error:
             self._closing = True
             raise RosError(f"the ROS 2 node {name!r} cannot be made: {str(error) or type(error).__name__}") from error
-        self._started = monotonic()
+        self.joined = monotonic()
+        """When the node joined the ROS graph, on the monotonic clock."""
         # A daemon thread that is inside the middleware while the interpreter goes away may crash the process.
         atexit.register(self.close)
 
     def __repr__(self) -> str:
         return f"<RosThread {'closed' if self._closing else 'spinning'}, {len(self._functions)} functions waiting>"
 
-    def call(self, function: Callable[[], object]) -> None:
-        """Run the function on the thread, some time soon; does nothing once the thread is closed."""
-        self._put(function)
-
-    def _put(self, function: Callable[[], object]) -> bool:
+    def call(self, function: Callable[[], object]) -> bool:
+        """Run the function on the thread, some time soon; does nothing, and tells so, once the thread is closed."""
         with self._lock:
             if not self._closing:
                 self._functions.append(function)
@@ -103,7 +102,7 @@ class RosThread:
                 except Exception as error:
                     future.set_exception(error)
 
-        if not self._put(run):
+        if not self.call(run):
             raise RosError("the ROS 2 node is closed")
         return future
 
@@ -124,6 +123,10 @@ class RosThread:
         """Make a timer that runs on real time, whatever ``use_sim_time`` says; only from the thread itself."""
         return self.node.create_timer(period, function, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
+    def on_close(self, function: Callable[[], object]) -> None:
+        """Run the function on the thread when that is about to end, for whatever reason."""
+        self._last.append(function)
+
     async def settled(self) -> None:
         """Wait until the node has had the time to hear of the others and the graph stopped changing."""
         seen: object = None
@@ -133,7 +136,7 @@ class RosThread:
             graph = await self.ask(lambda: (self.node.get_topic_names_and_types(), self.node.get_node_names()))
             if graph != seen:
                 seen, still_since = graph, now
-            if now - self._started >= _DISCOVERY and now - still_since >= _STILL:
+            if now - self.joined >= _DISCOVERY and now - still_since >= _STILL:
                 return
             await asyncio.sleep(0.1)
 
@@ -189,6 +192,7 @@ class RosThread:
     def _end(self, executor: Any, context: Any) -> None:
         with self._lock:
             self._closing = True
+        self._functions.extend(self._last)
         self._drain()
         try:
             executor.shutdown(0.0)

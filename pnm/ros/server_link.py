@@ -8,6 +8,7 @@ read and silently drops older ones, for which no answer ever comes.
 from __future__ import annotations
 
 import logging
+import math
 from collections import deque
 from functools import partial
 from time import monotonic
@@ -22,10 +23,12 @@ from pnm.ros.messages import import_type, to_data, to_message
 from pnm.ros.watch import AGAIN, Verdict, Watch
 
 IN_FLIGHT: Final = 8
-PATIENCE: Final = 2.0
-"""Seconds a goal waits for a server that is not there, for instance because it is being restarted."""
+RETURN: Final = 5.0
+"""Seconds for which a server that went away is expected back: how long a restart may take."""
 DISCOVERY: Final = 5.0
-"""Seconds after which a server that was there from the beginning must have been discovered."""
+"""Seconds after which a server that is there must have been discovered."""
+START: Final = 10.0
+"""The same, while the node itself is new: for servers that are being started together with it."""
 _DEPTH: Final = 1000
 """How many answers we keep unread; they come in bursts when many goals end together."""
 
@@ -33,15 +36,19 @@ _log = logging.getLogger(__name__)
 
 
 class ServerLink:
-    """The connection to one action server, of a type that is given or found in the graph."""
+    """The connection to one action server, of a type that is given or found in the graph.
 
-    def __init__(self, node: Any, server: str, type_name: str | None) -> None:
+    Args:
+        joined: when the node joined the ROS graph, on the monotonic clock.
+    """
+
+    def __init__(self, node: Any, server: str, type_name: str | None, joined: float) -> None:
         self._node = node
         self.name = server_name(node, server)
         self.wanted_type = type_name
         self.type: Any = import_type(type_name) if type_name else None
         self._client: Any = None
-        self._made = monotonic()
+        self._expected_until = max(joined + START, monotonic() + DISCOVERY)
         self._queued: deque[Goal] = deque()
         self._unanswered: set[Goal] = set()
         self._accepted: set[Goal] = set()
@@ -52,12 +59,20 @@ class ServerLink:
         return f"<ServerLink {self.name} {len(self._queued)} queued, {len(self._unanswered)} unanswered, {len(self._accepted)} accepted>"
 
     @property
-    def busy(self) -> bool:
-        """Whether any goal is under way."""
-        return bool(self._queued or self._unanswered or self._accepted)
+    def expected(self) -> bool:
+        """Whether the server is there, as far as is known, or may still come."""
+        return monotonic() < self._expected_until
 
     def ready(self) -> bool:
         """Tell whether the server is there; connects to it when its type has become known."""
+        there = self._reached()
+        if there:
+            self._expected_until = math.inf
+        elif self._expected_until == math.inf:
+            self._expected_until = monotonic() + RETURN
+        return there
+
+    def _reached(self) -> bool:
         if self._client is None and (found := types(self._node, self.name)):
             try:
                 self.type = import_type(found[0])
@@ -95,7 +110,6 @@ class ServerLink:
 
     def send(self, goal: Goal) -> None:
         """Send the goal as soon as the server is there and has answered enough of the others."""
-        goal.patience = max(self._made + DISCOVERY, monotonic() + PATIENCE)
         self._queued.append(goal)
         self._pump()
 
@@ -188,9 +202,9 @@ class ServerLink:
     # watching
 
     def look(self) -> None:
-        """Look after every goal that is under way; called a few times a second."""
+        """Look after the server and every goal that is under way; called a few times a second."""
         now = monotonic()
-        self._look_at_queue(now)
+        self._look_at_queue()
         if self._unanswered or self._accepted:
             present = processes(self._node, self.name)
             for goal in tuple(self._unanswered):
@@ -198,13 +212,11 @@ class ServerLink:
             self._look_at_accepted(present, now)
         self._pump()
 
-    def _look_at_queue(self, now: float) -> None:
-        late = [goal for goal in self._queued if now >= goal.patience]
-        if late and not self.ready():
+    def _look_at_queue(self) -> None:
+        if not self.ready() and not self.expected and self._queued:
             reason = absence(self._node, self.name, self.wanted_type)
-            for goal in late:
-                self._queued.remove(goal)
-                goal.end(OutcomeKind.UNAVAILABLE, reason)
+            while self._queued:
+                self._queued.popleft().end(OutcomeKind.UNAVAILABLE, reason)
 
     def _look_at_unanswered(self, goal: Goal, present: frozenset[bytes], now: float) -> None:
         gone = goal.watch.look(present, False, now) is Verdict.LOST

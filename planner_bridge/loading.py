@@ -1,0 +1,22 @@
+"""Problems from wherever they come: PDDL files, our own model, or unified-planning."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from planner_bridge.model import Domain, Problem
+from planner_bridge.pddl import read_domain, read_problem
+
+
+def load(domain: Path | str | Domain | None, problem: Path | str | Problem | Any) -> Problem:
+    """Return the problem, read from files where files are named."""
+    if isinstance(problem, Problem):
+        return problem
+    if not isinstance(problem, Path | str):
+        from planner_bridge.up import from_unified_planning  # here, because unified-planning takes seconds to import
+
+        return from_unified_planning(problem)
+    if domain is None:
+        raise TypeError("a problem file needs a domain")
+    return read_problem(Path(problem), domain if isinstance(domain, Domain) else read_domain(Path(domain)))
