@@ -46,8 +46,8 @@ def solve_in_child(problem: Problem, engine: str, timeout: float, cancel: thread
             return PlanningResult(PlanningStatus.TIMED_OUT, message=f"{engine} was stopped after {timeout:g} s")
         answer = folder / "answer.json"
         if not answer.exists():
-            lines = (folder / "output.txt").read_text(errors="replace").strip().splitlines()
-            return PlanningResult(PlanningStatus.CRASHED, message=f"{engine}: {lines[-1] if lines else f'exit status {child.returncode}'}")
+            words = " ".join((folder / "output.txt").read_text(errors="replace").split())
+            return PlanningResult(PlanningStatus.CRASHED, message=f"{engine}: {words[-300:] or f'exit status {child.returncode}'}")
         return _read(json.loads(answer.read_text()), problem)
 
 

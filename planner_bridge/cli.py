@@ -18,6 +18,7 @@ import click
 from pnm.errors import InputError, PnmError
 
 if TYPE_CHECKING:
+    from planner_bridge.model import Problem
     from pnm.actions.faults import Faults
     from pnm.bindings import Bindings
 
@@ -115,7 +116,8 @@ def net(domain: Path, problem: Path, written_as: str, output: Path | None, bindi
     from pnm.export.json import to_json
     from pnm.generate import generate
 
-    chosen, loaded = _bindings(bindings, domain), load(domain, problem)
+    loaded = load(domain, problem)
+    chosen = _bindings(bindings, domain, loaded)
     found = solve(loaded, planner=planner, timeout=timeout)
     if found.plan is None:
         print(f"no plan: {found.reason}", file=sys.stderr)
@@ -164,21 +166,27 @@ def run(
     from rich.console import Console
 
     from planner_bridge.console import ConsoleObserver, print_result
-    from planner_bridge.pipeline import Settings, TaskObserver, achieve
+    from planner_bridge.loading import load
+    from planner_bridge.pipeline import Settings, Stopwatch, TaskObserver, achieve
     from planner_bridge.replanning import Limits
     from pnm.machine import OnFailure
 
     if faults and actions == "ros2":
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
+    stopwatch = Stopwatch()
+    with stopwatch.of("parse"):
+        loaded = load(domain, problem)
+        chosen = _bindings(bindings, domain, loaded)
     limits = Limits(replans=replans, seconds=seconds)
     console = Console()
     result = achieve(
-        domain,
-        problem,
+        None,
+        loaded,
         actions="ros2" if actions == "ros2" else "simulated",
-        faults=_faults(faults),
-        settings=Settings(planner, timeout, _bindings(bindings, domain), limits, OnFailure(on_failure)),
+        faults=_faults(faults, loaded),
+        settings=Settings(planner, timeout, chosen, limits, OnFailure(on_failure)),
         observer=TaskObserver() if as_json else ConsoleObserver(console),
+        stopwatch=stopwatch,
     )
     if as_json:
         print(json.dumps(result.as_json()), flush=True)
@@ -196,9 +204,11 @@ def run(
 @_command
 def simulate(domain: Path, problem: Path, bindings: Path | None, faults: Path | None, speed: float, log: Path | None) -> int:
     """Play the robots: offer a ROS 2 action server per action, and publish what sensors see."""
+    from planner_bridge.loading import load
     from planner_bridge.simulate import play
 
-    return play(domain, problem, _bindings(bindings, domain), _faults(faults), speed, log)
+    loaded = load(domain, problem)
+    return play(loaded, _bindings(bindings, domain, loaded), _faults(faults, loaded), speed, log)
 
 
 @app.command()
@@ -212,19 +222,19 @@ def demo() -> int:
     return show(Console())
 
 
-def _faults(file: Path | None) -> Faults:
+def _faults(file: Path | None, problem: Problem) -> Faults:
     from pnm.actions.faults import NO_FAULTS, read_faults
 
-    return read_faults(file) if file else NO_FAULTS
+    return read_faults(file, problem.domain.actions) if file else NO_FAULTS
 
 
-def _bindings(file: Path | None, domain: Path) -> Bindings:
+def _bindings(file: Path | None, domain: Path, problem: Problem) -> Bindings:
     from pnm.bindings import Bindings, read_bindings
 
     beside = domain.parent / "bindings.yaml"
     if file is None and not beside.is_file():
         return Bindings()
-    return read_bindings(file or beside)
+    return read_bindings(file or beside, problem.domain.parameters)
 
 
 def _write(path: Path, text: str) -> None:

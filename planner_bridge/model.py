@@ -66,6 +66,11 @@ class Domain:
     """Numeric functions."""
     actions: Mapping[str, ActionSchema] = field(default_factory=dict)
 
+    @property
+    def parameters(self) -> dict[str, tuple[str, ...]]:
+        """For every action, the names of its parameters, without ``?``."""
+        return {name: tuple(variable.name[1:] for variable in schema.parameters) for name, schema in self.actions.items()}
+
     def supertypes(self, name: str) -> frozenset[str]:
         """Return the type itself and everything it is a kind of, ``object`` included."""
         found = {"object", name}

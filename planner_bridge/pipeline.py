@@ -123,6 +123,7 @@ def achieve(
     faults: Faults = NO_FAULTS,
     settings: Settings | None = None,
     observer: TaskObserver | None = None,
+    stopwatch: Stopwatch | None = None,
 ) -> TaskResult:
     """Pursue the goal of the problem until it holds or cannot be reached.
 
@@ -133,12 +134,13 @@ def achieve(
         faults: what goes wrong in simulation.
         settings: planner, bindings and limits.
         observer: is told what happens.
+        stopwatch: measures where the time goes; one that has run before goes on.
 
     Raises:
         InputError: an input is wrong; nothing was started.
     """
     chosen = settings or Settings()
-    seconds = Stopwatch()
+    seconds = stopwatch or Stopwatch()
     with seconds.of("parse"):
         loaded = load(domain, problem)
     site: Site = Ros2Site(chosen.bindings) if actions == "ros2" else SimulatedSite(loaded, chosen.bindings, faults)

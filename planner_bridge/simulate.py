@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TextIO
 
 from planner_bridge.grounding import ground_action, modelled_duration
-from planner_bridge.loading import load
 from planner_bridge.model import ActionSchema, Problem
 from planner_bridge.sites import simulated_robots
 from planner_bridge.state import initial_knowledge
@@ -31,19 +30,18 @@ from pnm.plan_graph import GroundAction
 DEFAULT_TYPE = "pnm_interfaces/action/GroundAction"
 
 
-def play(domain: Path, problem: Path, bindings: Bindings, faults: Faults, speed: float, log: Path | None) -> int:
+def play(problem: Problem, bindings: Bindings, faults: Faults, speed: float, log: Path | None) -> int:
     """Serve until SIGINT or SIGTERM.
 
     Raises:
-        InputError: an input is wrong, or the log cannot be written; nothing was started.
+        InputError: the log cannot be written; nothing was started.
     """
-    loaded = load(domain, problem)
     try:
         stream = log.open("w", encoding="utf-8") if log else None
     except OSError as error:
         raise InputError(f"{log}: cannot be written: {error.strerror}") from error
     try:
-        asyncio.run(_serve(loaded, bindings, faults, speed, stream))
+        asyncio.run(_serve(problem, bindings, faults, speed, stream))
     finally:
         if stream:
             stream.close()
@@ -63,7 +61,7 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
     ros = RosThread("robots")
     try:
         logged = LoggedRobots(robots, log)
-        servers = ActionServers(ros, logged, loop)
+        servers = ActionServers(ros, logged, loop, robots.progress)
         found = serving(problem, bindings)
         await servers.offer([Offer(one.server, one.type, one.decode) for one in found])
         publisher = StatePublisher(ros, loop, robots.world, robots.world.reported(bindings.assumed))
@@ -72,7 +70,7 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
         await stopped.wait()
         logged.write("state", facts=sorted(_statements(robots.world.truth.facts())))
     finally:
-        ros.close()
+        await asyncio.to_thread(ros.close)  # it may be waiting for an answer of this loop
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ def _solve(engine: str, timeout: float) -> dict[str, object]:
         except UPException as error:
             return {"status": "UNSUPPORTED", "message": str(error).splitlines()[0]}
     if result.plan is None:
-        messages = "; ".join(one.message.strip().splitlines()[-1] for one in result.log_messages or () if one.message.strip())
+        messages = " ".join(" ".join(one.message for one in result.log_messages or ()).split())
         return {"status": _STATUS.get(result.status, "NO_PLAN"), "message": messages[-300:]}
     return {"status": "SOLVED", "steps": list(_steps(result.plan))}
 

@@ -18,7 +18,7 @@ from pnm.conditions import Fluent, Unknown, Value, bind
 from pnm.errors import InputError
 from pnm.knowledge import MISSING, parse_fluent
 from pnm.plan_graph import GroundAction
-from pnm.yaml_files import Mapped, load_yaml
+from pnm.yaml_files import Mapped, check_known, load_yaml
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,15 +135,23 @@ def _resolve(source: object, own: Mapping[str, object], knowledge: Lookup) -> ob
     return source
 
 
-def read_bindings(path: Path) -> Bindings:
+def read_bindings(path: Path, known: Mapping[str, tuple[str, ...]] | None = None) -> Bindings:
     """Read a bindings file.
 
+    Args:
+        path: the file.
+        known: the names of all actions with those of their parameters, to be checked against.
+
     Raises:
-        InputError: the file is not readable YAML, has an unknown key or a value of the wrong kind.
+        InputError: the file is not readable YAML, has an unknown key or a value of the wrong kind, or
+            names an action or a parameter that is not known.
     """
     top = load_yaml(path)
     top.only("actions", "assumed", "lag")
     actions = {name: _binding(entry) for name, entry in top.mapping("actions").items()}
+    if known is not None:
+        for name, entry in top.mapping("actions").items():
+            _check_names(name, actions[name], entry, known)
     return Bindings(actions, frozenset(top.strings("assumed")), top.number("lag", 1.0))
 
 
@@ -191,6 +199,20 @@ def _check_pattern(server: str, entry: Mapped) -> None:
         wrong = [str(error)]
     if wrong:
         raise InputError(f"{wrong[0]} in {server!r}; expected something like /{{robot}}/navigate", entry.position("server"))
+
+
+def _check_names(name: str, binding: Binding, entry: Mapped, known: Mapping[str, tuple[str, ...]]) -> None:
+    check_known(name, known, "action", entry.start)
+    for parameter in placeholders(binding.server or ""):
+        if parameter not in known[name]:
+            raise InputError(f"{{{parameter}}} is not a parameter of {name} ({_listed(known[name])})", entry.position("server"))
+    for source in (binding.goal or {}).values():
+        if isinstance(source, str) and source.startswith("?") and source[1:] not in known[name]:
+            raise InputError(f"{source} is not a parameter of {name} ({_listed(known[name])})", entry.position("goal"))
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return ", ".join(names) or "it has none"
 
 
 def placeholders(server: str) -> Iterator[str]:

@@ -83,7 +83,7 @@ Changes: TypeAlias = dict[Fluent, Value | Unknown]
 
 def show_effects(effects: Effects) -> str:
     """Write effects as one PDDL effect."""
-    return str(effects[0]) if len(effects) == 1 else f"(and {' '.join(map(str, effects))})"
+    return str(effects[0]) if len(effects) == 1 else f"({' '.join(('and', *map(str, effects)))})"
 
 
 def changes(effects: Effects, state: State, env: Environment = NOTHING) -> Changes:

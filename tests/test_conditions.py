@@ -99,8 +99,8 @@ ENVIRONMENTS = st.fixed_dictionaries({"?x": st.sampled_from(OBJECTS), "?y": st.s
 
 ALL_FACTS = [("p",), *(("q", one) for one in OBJECTS), *(("r", one, other) for one, other in product(OBJECTS, OBJECTS))]
 ALL_NUMBERS = [("n",), *(("m", one) for one in OBJECTS)]
-TRUTHS = st.sampled_from((True, False, UNKNOWN))
-AMOUNTS = st.sampled_from((0.0, 1.0, 2.0, UNKNOWN))
+TRUTHS: st.SearchStrategy[Value | Unknown] = st.sampled_from((True, False, UNKNOWN))
+AMOUNTS: st.SearchStrategy[Value | Unknown] = st.sampled_from((0.0, 1.0, 2.0, UNKNOWN))
 PICTURES = st.builds(
     lambda facts, numbers: Picture({**facts, **numbers}),
     st.fixed_dictionaries({}, optional=dict.fromkeys(ALL_FACTS, TRUTHS)),
@@ -177,23 +177,23 @@ def test_quantifiers_are_written_out(variables: tuple[Variable, ...], body: Cond
     assert evaluate(Exists(variables, body), state, env) is evaluate(Any(instances), state)
 
 
+def drawn(data: st.DataObject, fluent: Fluent) -> Value | Unknown:
+    return data.draw(AMOUNTS if fluent in ALL_NUMBERS else TRUTHS)
+
+
 @given(CONDITIONS, PICTURES, ENVIRONMENTS, st.data())
 def test_what_is_known_stays_so_when_more_is_known(condition: Condition, state: Picture, env: Environment, data: st.DataObject) -> None:
+    unsure = [fluent for fluent in ALL_FACTS if state.value(fluent) is UNKNOWN]
+    unsure += [fluent for fluent in ALL_NUMBERS if state.value(fluent) in (UNKNOWN, None)]
+    more = Picture({**state.facts, **{fluent: drawn(data, fluent) for fluent in unsure}})
     before = evaluate(condition, state, env)
-    more = {
-        fluent: data.draw(AMOUNTS if fluent in ALL_NUMBERS else TRUTHS) if value is UNKNOWN else value for fluent, value in state.facts.items()
-    }
-    numbers = {fluent: data.draw(AMOUNTS) for fluent in ALL_NUMBERS if fluent not in more}
-    if before is not UNKNOWN:
-        assert evaluate(condition, Picture({**more, **numbers}), env) is before
+    assert before is UNKNOWN or evaluate(condition, more, env) is before
 
 
 @given(CONDITIONS, PICTURES, ENVIRONMENTS, st.data())
 def test_no_other_fluent_matters(condition: Condition, state: Picture, env: Environment, data: st.DataObject) -> None:
     involved = fluents(condition, state, env)
-    other = {
-        fluent: data.draw(AMOUNTS if fluent in ALL_NUMBERS else TRUTHS) for fluent in (*ALL_FACTS, *ALL_NUMBERS) if fluent not in involved
-    }
+    other = {fluent: drawn(data, fluent) for fluent in (*ALL_FACTS, *ALL_NUMBERS) if fluent not in involved}
     assert evaluate(condition, Picture({**state.facts, **other}), env) is evaluate(condition, state, env)
     assert {fluent[0] for fluent in involved} <= names(condition)
 
@@ -203,7 +203,7 @@ def test_grounding_first_gives_the_same(condition: Condition, state: Picture, en
     grounded = ground(condition, env)
     assert evaluate(grounded, state) is evaluate(condition, state, env)
     assert fluents(grounded, state) == fluents(condition, state, env)
-    assert ground(grounded, {name: "elsewhere" for name in env}) == grounded
+    assert ground(grounded, dict.fromkeys(env, "elsewhere")) == grounded
 
 
 @given(CONDITIONS, PICTURES, ENVIRONMENTS)

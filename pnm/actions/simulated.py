@@ -37,6 +37,9 @@ class _Job:
     report: Reporter
     activity: Activity
     fault: Fault | None
+    began: float
+    lasts: float | None = None
+    """Seconds of the clock until it ends well; None if it never will."""
     timer: asyncio.TimerHandle | None = None
     broken: str = ""
     """What of the over-all condition has not been so all the time."""
@@ -95,6 +98,13 @@ class SimulatedRobots:
         if job and not (job.fault and job.fault.ignores_cancel):
             asyncio.get_running_loop().call_soon(self._fail, job, OutcomeKind.CANCELED, "cancelled on request")
 
+    def progress(self, request: UUID) -> float:
+        """Return the share of the request that is done, from 0 to 1; it stands still when the robot hangs."""
+        job = self._jobs.get(request)
+        if job is None or not job.lasts:
+            return 0.0
+        return min(1.0, (asyncio.get_running_loop().time() - job.began) / job.lasts)
+
     # --- what the robots do ---------------------------------------------------------------------
 
     def _receive(self, request: Request, report: Reporter) -> None:
@@ -111,21 +121,23 @@ class SimulatedRobots:
         if isinstance(begun, str):
             report(Ended(request.id, Outcome(OutcomeKind.ABORTED, message=begun)))
             return
-        job = self._jobs[request.id] = _Job(request, report, begun, fault)
+        job = self._jobs[request.id] = _Job(request, report, begun, fault, asyncio.get_running_loop().time())
         self._happen("start", action)
         self._schedule(job)
 
     def _schedule(self, job: _Job) -> None:
         duration = INSTANTANEOUS if job.request.action.duration is None else job.request.action.duration
-        match job.fault.kind if job.fault else None:
-            case FaultKind.HANG:
-                return
+        kind = job.fault.kind if job.fault else None
+        if kind is FaultKind.HANG:
+            return
+        if kind is FaultKind.SLOW:
+            duration *= SLOWNESS
+        job.lasts = duration / self.speed
+        match kind:
             case FaultKind.ABORT:
                 job.timer = self._later(duration / 2, self._fail, job, OutcomeKind.ABORTED, "the action failed")
             case FaultKind.LOSE_SERVER:
                 job.timer = self._later(duration / 2, self._lose, job)
-            case FaultKind.SLOW:
-                job.timer = self._later(duration * SLOWNESS, self._succeed, job)
             case _:
                 job.timer = self._later(duration, self._succeed, job)
 

@@ -1,7 +1,8 @@
 """Action servers in front of any `ActionClient`: goals come in over ROS 2 and are passed on to it.
 
 `pnm simulate` offers simulated robots this way. A goal is accepted when the client accepts the
-request; cancelling is passed on; a request whose server is `LOST` takes its server away.
+request; cancelling is passed on; a request whose server is `LOST` takes its server away. While
+an action runs, its share done is published as feedback, if the type has a field for it.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ DEPTH: Final = 100
 RESULT_TIMEOUT: Final = 60
 """Seconds that results are kept for clients that ask late."""
 DECISION: Final = 5.0
-"""Seconds the client may take to accept a request."""
+"""Seconds the client may take to accept a request; the goal is rejected then."""
+FEEDBACK: Final = 0.5
+"""Seconds between two messages about the progress of an action."""
 
 _log = logging.getLogger(__name__)
 
@@ -44,11 +47,12 @@ class Offer:
     """Raises `InputError` when the goal makes no sense."""
 
 
-@dataclass
+@dataclass(eq=False)
 class _Goal:
     """A goal of a client of ours: the request it became, and how that went."""
 
-    request: UUID
+    offer: Offer
+    request: UUID = field(default_factory=uuid4)
     decided: Future[bool] = field(default_factory=Future)
     handle: Any = None
     outcome: Outcome | None = None
@@ -57,15 +61,24 @@ class _Goal:
 class ActionServers:
     """Serves offers from the ROS thread; asks the client on the event loop's thread.
 
-    The mutable state is the servers and, on the ROS thread, the goals by goal id.
+    The mutable state is, on the ROS thread, the servers and the goals by goal id; on the event loop's thread,
+    the goals accepted and not over, and whether their progress is being told.
+
+    Args:
+        progress: how much of a request is done, from 0 to 1; None when that cannot be told.
     """
 
-    def __init__(self, ros: RosThread, client: ActionClient, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self, ros: RosThread, client: ActionClient, loop: asyncio.AbstractEventLoop, progress: Callable[[UUID], float] | None = None
+    ) -> None:
         self._ros = ros
         self._client = client
         self._loop = loop
         self._servers: dict[str, Any] = {}
         self._goals: dict[bytes, _Goal] = {}
+        self._progress = progress
+        self._working: set[_Goal] = set()
+        self._telling = False
 
     async def offer(self, offers: list[Offer]) -> None:
         """Bring the servers up."""
@@ -93,7 +106,9 @@ class ActionServers:
 
         def start(handle: Any) -> None:
             # rclpy calls this for one goal before it decides about the next one of this server
-            self._start(offer, accepted.pop(), handle)
+            goal = accepted.pop()
+            goal.handle = handle
+            self._goals[bytes(handle.goal_id.uuid)] = goal
 
         def cancel(handle: Any) -> CancelResponse:
             goal = self._goals.get(bytes(handle.goal_id.uuid))
@@ -122,25 +137,28 @@ class ActionServers:
         except InputError as error:
             _log.warning("%s rejects a goal: %s", offer.server, error)
             return None
-        goal = _Goal(uuid4())
+        goal = _Goal(offer)
         request = Request(goal.request, action, data)
-        self._loop.call_soon_threadsafe(self._client.send, request, lambda report: self._report(offer, goal, report))
-        return goal if goal.decided.result(DECISION) else None
+        self._loop.call_soon_threadsafe(self._client.send, request, partial(self._report, goal))
+        try:
+            return goal if goal.decided.result(DECISION) else None
+        except TimeoutError:
+            _log.warning("%s rejects a goal: no decision within %g s", offer.server, DECISION)
+            self._loop.call_soon_threadsafe(self._client.cancel, goal.request)
+            return None
 
-    def _start(self, offer: Offer, goal: _Goal, handle: Any) -> None:
-        goal.handle = handle
-        self._goals[bytes(handle.goal_id.uuid)] = goal
-        if goal.outcome:
-            self._end(offer, goal)
-
-    def _end(self, offer: Offer, goal: _Goal) -> None:
+    def _end(self, goal: _Goal, outcome: Outcome) -> None:
         """Let rclpy run `_finish`, which sends the result; or take the server away without a word."""
-        if goal.handle is None or goal.outcome is None:
-            return
-        if goal.outcome.kind is OutcomeKind.LOST:
-            self._remove(offer.server)
-        else:
+        goal.outcome = outcome
+        if outcome.kind is OutcomeKind.LOST:
+            self._remove(goal.offer.server)
+        elif goal.handle is not None and goal.offer.server in self._servers:
             goal.handle.execute()
+
+    def _feed(self, shares: Mapping[_Goal, float]) -> None:
+        for goal, share in shares.items():
+            if goal.handle is not None and goal.outcome is None:
+                goal.handle.publish_feedback(import_type(goal.offer.type).Feedback(progress=share))
 
     def _finish(self, action_type: Any, handle: Any) -> Any:
         goal = self._goals.pop(bytes(handle.goal_id.uuid))
@@ -161,16 +179,35 @@ class ActionServers:
 
     # on the event loop's thread
 
-    def _report(self, offer: Offer, goal: _Goal, report: Report) -> None:
+    def _report(self, goal: _Goal, report: Report) -> None:
         match report:
             case Accepted():
                 goal.decided.set_result(True)
+                if self._progress and _has_progress(goal.offer.type):
+                    self._working.add(goal)
+                    self._tell_later()
             case Ended(_, outcome) if not goal.decided.done():
-                _log.warning("%s rejects a goal: %s", offer.server, outcome.message)
+                _log.warning("%s rejects a goal: %s", goal.offer.server, outcome.message)
                 goal.decided.set_result(False)
             case Ended(_, outcome):
-                goal.outcome = outcome
-                self._ros.call(lambda: self._end(offer, goal))
+                self._working.discard(goal)
+                self._ros.call(partial(self._end, goal, outcome))
+
+    def _tell_later(self) -> None:
+        if not self._telling:
+            self._telling = True
+            self._loop.call_later(FEEDBACK, self._tell)
+
+    def _tell(self) -> None:
+        self._telling = False
+        if self._working and self._progress:
+            self._ros.call(partial(self._feed, {goal: self._progress(goal.request) for goal in self._working}))
+            self._tell_later()
+
+
+def _has_progress(action_type: str) -> bool:
+    kinds = import_type(action_type).Feedback.get_fields_and_field_types()
+    return kinds.get("progress") in ("float", "double")
 
 
 def _result(action_type: Any, outcome: Outcome) -> Any:

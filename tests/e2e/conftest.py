@@ -1,0 +1,58 @@
+"""Every scene has a ROS domain of its own, locked against other runs of these tests on the same machine."""
+
+from __future__ import annotations
+
+import fcntl
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.e2e.scene import Scene
+
+
+@contextmanager
+def ros_domain() -> Iterator[int]:
+    """Yield a number that nobody else has who asks here; the lock ends with the process at the latest."""
+    for number in range(101, 0, -1):
+        file = (Path(tempfile.gettempdir()) / f"pnm-test-domain-{number}").open("w")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            continue
+        with file:
+            yield number
+        return
+    raise RuntimeError("all ROS domains are in use by tests")
+
+
+@contextmanager
+def staging(folder: Path) -> Iterator[Callable[..., Scene]]:
+    """Set scenes; their processes end with the block."""
+    with ExitStack() as stack:
+        scenes: list[Scene] = []
+
+        def stage(name: str, **options: str) -> Scene:
+            here = folder / f"scene{len(scenes)}"
+            here.mkdir()
+            scenes.append(Scene(name, here, stack.enter_context(ros_domain()), **options))
+            stack.callback(scenes[-1].close)
+            return scenes[-1]
+
+        yield stage
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Iterator[Callable[..., Scene]]:
+    with staging(tmp_path) as make:
+        yield make
+
+
+@pytest.fixture(scope="module")
+def stage_of_module(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Scene]]:
+    """Set scenes that may go on while other tests of the module run."""
+    with staging(tmp_path_factory.mktemp("scenes")) as make:
+        yield make

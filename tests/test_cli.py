@@ -1,0 +1,168 @@
+"""The command line from outside: exit statuses, messages with positions, no traceback."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pnm.analysis import Unsound
+
+ROOT = Path(__file__).parents[1]
+DELIVERY = (str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl"))
+FAULTS = str(ROOT / "problems/delivery/faults.yaml")
+
+
+def pnm(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run([sys.executable, "-m", "planner_bridge", *arguments], capture_output=True, text=True, cwd=cwd, timeout=120)
+    assert "Traceback" not in done.stdout + done.stderr
+    return done
+
+
+def result(done: subprocess.CompletedProcess[str]) -> dict[str, object]:
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_a_plan_is_printed() -> None:
+    done = pnm("plan", *DELIVERY)
+    assert done.returncode == 0
+    assert done.stdout.startswith("plan     8 calls, 14.0 s\n      0.00 s  load(r1, parcel2, store)  [4.00 s]\n")
+
+
+def test_a_plan_as_json() -> None:
+    told = result(pnm("plan", *DELIVERY, "--json"))
+    assert told["status"] == "solved"
+    assert told["steps"][0] == {"action": "load", "arguments": ["r1", "parcel2", "store"], "start": 0.0, "duration": 4.0}  # type: ignore[index]
+
+
+def test_a_run_reaches_the_goal() -> None:
+    done = pnm("run", *DELIVERY)
+    assert done.returncode == 0
+    assert "\ngoal     holds\n         1 plan, 0 replans, 8 requests, 0 failures\n" in done.stdout
+
+
+def test_a_run_as_json_tells_everything() -> None:
+    done = pnm("run", *DELIVERY, "--faults", FAULTS, "--json")
+    told = result(done)
+    assert done.returncode == 0
+    assert done.stdout.count("\n") == 1
+    assert (told["goal_reached"], told["plans"], told["replans"]) == (True, 2, 2)
+    assert set(told["seconds"]) == {"parse", "plan", "translate", "verify", "execute"}  # type: ignore[call-overload]
+    assert told["failures"][0] == {  # type: ignore[index]
+        "call": "move(r1, hall, kitchen)#4",
+        "cause": "aborted",
+        "expected": "success",
+        "observed": "the way is blocked",
+    }
+    assert {"action", "arguments", "outcome", "attempts"} <= set(told["calls"][0])  # type: ignore[index]
+
+
+def test_no_plan_is_exit_one_and_says_so(tmp_path: Path) -> None:
+    problem = tmp_path / "impossible.pddl"
+    text = Path(DELIVERY[1]).read_text()
+    problem.write_text(text[: text.index("(:goal")] + "(:goal (and (at parcel1 hall) (not (at parcel1 hall)))))")
+    done = pnm("run", DELIVERY[0], str(problem), "--json")
+    assert done.returncode == 1
+    assert result(done)["goal_reached"] is False
+    assert str(result(done)["reason"]).startswith("no plan: ")
+
+
+@pytest.mark.parametrize("command", ["plan", "run", "net"])
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "p.pddl:1:1: "),
+        ("(define (problem p) (:domain delivery) (:objects r9 - robott))", "p.pddl:1:55: "),
+        ("(" * 20000, "p.pddl:1:"),
+        ("(define (problem p) (:domain delivery) (:goal (flies r1)))", "p.pddl:1:48: "),
+    ],
+)
+def test_bad_input_is_exit_two_with_its_position(tmp_path: Path, command: str, text: str, message: str) -> None:
+    (tmp_path / "p.pddl").write_text(text)
+    done = pnm(command, DELIVERY[0], str(tmp_path / "p.pddl"))
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stdout == ""
+
+
+def test_binary_missing_and_huge_files_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "binary.pddl").write_bytes(bytes(range(256)) * 40)
+    with (tmp_path / "huge.pddl").open("wb") as huge:
+        huge.truncate(10**9)
+    for name in ("binary", "missing", "huge"):
+        done = pnm("run", DELIVERY[0], str(tmp_path / f"{name}.pddl"))
+        assert done.returncode == 2
+        assert f"{name}.pddl:" in done.stderr
+
+
+def test_an_unknown_key_in_a_bindings_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "b.yaml").write_text("actions:\n  move:\n    sever: /x\n")
+    done = pnm("run", *DELIVERY, "--bindings", str(tmp_path / "b.yaml"))
+    assert done.returncode == 2
+    assert done.stderr.endswith("b.yaml:3:5: unknown key 'sever'; did you mean 'server'?\n")
+
+
+def test_a_binding_for_an_action_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "b.yaml").write_text("actions:\n  mvoe:\n    server: /x\n")
+    done = pnm("run", *DELIVERY, "--bindings", str(tmp_path / "b.yaml"))
+    assert done.returncode == 2
+    assert "there is no action 'mvoe' in the domain; did you mean 'move'?" in done.stderr
+
+
+def test_a_server_name_with_an_unknown_parameter_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "b.yaml").write_text("actions:\n  move:\n    server: /{robo}/move\n")
+    done = pnm("run", *DELIVERY, "--bindings", str(tmp_path / "b.yaml"))
+    assert done.returncode == 2
+    assert "{robo}" in done.stderr
+
+
+def test_a_fault_for_an_action_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "f.yaml").write_text("faults:\n  - {action: mvoe, do: abort}\n")
+    done = pnm("run", *DELIVERY, "--faults", str(tmp_path / "f.yaml"))
+    assert done.returncode == 2
+    assert "there is no action 'mvoe' in the domain; did you mean 'move'?" in done.stderr
+
+
+def test_an_unknown_planner_is_refused_with_those_there_are() -> None:
+    done = pnm("plan", *DELIVERY, "--planner", "fastforward")
+    assert done.returncode == 2
+    assert done.stderr.startswith("there is no planner 'fastforward'; installed: ")
+
+
+@pytest.mark.parametrize("written_as", ["json", "dot"])
+def test_the_same_machine_is_written_in_the_same_bytes(tmp_path: Path, written_as: str) -> None:
+    one = pnm("net", *DELIVERY, "--format", written_as)
+    pnm("net", *DELIVERY, "--format", written_as, "-o", str(tmp_path / "net"))
+    assert one.returncode == 0
+    assert (tmp_path / "net").read_text() == one.stdout
+
+
+def test_a_machine_as_json_has_everything_that_executes_it() -> None:
+    machine = json.loads(pnm("net", *DELIVERY).stdout)
+    assert machine["calls"][0]["name"] == "load(r1, parcel2, store)#0"
+    assert {place["role"] for place in machine["places"]} == {"", "goal", "failure", "budget", "ordering"}
+    assert all(ordering["protects"] for ordering in machine["orderings"])
+
+
+def test_the_demo_tells_the_whole_story() -> None:
+    done = pnm("demo")
+    assert done.returncode == 0
+    for word in (
+        "plan     8 calls",
+        "machine  ",
+        "proved sound",
+        "failed move(r1, hall, kitchen)",
+        "replan   ",
+        "goal     holds",
+        "is true",
+    ):
+        assert word in done.stdout
+    assert "is false" not in done.stdout
+
+
+def test_unsound_is_an_error_with_a_trace() -> None:
+    assert Unsound("it ends", ["a", "b"]).trace == ("a", "b")

@@ -1,0 +1,380 @@
+"""Files of bindings and faults: what is refused, with which words and where, and what is read."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange, ground_name, read_faults
+from pnm.bindings import Binding, Bindings, goal_data, read_bindings
+from pnm.conditions import UNKNOWN
+from pnm.errors import InputError, Position
+from pnm.knowledge import KnowledgeBase, Layered
+from pnm.plan_graph import GroundAction
+from pnm.yaml_files import MAX_BYTES, MAX_DEPTH, MAX_NODES, Mapped, load_yaml, read_text
+
+
+def error(read: Callable[[Path], object], path: Path) -> str:
+    """The message of the refusal, with FILE for the path."""
+    with pytest.raises(InputError) as caught:
+        read(path)
+    assert caught.value.position is not None
+    return str(caught.value).replace(str(path), "FILE")
+
+
+def written(folder: Path, content: str | bytes) -> Path:
+    path = folder / "some.yaml"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+# --- no YAML, or not plain data ---------------------------------------------------------------
+
+AT_LIMIT = "a: " + "[" * (MAX_DEPTH - 1) + "]" * (MAX_DEPTH - 1)
+BOMB = "a: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 20))
+
+BAD_YAML: list[tuple[str | bytes, str]] = [
+    ("", "FILE:1:1: the file is empty; expected a mapping"),
+    ("# nothing yet\n", "FILE:1:1: the file is empty; expected a mapping"),
+    ("- a\n", "FILE:1:1: expected a mapping (key: value)"),
+    ("\n  text", "FILE:2:3: expected a mapping (key: value)"),
+    ("~", "FILE:1:1: expected a mapping (key: value)"),
+    ("a: 1\nb: {x: 1\n", "FILE:3:1: not YAML: expected ',' or '}', but got '<stream end>'"),
+    ("a: b: c", "FILE:1:5: not YAML: mapping values are not allowed here"),
+    ("a: 1\n\tb: 2", "FILE:2:1: not YAML: found character '\\t' that cannot start any token"),
+    ("a: *nobody", "FILE:1:4: not YAML: found undefined alias 'nobody'"),
+    ("a: 1\n---\nb: 2\n", "FILE:2:1: not YAML: but found another document"),
+    ("a: \x07", "FILE:1:1: not YAML: unacceptable character #x0007: special characters are not allowed"),
+    ("a: 1\nb: 2\na: 3\n", "FILE:3:1: the key 'a' is there twice"),
+    ("a: {b: {c: 1,\n  c: 2}}", "FILE:2:3: the key 'c' is there twice"),
+    ("[a]: 1", "FILE:1:1: expected a name as the key"),
+    ("a: {b: 1}\nc: !!python/object/apply:os.getcwd []", "FILE:2:4: the tag !!python/object/apply:os.getcwd is not allowed; expected plain data"),
+    ("a: [1, !!python/name:os.system ]", "FILE:1:8: the tag !!python/name:os.system is not allowed; expected plain data"),
+    ("a: {b: !robot r1}", "FILE:1:8: the tag !robot is not allowed; expected plain data"),
+    ("--- !robot\na: 1", "FILE:1:5: the tag !robot is not allowed; expected plain data"),
+    ("!robot a: 1", "FILE:1:1: the tag !robot is not allowed; expected plain data"),
+    ("a: !!set {b, c}", "FILE:1:4: the tag !!set is not allowed; expected plain data"),
+    ("a: !!binary aGk=", "FILE:1:4: the tag !!binary is not allowed; expected plain data"),
+    ("<<: {a: 1}", "FILE:1:1: the tag !!merge is not allowed; expected plain data"),
+    ("a: !!int x1", "FILE:1:4: cannot be read as int: 'x1'"),
+    ("a: [!!bool maybe]", "FILE:1:5: cannot be read as bool: 'maybe'"),
+    ("a: 1" + "0" * 5000, f"FILE:1:4: cannot be read as int: '1{'0' * 39}'"),
+    ("a: [" + AT_LIMIT[3:] + "]", f"FILE:1:{MAX_DEPTH + 3}: nested deeper than {MAX_DEPTH}"),
+    ("a: " + "[" * 20_000, f"FILE:1:1: nested deeper than {MAX_DEPTH}"),
+    ("a: &me\n  - *me\n", f"FILE:2:3: nested deeper than {MAX_DEPTH}"),
+    (b"a: 1\nb: \xff\xfe", "FILE:2:4: not a text file: byte 0xff is not UTF-8"),
+    (b"\x7fELF\x00\x00", "FILE:1:1: not a text file: it contains zero bytes"),
+]
+
+
+def everything(path: Path) -> dict[str, object]:
+    top = load_yaml(path)
+    return {key: top.plain(key) for key in top.nodes}
+
+
+@pytest.mark.parametrize(("content", "message"), BAD_YAML, ids=[message for _, message in BAD_YAML])
+def test_what_is_not_plain_yaml_is_refused(tmp_path: Path, content: str | bytes, message: str) -> None:
+    assert error(everything, written(tmp_path, content)) == message
+
+
+def test_an_alias_bomb_is_refused_at_once(tmp_path: Path) -> None:
+    path = written(tmp_path, BOMB)
+    started = time.perf_counter()
+    assert error(load_yaml, path).endswith(f"more than {MAX_NODES} values")
+    assert time.perf_counter() - started < 5
+
+
+def test_missing_files_folders_and_huge_files_are_refused(tmp_path: Path) -> None:
+    huge = tmp_path / "huge.yaml"
+    with huge.open("wb") as file:
+        file.truncate(MAX_BYTES + 1)
+    assert error(load_yaml, tmp_path / "nowhere.yaml") == "FILE:1:1: cannot be read: No such file or directory"
+    assert error(load_yaml, tmp_path) == "FILE:1:1: cannot be read: Is a directory"
+    assert error(load_yaml, huge) == f"FILE:1:1: the file has {MAX_BYTES + 1} bytes; at most {MAX_BYTES} are read"
+    assert error(lambda path: read_text(path, 3), written(tmp_path, "four")) == "FILE:1:1: the file has 4 bytes; at most 3 are read"
+
+
+PLAIN = [
+    ("a: 1", 1),
+    ("\ufeffa: 0x1F", 31),
+    ("a: [1.5, -2, true, no, ~, '1', text]", [1.5, -2, True, False, None, "1", "text"]),
+    ("a: {on: on, 1: one, ~: none}", {"on": True, "1": "one", "~": "none"}),
+    ("a: 2024-02-30", "2024-02-30"),
+    ("a: [&x {b: c}, *x]", [{"b": "c"}, {"b": "c"}]),
+    ("a: |\n  two\n  lines\n", "two\nlines\n"),
+    ("a: ''", ""),
+    ("a:", None),
+    ("a: größer 🤖", "größer 🤖"),
+]
+
+
+@pytest.mark.parametrize(("content", "value"), PLAIN, ids=[content for content, _ in PLAIN])
+def test_plain_data_is_read_and_keys_stay_text(tmp_path: Path, content: str, value: object) -> None:
+    assert everything(written(tmp_path, content)) == {"a": value}
+
+
+def test_the_deepest_nesting_is_read(tmp_path: Path) -> None:
+    assert everything(written(tmp_path, AT_LIMIT)).keys() == {"a"}
+
+
+@given(st.one_of(st.text("ab: -[]{}&*!'\"|>#%@\n?,~<=0.", max_size=40), st.binary(max_size=40)))
+@example("a: !!timestamp x")
+@example("a: 0x_")
+@example("a: 9:99:99")
+def test_anything_is_read_or_refused_with_a_position(tmp_path_factory: pytest.TempPathFactory, content: str | bytes) -> None:
+    try:
+        everything(written(tmp_path_factory.getbasetemp(), content))
+    except InputError as refused:
+        assert refused.position is not None
+
+
+# --- bindings ---------------------------------------------------------------------------------
+
+BAD_BINDINGS = [
+    ("action: {}", "FILE:1:1: unknown key 'action'; did you mean 'actions'?"),
+    ("lag: 1\nrobots: 2", "FILE:2:1: unknown key 'robots'; expected one of actions, assumed, lag"),
+    ("actions: [move]", "FILE:1:10: expected a mapping (key: value)"),
+    ("actions:\n  move: fast", "FILE:2:9: expected a mapping (key: value)"),
+    ("actions:\n  move: {timout: 3}", "FILE:2:10: unknown key 'timout'; did you mean 'timeout'?"),
+    (
+        "actions: {move: {x: 3}}",
+        "FILE:1:18: unknown key 'x'; expected one of server, type, goal, store, timeout, accept, cancel, retries",
+    ),
+    ("actions:\n  move: {}\n  move: {}", "FILE:3:3: the key 'move' is there twice"),
+    ("assumed: at", "FILE:1:10: expected a list of names under 'assumed'"),
+    ("assumed: [at, 3]", "FILE:1:10: expected a list of names under 'assumed'"),
+    ("lag: -1", "FILE:1:6: expected a number of at least 0 under 'lag', found -1"),
+    ("lag: soon", "FILE:1:6: expected a number of at least 0 under 'lag', found 'soon'"),
+    ("lag: '1'", "FILE:1:6: expected a number of at least 0 under 'lag', found '1'"),
+    ("lag: true", "FILE:1:6: expected a number of at least 0 under 'lag', found True"),
+    ("lag: .nan", "FILE:1:6: expected a number of at least 0 under 'lag', found nan"),
+    ("lag: .inf", "FILE:1:6: expected a number of at least 0 under 'lag', found inf"),
+    ("lag: 1" + "0" * 400, "FILE:1:6: expected a number of at least 0 under 'lag', found 1" + "0" * 400),
+    ("actions: {move: {retries: 1.5}}", "FILE:1:27: expected a whole number under 'retries', found 1.5"),
+    ("actions: {move: {timeout: [1]}}", "FILE:1:27: expected a number of at least 0 under 'timeout', found [1]"),
+    ("actions: {move: {server: 3}}", "FILE:1:26: expected a text under 'server', found 3"),
+    ("actions: {move: {type: yes}}", "FILE:1:24: expected a text under 'type', found True"),
+    ("actions: {move: {goal: pose}}", "FILE:1:24: expected goal fields and their values"),
+    ("actions: {move: {goal: [?to]}}", "FILE:1:24: expected goal fields and their values"),
+    (
+        "actions: {move: {goal: {pose: [{x: (x ?to}]}}}",
+        "FILE:1:24: not a fact: '(x ?to'; expected something like (at r1 kitchen)",
+    ),
+    ("actions: {move: {store: pose}}", "FILE:1:25: expected result fields and the variables to store them in"),
+    ("actions: {move: {store: {pose: 3}}}", "FILE:1:25: expected result fields and the variables to store them in"),
+    (
+        "actions: {move: {server: '/{robot'}}",
+        "FILE:1:26: expected '}' before end of string in '/{robot'; expected something like /{robot}/navigate",
+    ),
+    (
+        "actions: {move: {server: '/robot}/x'}}",
+        "FILE:1:26: Single '}' encountered in format string in '/robot}/x'; expected something like /{robot}/navigate",
+    ),
+    ("actions: {move: {server: '/{}'}}", "FILE:1:26: {} is no parameter in '/{}'; expected something like /{robot}/navigate"),
+    (
+        "actions: {move: {server: '/{r.__class__}'}}",
+        "FILE:1:26: {r.__class__} is no parameter in '/{r.__class__}'; expected something like /{robot}/navigate",
+    ),
+]
+
+
+@pytest.mark.parametrize(("content", "message"), BAD_BINDINGS, ids=[message[:80] for _, message in BAD_BINDINGS])
+def test_bad_bindings_are_refused(tmp_path: Path, content: str, message: str) -> None:
+    assert error(read_bindings, written(tmp_path, content)) == message
+
+
+def test_bindings_are_read(tmp_path: Path) -> None:
+    content = """
+assumed: [holding, tidy]
+lag: 2
+actions:
+  wait:
+  move:
+    server: /{robot}/navigate
+    type: nav2_msgs/action/NavigateToPose
+    goal: {pose: {x: (x ?to), frame: map}, on: true}
+    store: {total_distance: distance}
+    timeout: 30
+    accept: 1.5
+    cancel: 0
+    retries: 3
+"""
+    move = Binding(
+        server="/{robot}/navigate",
+        type="nav2_msgs/action/NavigateToPose",
+        goal={"pose": {"x": "(x ?to)", "frame": "map"}, "on": True},
+        store={"total_distance": "distance"},
+        timeout=30.0,
+        accept=1.5,
+        cancel=0.0,
+        retries=3,
+    )
+    assert read_bindings(written(tmp_path, content)) == Bindings({"wait": Binding(), "move": move}, frozenset({"holding", "tidy"}), 2.0)
+    assert read_bindings(written(tmp_path, "{}")) == Bindings()
+    assert Bindings().of("move") == Binding(server=None, goal=None, timeout=None, retries=1)
+
+
+MOVE = GroundAction("move", ("r1", "hall", "lab"), ("robot", "from", "to"), duration=12.0)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "server"),
+    [(None, "move"), ("drive", "drive"), ("/{robot}/move", "/r1/move"), ("{to}/{robot}/{to}", "lab/r1/lab"), ("/{{x}}", "/{x}")],
+)
+def test_the_server_is_named_after_arguments(pattern: str | None, server: str) -> None:
+    assert Bindings({"move": Binding(server=pattern)}).server(MOVE) == server
+
+
+def test_a_server_named_after_no_parameter_is_refused() -> None:
+    with pytest.raises(InputError) as caught:
+        Bindings({"move": Binding(server="/{robto}/move")}).server(MOVE)
+    assert str(caught.value) == "the server '/{robto}/move' of move names {robto}, which is not a parameter (robot, from, to)"
+
+
+@pytest.mark.parametrize(("given", "duration", "timeout"), [(None, 12.0, 24.0), (None, 1.0, 10.0), (None, None, 60.0), (3.0, 12.0, 3.0)])
+def test_the_time_limit_follows_from_the_duration(given: float | None, duration: float | None, timeout: float) -> None:
+    assert Bindings({"wait": Binding(timeout=given)}).timeout(GroundAction("wait", duration=duration)) == timeout
+
+
+# --- goals ------------------------------------------------------------------------------------
+
+KNOWN = Layered(
+    KnowledgeBase(
+        {("x", "lab"): 4.5, ("at", "r1"): True, ("unsure",): UNKNOWN, ("ready", "move"): False},
+        variables={"pose": "global", "speed": "global", "robot": "global", "nothing": None},
+    ),
+    KnowledgeBase(variables={"pose": "local", "to": "local"}),
+)
+
+Goal = Mapping[str, object] | None
+
+
+@pytest.mark.parametrize(
+    ("goal", "fields", "filled", "missing"),
+    [
+        (None, ("robot", "to"), {"robot": "r1", "to": "lab"}, ()),
+        (None, ("action", "arguments"), {"action": "move", "arguments": ["r1", "hall", "lab"]}, ()),
+        (None, ("pose", "speed", "nothing"), {"pose": "local", "speed": "global", "nothing": None}, ()),
+        (None, ("robot", "frame", "colour"), {"robot": "r1"}, ("frame", "colour")),
+        (None, (), {}, ()),
+        (None, None, {"action": "move", "arguments": ["r1", "hall", "lab"], "robot": "r1", "from": "hall", "to": "lab"}, ()),
+        ({}, ("robot", "frame"), {"robot": "r1"}, ()),
+        ({"to": "?from"}, ("to", "robot"), {"to": "hall", "robot": "r1"}, ()),
+        ({"a": "?to", "b": "$to", "c": "$pose", "d": "$speed"}, (), {"a": "lab", "b": "lab", "c": "local", "d": "global"}, ()),
+        ({"a": "map", "b": 3, "c": True, "d": None, "e": ""}, (), {"a": "map", "b": 3, "c": True, "d": None, "e": ""}, ()),
+        ({"x": "(x ?to)", "here": "(at ?robot)", "ready": "(ready ?action)"}, (), {"x": 4.5, "here": True, "ready": False}, ()),
+        ({"x": "(x ?from)", "y": "(unsure)", "z": "(x ?nobody)"}, (), {}, ("x", "y", "z")),
+        ({"a": "?nobody", "b": "$nobody", "c": "?pose"}, (), {}, ("a", "b", "c")),
+        ({"pose": {"p": {"x": "(x ?to)"}, "of": ["?robot", 1]}}, (), {"pose": {"p": {"x": 4.5}, "of": ["r1", 1]}}, ()),
+        ({"pose": {"x": "$nobody", "y": 1}, "list": [1, "?nobody"], "ok": [None]}, (), {"ok": [None]}, ("pose", "list")),
+    ],
+)
+def test_goal_fields_are_filled_by_name(goal: Goal, fields: tuple[str, ...] | None, filled: dict[str, object], missing: tuple[str, ...]) -> None:
+    assert goal_data(MOVE, Binding(goal=goal), fields, KNOWN) == (filled, missing)
+
+
+# --- faults -----------------------------------------------------------------------------------
+
+BAD_FAULTS = [
+    ("fault: []", "FILE:1:1: unknown key 'fault'; did you mean 'faults'?"),
+    ("faults: {}", "FILE:1:9: expected a list under 'faults'"),
+    ("faults:\n- move", "FILE:2:3: expected a mapping (key: value)"),
+    ("faults:\n- {do: abort}", "FILE:2:3: expected either 'action' or 'call'"),
+    ("faults:\n- {do: abort, action: move, call: move(r1)}", "FILE:2:3: expected either 'action' or 'call'"),
+    (
+        "faults:\n- {do: explode, action: move}",
+        "FILE:2:8: expected 'do' to be one of abort, reject, hang, no_effect, slow, lose_server; found 'explode'",
+    ),
+    (
+        "faults:\n- {action: move}",
+        "FILE:2:3: expected 'do' to be one of abort, reject, hang, no_effect, slow, lose_server; found None",
+    ),
+    ("faults:\n- {do: abort, actoin: move}", "FILE:2:15: unknown key 'actoin'; did you mean 'action'?"),
+    ("faults:\n- {do: abort, action: move, after: 0.5}", "FILE:2:36: expected a whole number under 'after', found 0.5"),
+    ("faults:\n- {do: abort, action: move, times: -1}", "FILE:2:36: expected a number of at least 0 under 'times', found -1"),
+    (
+        "faults:\n- {do: hang, action: move, ignores_cancel: 1}",
+        "FILE:2:44: expected true or false under 'ignores_cancel', found 1",
+    ),
+    ("changes:\n- {set: [(p)]}", "FILE:2:3: expected either 'at' (seconds) or 'on' (start of CALL, end of CALL)"),
+    ("changes:\n- {at: 1, on: end of move, set: [(p)]}", "FILE:2:3: expected either 'at' (seconds) or 'on' (start of CALL, end of CALL)"),
+    ("changes:\n- {at: 1, set: [(p), q]}", "FILE:2:16: not a fact: 'q'; expected something like (at r1 kitchen)"),
+    ("changes:\n- {at: 1, set: (p)}", "FILE:2:16: expected a list of names under 'set'"),
+    ("changes:\n- {on: middle of move, set: [(p)]}", "FILE:2:8: expected 'start of CALL' or 'end of CALL', found 'middle of move'"),
+]
+
+
+@pytest.mark.parametrize(("content", "message"), BAD_FAULTS, ids=[message for _, message in BAD_FAULTS])
+def test_bad_faults_are_refused(tmp_path: Path, content: str, message: str) -> None:
+    assert error(read_faults, written(tmp_path, content)) == message
+
+
+def test_faults_are_read(tmp_path: Path) -> None:
+    content = """
+faults:
+- {action: move, do: slow}
+- {call: '(move r1 hall)', do: abort, after: 1, times: 2, message: blocked, ignores_cancel: true}
+changes:
+- {at: 2, set: [(open door), (not (at r1 hall)), (= (battery r1) 5)]}
+- {on: start of move( r1,hall ), set: [(p)]}
+- {on: end of move, set: [(p)]}
+"""
+    changes = {("open", "door"): True, ("at", "r1", "hall"): False, ("battery", "r1"): 5.0}
+    assert read_faults(written(tmp_path, content)) == Faults(
+        (
+            Fault("move", FaultKind.SLOW),
+            Fault("move(r1, hall)", FaultKind.ABORT, after=1, times=2, message="blocked", ignores_cancel=True),
+        ),
+        (
+            HiddenChange(changes, at=2.0),
+            HiddenChange({("p",): True}, moment="start", what="move(r1, hall)"),
+            HiddenChange({("p",): True}, moment="end", what="move"),
+        ),
+    )
+    assert read_faults(written(tmp_path, "faults:\nchanges:\n")) == Faults()
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("move", "move"),
+        (" move ", "move"),
+        ("move(r1, hall)", "move(r1, hall)"),
+        ("move( r1,hall )", "move(r1, hall)"),
+        ("(move r1 hall)", "move(r1, hall)"),
+        ("wait()", "wait()"),
+        ("(wait)", "wait()"),
+    ],
+)
+def test_calls_may_be_written_in_several_ways(text: str, name: str) -> None:
+    assert ground_name(text) == name
+
+
+def test_a_fault_concerns_an_action_or_one_call_of_it() -> None:
+    move, other = GroundAction("move", ("r1",)), GroundAction("move", ("r2",))
+    assert [Fault("move", FaultKind.HANG).concerns(one) for one in (move, other)] == [True, True]
+    assert [Fault("move(r1)", FaultKind.HANG).concerns(one) for one in (move, other)] == [True, False]
+    change = HiddenChange({("p",): True}, moment="end", what="move(r1)")
+    assert [change.follows("end", move), change.follows("start", move), change.follows("end", other)] == [True, False, False]
+
+
+# --- the examples of the project --------------------------------------------------------------
+
+
+def test_the_files_of_the_project_are_read(root: Path) -> None:
+    bindings, faults = sorted(root.glob("domains/*/bindings.yaml")), sorted(root.glob("problems/*/faults.yaml"))
+    assert bindings
+    assert faults
+    assert all(read_bindings(path).actions for path in bindings)
+    assert all(read_faults(path) != Faults() for path in faults)
+
+
+def test_an_absent_key_stands_where_its_mapping_does() -> None:
+    top = Mapped("f", Position("f", 4, 2), {})
+    assert (str(top.position("x")), top.plain("x"), top.string("x"), top.strings("x"), top.flag("x")) == ("f:4:2", None, None, [], False)
+    assert (top.number("x", 1.5), top.whole("x", 3), top.mapping("x"), top.sequence("x")) == (1.5, 3, {}, [])

@@ -1,0 +1,257 @@
+"""What is known: batches that succeed or fail as one, layers, variables, and what sensors report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pnm.conditions import UNKNOWN, Fluent, Holds, Unknown, Value, evaluate
+from pnm.errors import InputError
+from pnm.knowledge import MISSING, KnowledgeBase, Layered, parse_fluent, parse_statement
+
+Facts = Mapping[Fluent, Value | Unknown]
+
+P, Q, N = ("p",), ("q", "a"), ("n",)
+VALUES = st.sampled_from((True, False, UNKNOWN, 0.0, 1.0, "a"))
+FACTS = st.dictionaries(st.sampled_from((P, Q, N)), VALUES)
+
+
+def heard(knowledge: KnowledgeBase) -> list[Facts]:
+    """Return the list that fills with every batch of changes from now on."""
+    batches: list[Facts] = []
+    knowledge.listen(batches.append)
+    return batches
+
+
+# --- batches and events -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("malformed", ["p", (), ("p", 1), 7, None])
+def test_a_batch_with_a_malformed_fluent_changes_nothing(malformed: object) -> None:
+    knowledge = KnowledgeBase({P: True})
+    batches = heard(knowledge)
+    with pytest.raises(InputError) as caught:
+        knowledge.update({Q: True, malformed: True, P: False})  # type: ignore[dict-item]
+    assert str(caught.value) == f"not a fluent: {malformed!r}; expected a tuple of names such as ('at', 'r1', 'kitchen')"
+    assert (knowledge.facts(), batches) == ({P: True}, [])
+
+
+@given(FACTS, FACTS)
+def test_listeners_hear_of_real_changes_only(first: Facts, then: Facts) -> None:
+    knowledge = KnowledgeBase(first)
+    batches = heard(knowledge)
+    before = {fluent: knowledge.value(fluent) for fluent in then}
+    real = knowledge.update(then)
+    assert batches == ([real] if real else [])
+    assert knowledge.update(then) == {}
+    for fluent, value in then.items():
+        assert (fluent in real) is (evident(before[fluent]) != evident(value))
+        assert evident(knowledge.value(fluent)) == evident(value)
+
+
+def evident(value: Value | Unknown | None) -> tuple[type, Value | Unknown]:
+    """The value and its kind, because True == 1.0; nothing recorded reads as false."""
+    return (bool, False) if value is None else (type(value), value)
+
+
+@pytest.mark.parametrize("value", [True, 0.0, 1.0, "a", UNKNOWN])
+@pytest.mark.parametrize("before", [None, False])
+def test_everything_differs_from_false(before: Value | None, value: Value | Unknown) -> None:
+    knowledge = KnowledgeBase({} if before is None else {P: before})
+    assert knowledge.update({P: value}) == {P: value}
+    assert knowledge.value(P) == value
+
+
+def test_what_is_false_and_what_nobody_recorded_read_the_same() -> None:
+    knowledge = KnowledgeBase({P: False})
+    assert (knowledge.value(P), knowledge.value(Q)) == (False, None)
+    assert evaluate(Holds(P), knowledge) is evaluate(Holds(Q), knowledge) is False
+    assert knowledge.update({P: False, Q: False}) == {}
+    assert knowledge.facts() == {}
+
+
+def test_unknown_is_a_value_of_its_own() -> None:
+    knowledge = KnowledgeBase({P: True})
+    assert knowledge.update({P: UNKNOWN}) == {P: UNKNOWN}
+    assert evaluate(Holds(P), knowledge) is UNKNOWN
+    assert knowledge.update({P: UNKNOWN}) == {}
+    assert knowledge.facts() == {P: UNKNOWN}
+    assert knowledge.update({P: False}) == {P: False}
+
+
+def test_a_listener_that_stops_hears_nothing_more() -> None:
+    knowledge = KnowledgeBase()
+    first: list[Facts] = []
+    second = heard(knowledge)
+    stop = knowledge.listen(first.append)
+    knowledge.update({P: True})
+    stop()
+    knowledge.update({P: False})
+    assert (first, second) == ([{P: True}], [{P: True}, {P: False}])
+
+
+def test_a_listener_may_stop_while_it_listens() -> None:
+    knowledge = KnowledgeBase()
+    stops: list[Callable[[], None]] = []
+    stops.append(knowledge.listen(lambda _: stops.pop()()))
+    after = heard(knowledge)
+    knowledge.update({P: True})
+    knowledge.update({Q: True})
+    assert after == [{P: True}, {Q: True}]
+
+
+def test_what_was_given_and_what_is_returned_are_copies() -> None:
+    first: dict[Fluent, Value | Unknown] = {P: True}
+    knowledge = KnowledgeBase(first)
+    first[P] = False
+    knowledge.facts().clear()
+    knowledge.variables()["x"] = 1
+    knowledge.objects_by_type()["room"] = ("hall",)
+    assert knowledge.facts() == {P: True}
+    assert (knowledge.variable("x"), knowledge.objects(("room",))) == (MISSING, ())
+
+
+# --- complete reports -------------------------------------------------------------------------
+
+
+def test_a_report_replaces_the_facts_of_the_names_it_is_about() -> None:
+    knowledge = KnowledgeBase({("at", "r1", "hall"): True, ("at", "r2", "hall"): True, ("open", "door"): True})
+    batches = heard(knowledge)
+    knowledge.replace({"at"}, {("at", "r1", "kitchen"): True, ("at", "r2", "hall"): True})
+    assert knowledge.facts() == {("at", "r1", "kitchen"): True, ("at", "r2", "hall"): True, ("open", "door"): True}
+    assert batches == [{("at", "r1", "hall"): False, ("at", "r1", "kitchen"): True}]
+
+
+def test_a_number_that_a_report_omits_stays() -> None:
+    knowledge = KnowledgeBase({("battery", "r1"): 80.0, ("battery", "r2"): 0.0})
+    assert knowledge.replace({"battery"}, {("battery", "r1"): 79.0}) == {("battery", "r1"): 79.0}
+    assert knowledge.value(("battery", "r2")) == 0.0
+
+
+@given(FACTS, FACTS, st.frozensets(st.sampled_from(("p", "q", "n"))))
+def test_after_a_report_its_facts_are_all_that_is_so(first: Facts, report: Facts, names: frozenset[str]) -> None:
+    knowledge = KnowledgeBase(first)
+    knowledge.replace(iter(names), report)
+    about = {fluent for fluent, value in knowledge.facts().items() if fluent[0] in names and value is True}
+    assert about == {fluent for fluent, value in report.items() if fluent[0] in names and value is True}
+    others = {fluent: value for fluent, value in knowledge.facts().items() if fluent[0] not in names and fluent not in report}
+    assert others == {fluent: value for fluent, value in KnowledgeBase(first).facts().items() if fluent in others}
+
+
+def test_a_malformed_report_changes_nothing() -> None:
+    knowledge = KnowledgeBase({P: True})
+    with pytest.raises(InputError, match="not a fluent"):
+        knowledge.replace({"p"}, {(): True})
+    assert knowledge.facts() == {P: True}
+
+
+# --- objects, layers, variables, sensing ------------------------------------------------------
+
+
+def test_objects_of_several_types_come_once_and_in_order() -> None:
+    knowledge = KnowledgeBase(objects={"room": ("hall", "lab"), "place": ("dock", "hall")})
+    assert knowledge.objects(("room",)) == ("hall", "lab")
+    assert knowledge.objects(("place", "room", "nothing")) == ("dock", "hall", "lab")
+    assert knowledge.objects(()) == ()
+
+
+def test_local_knowledge_is_read_first() -> None:
+    world = KnowledgeBase({P: True, N: 1.0, Q: True}, objects={"room": ("hall",)})
+    both = Layered(world, KnowledgeBase({P: False, N: UNKNOWN}, objects={"room": ("lab",)}))
+    assert (both.value(P), both.value(N), both.value(Q), both.value(("absent",))) == (False, UNKNOWN, True, None)
+    assert both.objects(("room",)) == ("hall",)
+
+
+def test_a_variable_that_is_none_is_not_missing() -> None:
+    both = Layered(KnowledgeBase(variables={"pose": 1, "other": 0}), KnowledgeBase(variables={"pose": None}))
+    assert (both.variable("pose"), both.variable("other"), both.variable("absent")) == (None, 0, MISSING)
+    assert repr(MISSING) == "MISSING"
+
+
+def test_a_variable_belongs_to_the_run_that_stored_it() -> None:
+    world = KnowledgeBase(variables={"pose": 1})
+    one, other = Layered(world), Layered(world)
+    one.local.store({"pose": 2})
+    one.local.store({"more": [3]})
+    assert (one.variable("pose"), other.variable("pose"), other.variable("more")) == (2, 1, MISSING)
+    assert one.local.variables() == {"pose": 2, "more": [3]}
+
+
+def test_fluents_are_sensed_by_name_and_late_by_the_slowest() -> None:
+    knowledge = KnowledgeBase(sensed={"open": 0.5})
+    knowledge.sense(["at", "battery"], lag=2.0)
+    knowledge.sense({"battery"})
+    assert [knowledge.is_sensed((name, "r1")) for name in ("at", "open", "battery", "holding")] == [True, True, True, False]
+    assert knowledge.lag({"open", "at", "holding"}) == 2.0
+    assert knowledge.lag({"battery"}) == knowledge.lag({"holding"}) == knowledge.lag(()) == 0.0
+
+
+def test_repr_says_how_much_there_is() -> None:
+    knowledge = KnowledgeBase({P: True}, variables={"x": 1, "y": 2}, sensed={"p": 0.0})
+    assert repr(knowledge) == "<KnowledgeBase 1 facts, 2 variables, 1 sensed names>"
+
+
+# --- reading facts ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "statement"),
+    [
+        ("(at r1 kitchen)", (("at", "r1", "kitchen"), True)),
+        ("  ( at\tr1\n kitchen ) ", (("at", "r1", "kitchen"), True)),
+        ("(ready)", (("ready",), True)),
+        ("(not (at r1 kitchen))", (("at", "r1", "kitchen"), False)),
+        ("( not ( ready ) )", (("ready",), False)),
+        ("(= (battery r1) 80)", (("battery", "r1"), 80.0)),
+        ("(= (offset) -1.5e1)", (("offset",), -15.0)),
+        ("(= (place-of r1) hall)", (("place-of", "r1"), "hall")),
+        ("(= (battery r1) 0)", (("battery", "r1"), 0.0)),
+    ],
+)
+def test_statements(text: str, statement: tuple[Fluent, Value]) -> None:
+    assert parse_statement(text) == statement
+    assert type(parse_statement(text)[1]) is type(statement[1])
+
+
+@pytest.mark.parametrize(
+    ("text", "refused"),
+    [
+        ("", ""),
+        ("at r1", "at r1"),
+        ("()", "()"),
+        ("(at r1", "(at r1"),
+        ("(at r1))", "(at r1))"),
+        ("(at (r1))", "(at (r1))"),
+        ("(p) (q)", "(p) (q)"),
+        ("(not (not (p)))", "(not (p))"),
+        ("(not (p) (q))", "(p) (q)"),
+        ("(= (at (r1)) 1)", "(at (r1))"),
+        ("(= (n) 1 2)", "(= (n) 1 2)"),
+        ("(and (p) (q))", "(and (p) (q))"),
+    ],
+)
+def test_what_is_no_statement_is_refused(text: str, refused: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse_statement(text)
+    assert str(caught.value) == f"not a fact: {refused!r}; expected something like (at r1 kitchen)"
+
+
+@given(st.lists(st.text("ab-1_?", min_size=1, max_size=4), min_size=1, max_size=4).map(tuple))
+def test_a_fluent_that_is_written_is_read(fluent: Fluent) -> None:
+    text = f"({' '.join(fluent)})"
+    assert parse_fluent(text) == fluent
+    assert parse_statement(f"(not {text})") == (fluent, False)
+    assert parse_statement(f"(= {text} 2)") == (fluent, 2.0)
+
+
+@given(st.text("()=not 1ab", max_size=30))
+def test_any_text_is_a_statement_or_refused(text: str) -> None:
+    try:
+        fluent, _ = parse_statement(text)
+    except InputError:
+        return
+    assert fluent
+    assert all(fluent)
