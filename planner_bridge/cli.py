@@ -114,7 +114,7 @@ def net(domain: Path, problem: Path, written_as: str, output: Path | None, bindi
     from planner_bridge.plans import plan_graph
     from pnm.export.dot import to_dot
     from pnm.export.json import to_json
-    from pnm.generate import generate
+    from pnm.generation import generate
 
     loaded = load(domain, problem)
     chosen = _bindings(bindings, domain, loaded)

@@ -25,7 +25,7 @@ from pnm.analysis import Proof, verify
 from pnm.bindings import Bindings
 from pnm.clock import run_async
 from pnm.executor import Executor
-from pnm.generate import generate
+from pnm.generation import generate
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.machine import OnFailure, PetriNetMachine
 from pnm.observer import Observer

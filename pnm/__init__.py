@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pnm.effects import Effect, changes
     from pnm.errors import InputError, NotEnabled, PnmError, Position
     from pnm.executor import Executor
-    from pnm.generate import generate
+    from pnm.generation import generate
     from pnm.knowledge import MISSING, KnowledgeBase, Layered
     from pnm.machine import OnFailure, PetriNetMachine
     from pnm.marking import Marking
@@ -104,7 +104,7 @@ _WHERE = {
     "PnmError": "pnm.errors",
     "Position": "pnm.errors",
     "Executor": "pnm.executor",
-    "generate": "pnm.generate",
+    "generate": "pnm.generation",
     "MISSING": "pnm.knowledge",
     "KnowledgeBase": "pnm.knowledge",
     "Layered": "pnm.knowledge",

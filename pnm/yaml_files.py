@@ -39,7 +39,8 @@ def load_yaml(path: Path) -> Mapped:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         where = Position(str(path), mark.line + 1, mark.column + 1) if mark else Position(str(path), 1, 1)
-        raise InputError(f"not YAML: {error.problem}", where) from error
+        hint = "; inside braces and brackets a '?' needs quotes" if "'?'" in str(error.problem) else ""
+        raise InputError(f"not YAML: {error.problem}{hint}", where) from error
     except yaml.YAMLError as error:
         raise InputError(f"not YAML: {str(error).splitlines()[0]}", Position(str(path), 1, 1)) from error
     except RecursionError as error:

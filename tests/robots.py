@@ -14,7 +14,7 @@ from pnm.clock import run_async
 from pnm.conditions import Constant, Fluent, Holds, Value
 from pnm.effects import Set
 from pnm.executor import Executor
-from pnm.generate import generate
+from pnm.generation import generate
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.machine import OnFailure, Rule
 from pnm.observer import Observer

@@ -16,7 +16,8 @@ from pnm.conditions import UNKNOWN
 from pnm.errors import InputError, Position
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.plan_graph import GroundAction
-from pnm.yaml_files import MAX_BYTES, MAX_DEPTH, MAX_NODES, Mapped, load_yaml, read_text
+from pnm.text_files import read_text
+from pnm.yaml_files import MAX_BYTES, MAX_DEPTH, MAX_NODES, Mapped, load_yaml
 
 
 def error(read: Callable[[Path], object], path: Path) -> str:
@@ -35,7 +36,7 @@ def written(folder: Path, content: str | bytes) -> Path:
 
 # --- no YAML, or not plain data ---------------------------------------------------------------
 
-AT_LIMIT = "a: " + "[" * (MAX_DEPTH - 1) + "]" * (MAX_DEPTH - 1)
+AT_LIMIT = "a: " + "[" * MAX_DEPTH + "]" * MAX_DEPTH
 BOMB = "a: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 20))
 
 BAD_YAML: list[tuple[str | bytes, str]] = [
@@ -47,13 +48,14 @@ BAD_YAML: list[tuple[str | bytes, str]] = [
     ("a: 1\nb: {x: 1\n", "FILE:3:1: not YAML: expected ',' or '}', but got '<stream end>'"),
     ("a: b: c", "FILE:1:5: not YAML: mapping values are not allowed here"),
     ("a: 1\n\tb: 2", "FILE:2:1: not YAML: found character '\\t' that cannot start any token"),
+    ("a: {b: ?to}", "FILE:1:8: not YAML: expected the node content, but found '?'; inside braces and brackets a '?' needs quotes"),
     ("a: *nobody", "FILE:1:4: not YAML: found undefined alias 'nobody'"),
     ("a: 1\n---\nb: 2\n", "FILE:2:1: not YAML: but found another document"),
     ("a: \x07", "FILE:1:1: not YAML: unacceptable character #x0007: special characters are not allowed"),
     ("a: 1\nb: 2\na: 3\n", "FILE:3:1: the key 'a' is there twice"),
     ("a: {b: {c: 1,\n  c: 2}}", "FILE:2:3: the key 'c' is there twice"),
     ("[a]: 1", "FILE:1:1: expected a name as the key"),
-    ("a: {b: 1}\nc: !!python/object/apply:os.getcwd []", "FILE:2:4: the tag !!python/object/apply:os.getcwd is not allowed; expected plain data"),
+    ("a: 1\nc: !!python/object/apply:os.getcwd", "FILE:2:4: the tag !!python/object/apply:os.getcwd is not allowed; expected plain data"),
     ("a: [1, !!python/name:os.system ]", "FILE:1:8: the tag !!python/name:os.system is not allowed; expected plain data"),
     ("a: {b: !robot r1}", "FILE:1:8: the tag !robot is not allowed; expected plain data"),
     ("--- !robot\na: 1", "FILE:1:5: the tag !robot is not allowed; expected plain data"),
@@ -64,9 +66,9 @@ BAD_YAML: list[tuple[str | bytes, str]] = [
     ("a: !!int x1", "FILE:1:4: cannot be read as int: 'x1'"),
     ("a: [!!bool maybe]", "FILE:1:5: cannot be read as bool: 'maybe'"),
     ("a: 1" + "0" * 5000, f"FILE:1:4: cannot be read as int: '1{'0' * 39}'"),
-    ("a: [" + AT_LIMIT[3:] + "]", f"FILE:1:{MAX_DEPTH + 3}: nested deeper than {MAX_DEPTH}"),
+    ("a: [" + AT_LIMIT[3:] + "]", f"FILE:1:{MAX_DEPTH + 4}: nested deeper than {MAX_DEPTH}"),
     ("a: " + "[" * 20_000, f"FILE:1:1: nested deeper than {MAX_DEPTH}"),
-    ("a: &me\n  - *me\n", f"FILE:2:3: nested deeper than {MAX_DEPTH}"),
+    ("a: &me\n  - *me\n", f"FILE:1:4: nested deeper than {MAX_DEPTH}"),
     (b"a: 1\nb: \xff\xfe", "FILE:2:4: not a text file: byte 0xff is not UTF-8"),
     (b"\x7fELF\x00\x00", "FILE:1:1: not a text file: it contains zero bytes"),
 ]
@@ -127,10 +129,15 @@ def test_the_deepest_nesting_is_read(tmp_path: Path) -> None:
 @example("a: 0x_")
 @example("a: 9:99:99")
 def test_anything_is_read_or_refused_with_a_position(tmp_path_factory: pytest.TempPathFactory, content: str | bytes) -> None:
+    path = written(tmp_path_factory.getbasetemp(), content)
     try:
-        everything(written(tmp_path_factory.getbasetemp(), content))
+        everything(path)
     except InputError as refused:
-        assert refused.position is not None
+        position = refused.position
+    else:
+        position = Position(str(path), 1, 1)
+    assert position is not None
+    assert position.file == str(path)
 
 
 # --- bindings ---------------------------------------------------------------------------------
@@ -162,7 +169,7 @@ BAD_BINDINGS = [
     ("actions: {move: {goal: pose}}", "FILE:1:24: expected goal fields and their values"),
     ("actions: {move: {goal: [?to]}}", "FILE:1:24: expected goal fields and their values"),
     (
-        "actions: {move: {goal: {pose: [{x: (x ?to}]}}}",
+        "actions: {move: {goal: {pose: [{x: '(x ?to'}]}}}",
         "FILE:1:24: not a fact: '(x ?to'; expected something like (at r1 kitchen)",
     ),
     ("actions: {move: {store: pose}}", "FILE:1:25: expected result fields and the variables to store them in"),
@@ -197,7 +204,7 @@ actions:
   move:
     server: /{robot}/navigate
     type: nav2_msgs/action/NavigateToPose
-    goal: {pose: {x: (x ?to), frame: map}, on: true}
+    goal: {pose: {x: '(x ?to)', frame: map}, on: true}
     store: {total_distance: distance}
     timeout: 30
     accept: 1.5
@@ -220,6 +227,21 @@ actions:
 
 
 MOVE = GroundAction("move", ("r1", "hall", "lab"), ("robot", "from", "to"), duration=12.0)
+
+
+UNKNOWN_NAMES = [
+    ("actions: {mvoe: {retries: 1}}", "FILE:1:17: there is no action 'mvoe' in the domain; did you mean 'move'?"),
+    ("actions: {jump: {}}", "FILE:1:17: there is no action 'jump' in the domain; expected one of move, wait"),
+    ("actions: {move: {server: '{to}/{who}'}}", "FILE:1:26: {who} is not a parameter of move (robot, from, to)"),
+    ("actions: {wait: {goal: {at: '?at'}}}", "FILE:1:24: ?at is not a parameter of wait (it has none)"),
+]
+
+
+@pytest.mark.parametrize(("content", "message"), UNKNOWN_NAMES, ids=[message for _, message in UNKNOWN_NAMES])
+def test_bindings_of_what_the_domain_does_not_have_are_refused(tmp_path: Path, content: str, message: str) -> None:
+    path = written(tmp_path, content)
+    assert error(lambda path: read_bindings(path, {"move": MOVE.parameters, "wait": ()}), path) == message
+    assert read_bindings(path).actions
 
 
 @pytest.mark.parametrize(
@@ -252,6 +274,7 @@ KNOWN = Layered(
 )
 
 Goal = Mapping[str, object] | None
+Names = tuple[str, ...]
 
 
 @pytest.mark.parametrize(
@@ -274,7 +297,7 @@ Goal = Mapping[str, object] | None
         ({"pose": {"x": "$nobody", "y": 1}, "list": [1, "?nobody"], "ok": [None]}, (), {"ok": [None]}, ("pose", "list")),
     ],
 )
-def test_goal_fields_are_filled_by_name(goal: Goal, fields: tuple[str, ...] | None, filled: dict[str, object], missing: tuple[str, ...]) -> None:
+def test_goal_fields_are_filled_by_name(goal: Goal, fields: Names | None, filled: Mapping[str, object], missing: Names) -> None:
     assert goal_data(MOVE, Binding(goal=goal), fields, KNOWN) == (filled, missing)
 
 
@@ -321,7 +344,9 @@ faults:
 - {call: '(move r1 hall)', do: abort, after: 1, times: 2, message: blocked, ignores_cancel: true}
 changes:
 - {at: 2, set: [(open door), (not (at r1 hall)), (= (battery r1) 5)]}
-- {on: start of move( r1,hall ), set: [(p)]}
+- on: start of move( r1,hall )
+  set:
+  - (p)
 - {on: end of move, set: [(p)]}
 """
     changes = {("open", "door"): True, ("at", "r1", "hall"): False, ("battery", "r1"): 5.0}
@@ -337,6 +362,20 @@ changes:
         ),
     )
     assert read_faults(written(tmp_path, "faults:\nchanges:\n")) == Faults()
+
+
+UNKNOWN_ACTIONS = [
+    ("faults:\n- {do: hang, action: mvoe}", "FILE:2:22: there is no action 'mvoe' in the domain; did you mean 'move'?"),
+    ("faults:\n- {do: hang, call: (jump r1)}", "FILE:2:20: there is no action 'jump' in the domain; expected one of move, wait"),
+    ("changes:\n- {on: end of mvoe, set: [(p)]}", "FILE:2:8: there is no action 'mvoe' in the domain; did you mean 'move'?"),
+]
+
+
+@pytest.mark.parametrize(("content", "message"), UNKNOWN_ACTIONS, ids=[message for _, message in UNKNOWN_ACTIONS])
+def test_faults_of_what_the_domain_does_not_have_are_refused(tmp_path: Path, content: str, message: str) -> None:
+    path = written(tmp_path, content)
+    assert error(lambda path: read_faults(path, ("move", "wait")), path) == message
+    assert read_faults(path) != Faults()
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,7 @@ def test_the_core_does_no_io() -> None:
         "effects",
         "plan_graph",
         "machine",
-        "generate",
+        "generation",
         "events",
         "run",
         "checks",

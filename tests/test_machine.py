@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from pnm.analysis import Unsound, explore, verify
 from pnm.bindings import Binding, Bindings
-from pnm.generate import generate
+from pnm.generation import generate
 from pnm.machine import Always, Ends, OnFailure, PetriNetMachine, Rule
 from pnm.net import PetriNet
 from pnm.plan_graph import PlanGraph, PlanGraphError

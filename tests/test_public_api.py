@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 import planner_bridge
@@ -26,3 +28,9 @@ def test_the_lists_are_sorted_and_complete() -> None:
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="has no attribute 'spam'"):
         pnm.spam  # noqa: B018
+
+
+def test_no_module_hides_a_public_name() -> None:
+    for package in (pnm, planner_bridge):
+        folder = Path(package.__path__[0])
+        assert not {path.stem for path in folder.iterdir()} & set(package.__all__)

@@ -13,7 +13,7 @@ from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind
 from pnm.bindings import Binding, Bindings
 from pnm.conditions import Holds
 from pnm.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
-from pnm.generate import generate
+from pnm.generation import generate
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.plan_graph import PlanGraph
 from pnm.run import Run, RunError

@@ -58,9 +58,7 @@ class Simulation(Program):
 
     def happens(self, event: str, action: str, times: int = 1) -> None:
         """Wait until an action of this name has started or ended so often."""
-        self.until(
-            lambda: [one for one in self.objects() if one["event"] == event and one["action"].startswith(f"{action}(")][times - 1 :]
-        )
+        self.until(lambda: [one for one in self.objects() if one["event"] == event and one["action"].startswith(f"{action}(")][times - 1 :])
 
 
 class Run(Program):

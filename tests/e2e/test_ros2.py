@@ -17,7 +17,7 @@ def test_the_goal_is_reached_at_the_first_attempt(stage, name):
     assert {call["outcome"] for call in story.result["calls"]} <= {"succeeded", "already true"}
     if name.startswith("delivery"):
         together = overlaps(story.events)
-        assert any("(r1," in first and "(r2," in second or "(r2," in first and "(r1," in second for first, second in together), together
+        assert any(("(r1," in first and "(r2," in second) or ("(r2," in first and "(r1," in second) for first, second in together), together
 
 
 @pytest.mark.parametrize("name", ["mall_guide/p01", "mall_guide/p02"])
