@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from planner_bridge.model import ActionSchema
-from pnm.conditions import DURATION, UNKNOWN, Environment, State, ground, value_of
+from pnm.conditions import ground
 from pnm.effects import ground_effects
 from pnm.errors import InputError
+from pnm.expressions import DURATION, UNKNOWN, Environment, State, value_of
 from pnm.plan_graph import GroundAction
 
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
-from pnm.conditions import TRUE, Condition, Expression, Fluent, Value, Variable
+from pnm.conditions import TRUE, Condition
 from pnm.effects import Effects
+from pnm.expressions import Expression, Fluent, Value, Variable
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,8 @@ from planner_bridge.pddl_conditions import Reader, operands
 from planner_bridge.pddl_names import Names, is_number, number, unsupported
 from planner_bridge.pddl_sections import Definition, define
 from planner_bridge.sexpr import Atom, Group, Node, wrong
-from pnm.conditions import Condition, Fluent, Value, show
+from pnm.conditions import Condition
+from pnm.expressions import Fluent, Value, show
 from pnm.text_files import read_text
 
 MAX_BYTES: Final = 50_000_000

@@ -12,7 +12,7 @@ from planner_bridge.pddl_durative import duration, timed_conditions, timed_effec
 from planner_bridge.pddl_names import Names, new_name
 from planner_bridge.pddl_sections import keyed
 from planner_bridge.sexpr import Group, Node, wrong
-from pnm.conditions import Variable
+from pnm.expressions import Variable
 
 INSTANTANEOUS: Final = ":action"
 DURATIVE: Final = ":durative-action"

@@ -10,27 +10,9 @@ from typing import Final
 from planner_bridge.model import Declaration
 from planner_bridge.pddl_names import Names, is_number, number, show_types, unknown, unsupported
 from planner_bridge.sexpr import Atom, Group, Node, wrong
-from pnm.conditions import (
-    DURATION,
-    TRUE,
-    All,
-    Any,
-    Arithmetic,
-    Compare,
-    Condition,
-    Constant,
-    Exists,
-    Expression,
-    Fluent,
-    ForAll,
-    Holds,
-    Implies,
-    Not,
-    ValueOf,
-    Variable,
-    conjuncts,
-)
+from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.effects import OPERATIONS, Effects, ForEach, Set, When
+from pnm.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
 
 _MANY: Final = (range(2, sys.maxsize), "at least 2")
 _OPERANDS: Final[Mapping[str, tuple[range, str]]] = {"+": _MANY, "*": _MANY, "-": (range(1, 3), "1 or 2"), "/": (range(2, 3), "2")}

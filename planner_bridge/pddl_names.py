@@ -11,9 +11,9 @@ from typing import Final
 
 from planner_bridge.model import Declaration, Domain
 from planner_bridge.sexpr import Atom, Group, Node, wrong
-from pnm.conditions import Variable
 from pnm.effects import OPERATIONS
 from pnm.errors import InputError
+from pnm.expressions import Variable
 
 Types = tuple[str, ...]
 

@@ -13,28 +13,9 @@ from operator import itemgetter
 from typing import Final, TypeAlias, assert_never
 
 from planner_bridge.model import ActionSchema, Declaration, Domain, Problem, TimedChange
-from pnm.conditions import (
-    DURATION,
-    TRUE,
-    All,
-    Any,
-    Arithmetic,
-    Compare,
-    Condition,
-    Constant,
-    Exists,
-    Expression,
-    Fluent,
-    ForAll,
-    Holds,
-    Implies,
-    Not,
-    Value,
-    ValueOf,
-    Variable,
-    conjuncts,
-)
+from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.effects import Effect, Effects, ForEach, Set, When
+from pnm.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, Value, ValueOf, Variable
 
 Form: TypeAlias = "str | list[Form]"
 _WIDTH: Final = 100

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, cast
-from uuid import UUID, uuid4
+from uuid import uuid4
 
 from planner_bridge.loading import load
 from planner_bridge.model import Domain, Problem
@@ -83,6 +83,8 @@ class TaskResult:
     episodes: tuple[Episode, ...]
     seconds: dict[str, float]
     """Where the time went: parse, plan, translate, verify, execute."""
+    began: float = 0.0
+    """When the task began, on the clock of its calls."""
 
     @property
     def calls(self) -> tuple[CallResult, ...]:
@@ -106,7 +108,7 @@ class TaskResult:
             "reason": self.reason,
             "plans": self.plans,
             "replans": self.replans,
-            "calls": [_call_as_json(call) for call in self.calls],
+            "calls": [_call_as_json(call, self.began) for call in self.calls],
             "failures": [
                 {"call": str(one.call), "cause": one.cause, "expected": one.expected, "observed": one.observed} for one in self.failures
             ],
@@ -187,7 +189,7 @@ class _Task:
     episodes: list[Episode] = field(default_factory=list)
     history: History = field(default_factory=History)
     plans: int = 0
-    id: UUID = field(default_factory=uuid4)
+    began: float = 0.0
 
     async def pursue(self) -> TaskResult:
         try:
@@ -197,7 +199,7 @@ class _Task:
             return self._ended(False, "cancelled")
 
     async def _pursue(self) -> TaskResult:
-        began = asyncio.get_running_loop().time()
+        self.began = began = asyncio.get_running_loop().time()
         graph: PlanGraph | None = None
         forbidden: PlanAgain | None = None
         while True:
@@ -264,7 +266,7 @@ class _Task:
             return machine, await Executor(run, self.site.client).execute()
 
     def _ended(self, goal_reached: bool, reason: str) -> TaskResult:
-        return TaskResult(goal_reached, reason, self.plans, tuple(self.episodes), self.seconds.seconds)
+        return TaskResult(goal_reached, reason, self.plans, tuple(self.episodes), self.seconds.seconds, self.began)
 
 
 def _no_plan(found: PlanningResult, again: PlanAgain | None) -> str:
@@ -272,14 +274,14 @@ def _no_plan(found: PlanningResult, again: PlanAgain | None) -> str:
     return f"no plan{without}: {found.reason}"
 
 
-def _call_as_json(result: CallResult) -> dict[str, Any]:
+def _call_as_json(result: CallResult, began: float) -> dict[str, Any]:
     return {
         "action": result.call.action.name,
         "arguments": list(result.call.action.arguments),
         "outcome": result.outcome,
         "attempts": result.attempts,
-        "started": result.started,
-        "ended": result.ended,
+        "started": None if result.started is None else round(result.started - began, 4),
+        "ended": None if result.ended is None else round(result.ended - began, 4),
         "assumed": result.assumed,
     }
 

@@ -19,8 +19,9 @@ from planner_bridge.grounding import ground_action
 from planner_bridge.model import Problem
 from planner_bridge.plan import Plan, PlanStep
 from planner_bridge.state import dynamic_names, initial_knowledge
-from pnm.conditions import Fluent, State, expression_fluents, fluents, names
+from pnm.conditions import fluents, names
 from pnm.effects import Effects, ForEach, Set, When, read, written
+from pnm.expressions import Fluent, State, expression_fluents
 from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 
 _DIGITS: Final = 5

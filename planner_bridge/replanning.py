@@ -16,6 +16,8 @@ from pnm.plan_graph import GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.results import CallResult, Failure
 
 _FINISHED = frozenset({"succeeded", "already true"})
+_WORLD = frozenset({"precondition_false", "invariant_false"})
+"""Causes that speak against the state of the world, not against the action: it may be planned with again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +48,8 @@ class History:
         """Return the history with one more failed run."""
         failed = dict(self.failed)
         for failure in failures:
+            if failure.cause in _WORLD:
+                continue
             call = ForbiddenCall(failure.call.action.name, failure.call.action.arguments)
             failed[call] = failed.get(call, 0) + 1
         progress = any(one.outcome == "succeeded" for one in calls)

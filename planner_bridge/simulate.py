@@ -23,8 +23,8 @@ from pnm.actions.base import Accepted, Ended, Report, Reporter, Request
 from pnm.actions.faults import Faults
 from pnm.actions.simulated import SimulatedRobots
 from pnm.bindings import Bindings, placeholders
-from pnm.conditions import Fluent, Unknown, Value, show
 from pnm.errors import InputError
+from pnm.expressions import Fluent, Unknown, Value, show
 from pnm.plan_graph import GroundAction
 
 DEFAULT_TYPE = "pnm_interfaces/action/GroundAction"

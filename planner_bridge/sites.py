@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable
+from time import monotonic
 from typing import Final, Protocol
 
 from planner_bridge.model import Problem
@@ -20,7 +21,7 @@ from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import GroundAction
 
 DISCOVERY: Final = 10.0
-"""Seconds to look for action servers before a plan starts; those that are not there then fail by name."""
+"""Seconds that robots may take to appear which are started together with us; later, who is missing fails by name."""
 
 
 class Site(Protocol):
@@ -95,8 +96,8 @@ class Ros2Site:
         await self._sensing.first(DISCOVERY)
 
     async def prepare(self, actions: Iterable[GroundAction]) -> None:
-        """Look for the servers of these actions."""
-        await self._client.prepare(actions, DISCOVERY)
+        """Look for the servers of these actions; wait for them only while this node itself is new."""
+        await self._client.prepare(actions, self._ros.joined + DISCOVERY - monotonic())
 
     async def close(self) -> None:
         """Leave the ROS 2 graph."""

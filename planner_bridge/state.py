@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from planner_bridge.model import ActionSchema, Declaration, Domain, Problem, TimedChange
-from pnm.conditions import UNKNOWN, All, Fluent, Holds, Not, Value
+from pnm.conditions import All, Holds, Not
 from pnm.effects import names_written
+from pnm.expressions import UNKNOWN, Fluent, Value
 from pnm.knowledge import KnowledgeBase
 
 

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pnm.actions.base import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Request
-    from pnm.analysis import Proof, Unsound, explore, verify
+    from pnm.analysis import Proof, explore, verify
     from pnm.bindings import Binding, Bindings, read_bindings
-    from pnm.conditions import UNKNOWN, Condition, Fluent, evaluate
+    from pnm.conditions import Condition, evaluate
     from pnm.effects import Effect, changes
     from pnm.errors import InputError, NotEnabled, PnmError, Position
     from pnm.executor import Executor
+    from pnm.expressions import UNKNOWN, Fluent
     from pnm.generation import generate
     from pnm.knowledge import MISSING, KnowledgeBase, Layered
     from pnm.machine import OnFailure, PetriNetMachine
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from pnm.results import CallResult, Failure, RunResult
     from pnm.run import Run
     from pnm.semantics import enabled, fire, is_enabled
+    from pnm.state_space import Unsound
 
 __all__ = [
     "MISSING",
@@ -87,15 +89,15 @@ _WHERE = {
     "OutcomeKind": "pnm.actions.base",
     "Request": "pnm.actions.base",
     "Proof": "pnm.analysis",
-    "Unsound": "pnm.analysis",
+    "Unsound": "pnm.state_space",
     "explore": "pnm.analysis",
     "verify": "pnm.analysis",
     "Binding": "pnm.bindings",
     "Bindings": "pnm.bindings",
     "read_bindings": "pnm.bindings",
-    "UNKNOWN": "pnm.conditions",
+    "UNKNOWN": "pnm.expressions",
     "Condition": "pnm.conditions",
-    "Fluent": "pnm.conditions",
+    "Fluent": "pnm.expressions",
     "evaluate": "pnm.conditions",
     "Effect": "pnm.effects",
     "changes": "pnm.effects",

@@ -13,15 +13,13 @@ induction along the orderings, each block then gets its inputs once and gives it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Final, TypeAlias
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
 
 from pnm.actions.base import OutcomeKind
-from pnm.errors import PnmError
 from pnm.machine import (
     AlreadyTrue,
-    Always,
     CancelAsked,
     DataMissing,
     Denied,
@@ -35,16 +33,7 @@ from pnm.machine import (
     PetriNetMachine,
 )
 from pnm.net import Weights
-
-MAX_STATES: Final = 2_000_000
-
-
-class Unsound(PnmError):
-    """The machine can reach a state it must not reach; `trace` leads there."""
-
-    def __init__(self, what: str, trace: Sequence[str] = ()) -> None:
-        super().__init__(f"{what}{f'; after {chr(32).join(trace)}' if trace else ''}")
-        self.trace = tuple(trace)
+from pnm.state_space import Part, Step, Unsound, explore_part
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,38 +48,6 @@ class Proof:
 
     def __str__(self) -> str:
         return f"sound: {self.calls} calls of {self.shapes} shapes, {self.states} states explored"
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """A transition of a part of a net."""
-
-    name: str
-    guard: Guard
-    inputs: Weights
-    outputs: Weights
-
-
-Tokens: TypeAlias = tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class Part:
-    """A part of a machine with what surrounds it: inputs that come once, at any moment."""
-
-    places: tuple[str, ...]
-    steps: tuple[Step, ...]
-    initial: Mapping[str, int]
-    supplies: tuple[tuple[str, ...], ...]
-    """Sets of places that get their tokens from outside, each set at once."""
-    failures: frozenset[str]
-    records: frozenset[str]
-    cancels: bool
-    """Whether a failure has running calls cancelled."""
-    is_proper: Callable[[Mapping[str, int]], str]
-    """Tell what is wrong with a final marking of all but record places; empty when it is proper."""
-    early: frozenset[str] = frozenset()
-    """Places that must be marked once nothing more can happen without the last supply."""
 
 
 def verify(machine: PetriNetMachine) -> Proof:
@@ -141,152 +98,6 @@ def explore(machine: PetriNetMachine) -> int:
             is_proper,
         )
     )
-
-
-# --- the state space of a part -------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class _State:
-    tokens: Tokens
-    stop: int = 0
-    """0: going on, 1: told to end, 2: told to cancel."""
-    supplied: int = 0
-    """How many of the supplies have come."""
-
-
-@dataclass
-class _Explorer:
-    part: Part
-    index: dict[str, int] = field(init=False)
-    consumers: list[list[int]] = field(init=False)
-
-    most: list[int] = field(init=False)
-    """How many tokens each place may hold."""
-
-    def __post_init__(self) -> None:
-        self.index = {place: number for number, place in enumerate(self.part.places)}
-        self.consumers = [[] for _ in self.part.places]
-        for number, step in enumerate(self.part.steps):
-            for place in step.inputs:
-                self.consumers[self.index[place]].append(number)
-        self.failures = [self.index[place] for place in self.part.failures]
-        budget = sum(tokens for place, tokens in self.part.initial.items() if place in self.part.records)
-        self.most = [budget if place in self.part.records - self.part.failures else 1 for place in self.part.places]
-
-    def successors(self, state: _State) -> Iterator[tuple[str, _State]]:
-        """Yield everything that can happen next."""
-        for step in self._possible(state):
-            yield step.name, _State(self._fired(state.tokens, step), state.stop, state.supplied)
-        if state.supplied < len(self.part.supplies):
-            tokens = list(state.tokens)
-            for place in self.part.supplies[state.supplied]:
-                tokens[self.index[place]] += 1
-            yield "supply", _State(tuple(tokens), state.stop, state.supplied + 1)
-        for stop in range(state.stop + 1, 3):
-            yield "stop" if stop == 1 else "cancel", _State(state.tokens, stop, state.supplied)
-
-    def _possible(self, state: _State) -> list[Step]:
-        """Return the enabled steps whose guards may be open, as `pnm.run` asks them: in order, at each marked place."""
-        ending = state.stop > 0 or any(state.tokens[place] for place in self.failures)
-        cancel = state.stop == 2 or (ending and self.part.cancels)
-        found: dict[int, None] = {}
-        enabled: dict[int, bool] = {}
-        for place, tokens in enumerate(state.tokens):
-            if tokens:
-                for number in self.consumers[place]:
-                    step = self.part.steps[number]
-                    if number not in enabled:
-                        enabled[number] = all(state.tokens[self.index[one]] >= weight for one, weight in step.inputs.items())
-                    if not enabled[number]:
-                        continue
-                    is_open = _is_open(step.guard, ending, cancel)
-                    if is_open is not False:
-                        found[number] = None
-                    if is_open is True:
-                        break
-        return [self.part.steps[number] for number in found]
-
-    def _fired(self, tokens: Tokens, step: Step) -> Tokens:
-        after = list(tokens)
-        for place, weight in step.inputs.items():
-            after[self.index[place]] -= weight
-        for place, weight in step.outputs.items():
-            after[self.index[place]] += weight
-        return tuple(after)
-
-    def check(self, state: _State, stuck: bool) -> str:
-        """Tell what is wrong with a state; empty when nothing is."""
-        for number, tokens in enumerate(state.tokens):
-            if tokens > self.most[number]:
-                return f"{self.part.places[number]} holds {tokens} tokens"
-        if not stuck:
-            return ""
-        missing = len(self.part.supplies) - state.supplied
-        if missing == 1 and (late := [place for place in self.part.early if not state.tokens[self.index[place]]]):
-            return f"{late[0]} is not marked although only later inputs are missing"
-        if missing:
-            return ""
-        left = {
-            place: state.tokens[number] for place, number in self.index.items() if state.tokens[number] and place not in self.part.records
-        }
-        return self.part.is_proper(left)
-
-
-def _is_open(guard: Guard, ending: bool, cancel: bool) -> bool | None:
-    """Tell whether the guard is open, closed, or either, depending on the world."""
-    match guard:
-        case Always():
-            return True
-        case Ending():
-            return ending
-        case CancelAsked():
-            return cancel
-        case _:
-            return None
-
-
-def explore_part(part: Part) -> int:
-    """Walk through every state of the part and return their number.
-
-    Raises:
-        Unsound: some state is wrong, something can go round for ever, or there are too many states.
-    """
-    explorer = _Explorer(part)
-    start = _State(tuple(part.initial.get(place, 0) for place in part.places))
-    path: list[tuple[_State, Iterator[tuple[str, _State]]]] = []
-    names: list[str] = []
-    on_path: set[_State] = set()
-    seen: set[_State] = set()
-
-    def enter(state: _State) -> None:
-        nexts = list(explorer.successors(state))
-        stuck = all(name in ("stop", "cancel", "supply") for name, _ in nexts)
-        if wrong := explorer.check(state, stuck):
-            raise Unsound(wrong, names)
-        if len(seen) > MAX_STATES:
-            raise Unsound(f"more than {MAX_STATES} states")
-        seen.add(state)
-        on_path.add(state)
-        path.append((state, iter(nexts)))
-
-    enter(start)
-    while path:
-        state, nexts = path[-1]
-        found = next(nexts, None)
-        if found is None:
-            path.pop()
-            on_path.discard(state)
-            if names:
-                names.pop()
-            continue
-        name, following = found
-        if following in on_path:
-            raise Unsound("it can go round for ever", [*names, name])
-        if following not in seen:
-            names.append(name)
-            enter(following)
-    return len(seen)
 
 
 # --- blocks --------------------------------------------------------------------------------
@@ -405,6 +216,3 @@ def _shape(part: Part) -> object:
     marked = tuple((number[place], tokens) for place, tokens in part.initial.items())
     roles = tuple((place in part.records, place in part.failures, place in part.early) for place in part.places)
     return steps, marked, roles, tuple(tuple(number[place] for place in supply) for supply in part.supplies), part.cancels
-
-
-__all__ = ["Proof", "Unsound", "explore", "verify"]

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from pnm.conditions import Fluent, Unknown, Value, bind
 from pnm.errors import InputError
+from pnm.expressions import Fluent, Unknown, Value, bind
 from pnm.knowledge import MISSING, parse_fluent
 from pnm.plan_graph import GroundAction
 from pnm.yaml_files import Mapped, check_known, load_yaml

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pnm.conditions import Condition, Fluent, Value, conjuncts, evaluate, names, show
+from pnm.conditions import Condition, conjuncts, evaluate, names
 from pnm.effects import Changes, Set, changes, facts, names_written
+from pnm.expressions import Fluent, Value, show
 from pnm.knowledge import Layered
 from pnm.plan_graph import ActionCall, GroundAction
 

@@ -10,10 +10,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, TypeAlias, TypeGuard, assert_never
 
-from pnm.conditions import (
+from pnm.conditions import Condition, evaluate, fluents, ground
+from pnm.expressions import (
     NOTHING,
     UNKNOWN,
-    Condition,
     Constant,
     Environment,
     Expression,
@@ -24,10 +24,7 @@ from pnm.conditions import (
     Variable,
     bind,
     choices,
-    evaluate,
     expression_fluents,
-    fluents,
-    ground,
     ground_expression,
     hidden,
     same,

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import assert_never, cast
 
 from pnm.actions.base import ActionClient
-from pnm.conditions import Fluent, Unknown, Value
 from pnm.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
+from pnm.expressions import Fluent, Unknown, Value
 from pnm.results import RunResult
 from pnm.run import Run
 

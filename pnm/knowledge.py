@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from pnm.conditions import Fluent, Unknown, Value, same
 from pnm.effects import Changes
 from pnm.errors import InputError
+from pnm.expressions import Fluent, Unknown, Value, same
 
 Listener = Callable[[Mapping[Fluent, Value | Unknown]], None]
 

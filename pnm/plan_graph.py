@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from enum import Enum
 from graphlib import CycleError, TopologicalSorter
 
-from pnm.conditions import TRUE, Condition, Fluent, show
+from pnm.conditions import TRUE, Condition
 from pnm.effects import Effects
 from pnm.errors import PnmError
+from pnm.expressions import Fluent, show
 
 
 class PlanGraphError(PnmError):

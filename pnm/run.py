@@ -20,10 +20,11 @@ from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Report, Requ
 from pnm.bindings import Bindings, goal_data
 from pnm.checks import already_true, expected, is_assumed, lag_of_effects, unseen
 from pnm.compiled import Engine
-from pnm.conditions import Condition, Fluent, Value, evaluate, failing, names, observed
+from pnm.conditions import Condition, evaluate, failing, names, observed
 from pnm.effects import Changes, changes, undo
 from pnm.errors import PnmError
 from pnm.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
+from pnm.expressions import Fluent, Value
 from pnm.knowledge import Layered
 from pnm.machine import (
     Accepts,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from hypothesis import strategies as st
 
-from pnm.conditions import TRUE, Condition, Constant, Fluent, Holds
+from pnm.conditions import TRUE, Condition, Holds
 from pnm.effects import Set
+from pnm.expressions import Constant, Fluent
 from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 
 _MOMENTS = {"s": Moment.START, "e": Moment.END}

@@ -11,9 +11,10 @@ from pnm.actions.world import World
 from pnm.analysis import verify
 from pnm.bindings import Bindings
 from pnm.clock import run_async
-from pnm.conditions import Constant, Fluent, Holds, Value
+from pnm.conditions import Holds
 from pnm.effects import Set
 from pnm.executor import Executor
+from pnm.expressions import Constant, Fluent, Value
 from pnm.generation import generate
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.machine import OnFailure, Rule

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pnm.analysis import Unsound
+from pnm.state_space import Unsound
 
 ROOT = Path(__file__).parents[1]
 DELIVERY = (str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl"))

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pnm.conditions import TRUE, UNKNOWN, Arithmetic, Condition, Constant, Expression, Fluent, Holds, Not, Unknown, Value, ValueOf, Variable
+from pnm.conditions import TRUE, Condition, Holds, Not
 from pnm.effects import (
     OPERATIONS,
     Changes,
@@ -26,6 +26,7 @@ from pnm.effects import (
     undo,
     written,
 )
+from pnm.expressions import UNKNOWN, Arithmetic, Constant, Expression, Fluent, Unknown, Value, ValueOf, Variable
 from pnm.knowledge import KnowledgeBase
 
 ROOMS = ("hall", "kitchen")

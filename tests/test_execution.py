@@ -6,8 +6,9 @@ import pytest
 
 from pnm.actions.faults import FaultKind
 from pnm.bindings import Binding, Bindings
-from pnm.conditions import All, Condition, Constant, Holds, evaluate
+from pnm.conditions import All, Condition, Holds, evaluate
 from pnm.effects import Set
+from pnm.expressions import Constant
 from pnm.machine import OnFailure
 from pnm.plan_graph import ActionCall, GroundAction, PlanGraph
 from tests.machines import ordering

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange, ground_name, read_faults
 from pnm.bindings import Binding, Bindings, goal_data, read_bindings
-from pnm.conditions import UNKNOWN
 from pnm.errors import InputError, Position
+from pnm.expressions import UNKNOWN
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.plan_graph import GroundAction
 from pnm.text_files import read_text

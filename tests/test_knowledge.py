@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pnm.conditions import UNKNOWN, Fluent, Holds, Unknown, Value, evaluate
+from pnm.conditions import Holds, evaluate
 from pnm.errors import InputError
+from pnm.expressions import UNKNOWN, Fluent, Unknown, Value
 from pnm.knowledge import MISSING, KnowledgeBase, Layered, parse_fluent, parse_statement
 
 Facts = Mapping[Fluent, Value | Unknown]

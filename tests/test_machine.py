@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pnm.analysis import Unsound, explore, verify
+from pnm.analysis import explore, verify
 from pnm.bindings import Binding, Bindings
 from pnm.generation import generate
 from pnm.machine import Always, Ends, OnFailure, PetriNetMachine, Rule
 from pnm.net import PetriNet
 from pnm.plan_graph import PlanGraph, PlanGraphError
+from pnm.state_space import Unsound
 from tests.machines import ordering, plan, plans
 
 SHAPES = {

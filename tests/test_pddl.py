@@ -15,28 +15,10 @@ from planner_bridge.model import ActionSchema, Declaration, Domain, DurationCons
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
 from planner_bridge.pddl_writer import number_text, write_domain, write_problem
 from planner_bridge.sexpr import MAX_DEPTH
-from pnm.conditions import (
-    DURATION,
-    TRUE,
-    All,
-    Any,
-    Arithmetic,
-    Compare,
-    Condition,
-    Constant,
-    Exists,
-    Expression,
-    Fluent,
-    ForAll,
-    Holds,
-    Implies,
-    Not,
-    ValueOf,
-    Variable,
-    conjuncts,
-)
+from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.effects import OPERATIONS, Effect, ForEach, Set, When
 from pnm.errors import InputError
+from pnm.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
 
 SHARED = Path(__file__).parents[2] / "shared" / "pddl"
 

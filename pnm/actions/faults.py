@@ -9,8 +9,8 @@ from enum import Enum
 from pathlib import Path
 from typing import Literal
 
-from pnm.conditions import Fluent, Value
 from pnm.errors import InputError
+from pnm.expressions import Fluent, Value
 from pnm.knowledge import parse_statement
 from pnm.plan_graph import GroundAction
 from pnm.yaml_files import Mapped, check_known, load_yaml

@@ -16,8 +16,8 @@ from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Reporter, Re
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.actions.world import Activity, World
 from pnm.bindings import Bindings
-from pnm.conditions import Fluent, Unknown, Value
 from pnm.effects import Changes
+from pnm.expressions import Fluent, Unknown, Value
 from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import GroundAction
 

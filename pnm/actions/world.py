@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from pnm.conditions import TRUE, Condition, Fluent, Unknown, Value, evaluate, failing
+from pnm.conditions import TRUE, Condition, evaluate, failing
 from pnm.effects import Changes, changes, undo
+from pnm.expressions import Fluent, Unknown, Value
 from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import GroundAction
 

@@ -55,10 +55,9 @@ class Ros2ActionClient:
     # on the event loop's thread
 
     async def prepare(self, actions: Iterable[GroundAction], limit: float = 5.0) -> tuple[str, ...]:
-        """Connect to the servers of the actions; return the names of those that are not there.
+        """Connect to the servers of the actions; return the names of those not there within `limit` seconds.
 
-        Waits `limit` seconds at most, and only for servers that may still come: not for one that has been
-        missing for long. It is no error when one is: it is looked for again when a goal is sent to it.
+        It is no error when a server is missing: it is looked for again when a goal is sent to it.
 
         Raises:
             InputError: a binding names a type that is not installed, or a server by what cannot be a name.
@@ -67,9 +66,9 @@ class Ros2ActionClient:
         links = await self._ros.ask(lambda: [self._link(key) for key in keys])
         until = monotonic() + limit
         while True:
-            missing = await self._ros.ask(lambda: [link for link in links if not link.ready()])
-            if not any(link.expected for link in missing) or monotonic() >= until:
-                return tuple(link.name for link in missing)
+            missing = await self._ros.ask(lambda: tuple(link.name for link in links if not link.ready()))
+            if not missing or monotonic() >= until:
+                return missing
             await asyncio.sleep(0.1)
 
     def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:

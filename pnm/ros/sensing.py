@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from pnm.conditions import UNKNOWN, Fluent, Unknown
 from pnm.errors import InputError
+from pnm.expressions import UNKNOWN, Fluent, Unknown
 from pnm.knowledge import parse_fluent
 from pnm.ros.messages import import_type
 from pnm.ros.node import RosThread

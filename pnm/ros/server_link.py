@@ -20,7 +20,7 @@ from pnm.errors import InputError, PnmError
 from pnm.ros.goals import OVER, UNKNOWN, Goal, message_in
 from pnm.ros.graph import absence, processes, server_name, types
 from pnm.ros.messages import import_type, to_data, to_message
-from pnm.ros.watch import AGAIN, Verdict, Watch
+from pnm.ros.watch import AGAIN, ASKS, Verdict, Watch
 
 IN_FLIGHT: Final = 8
 RETURN: Final = 5.0
@@ -57,11 +57,6 @@ class ServerLink:
 
     def __repr__(self) -> str:
         return f"<ServerLink {self.name} {len(self._queued)} queued, {len(self._unanswered)} unanswered, {len(self._accepted)} accepted>"
-
-    @property
-    def expected(self) -> bool:
-        """Whether the server is there, as far as is known, or may still come."""
-        return monotonic() < self._expected_until
 
     def ready(self) -> bool:
         """Tell whether the server is there; connects to it when its type has become known."""
@@ -204,7 +199,7 @@ class ServerLink:
     def look(self) -> None:
         """Look after the server and every goal that is under way; called a few times a second."""
         now = monotonic()
-        self._look_at_queue()
+        self._look_at_queue(now)
         if self._unanswered or self._accepted:
             present = processes(self._node, self.name)
             for goal in tuple(self._unanswered):
@@ -212,18 +207,24 @@ class ServerLink:
             self._look_at_accepted(present, now)
         self._pump()
 
-    def _look_at_queue(self) -> None:
-        if not self.ready() and not self.expected and self._queued:
+    def _look_at_queue(self, now: float) -> None:
+        if not self.ready() and now >= self._expected_until and self._queued:
             reason = absence(self._node, self.name, self.wanted_type)
             while self._queued:
                 self._queued.popleft().end(OutcomeKind.UNAVAILABLE, reason)
 
     def _look_at_unanswered(self, goal: Goal, present: frozenset[bytes], now: float) -> None:
-        gone = goal.watch.look(present, False, now) is Verdict.LOST
-        if gone or now - goal.sent >= goal.accept:
-            self._unanswered.discard(goal)
-            waited = f"did not answer within {goal.accept:g} s"
-            goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {'went away before it answered' if gone else waited}")
+        verdict = goal.watch.look(present, False, now)
+        if verdict is Verdict.LOST:
+            reason = "went away before it answered"
+        elif verdict is Verdict.ASK and goal.watch.asks == ASKS:
+            reason = "was restarted before it answered"
+        elif now - goal.sent >= goal.accept:
+            reason = f"did not answer within {goal.accept:g} s"
+        else:
+            return
+        self._unanswered.discard(goal)
+        goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {reason}")
 
     def _look_at_accepted(self, present: frozenset[bytes], now: float) -> None:
         asking = 0

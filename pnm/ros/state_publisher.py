@@ -9,7 +9,7 @@ from typing import Any, Final
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from pnm.actions.world import World
-from pnm.conditions import Fluent, Unknown, Value
+from pnm.expressions import Fluent, Unknown, Value
 from pnm.ros.messages import import_type, to_message
 from pnm.ros.node import RosThread
 from pnm.ros.sensing import TOPIC, write_state

@@ -10,8 +10,8 @@ import pytest
 from pnm_interfaces.msg import State
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from pnm.conditions import UNKNOWN
 from pnm.errors import InputError
+from pnm.expressions import UNKNOWN
 from pnm.knowledge import KnowledgeBase
 from pnm.ros.messages import to_message
 from pnm.ros.sensing import Sensing, read_state, write_state

@@ -1,0 +1,191 @@
+"""Fluents, states and the values of expressions.
+
+A *fluent* is a tuple of names, the first of which is the predicate, function or variable:
+``("at", "r1", "kitchen")``, written ``(at r1 kitchen)``. Terms that start with ``?`` are
+variables; an environment maps them to objects, so that one expression serves every call of an
+action. `str` of an expression is its PDDL text.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from itertools import product
+from typing import Final, Protocol, TypeAlias, assert_never
+
+Fluent: TypeAlias = tuple[str, ...]
+
+
+class Unknown(Enum):
+    """The third truth value, and the value of a fluent nobody knows."""
+
+    UNKNOWN = "unknown"
+
+    def __bool__(self) -> bool:
+        raise TypeError("unknown is neither true nor false; compare with `is`")
+
+
+UNKNOWN: Final = Unknown.UNKNOWN
+Value: TypeAlias = bool | float | str
+Truth: TypeAlias = bool | Unknown
+Environment: TypeAlias = Mapping[str, str]
+NOTHING: Final[Environment] = {}
+DURATION: Final[Fluent] = ("?duration",)
+"""Stands for the duration of the action it is used in; an environment may give it as text, in seconds."""
+
+
+class State(Protocol):
+    """What a condition is evaluated in."""
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        """Return the value of a ground fluent; None when nothing is recorded about it."""
+
+    def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
+        """Return the objects of any of the types, in a fixed order."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A typed variable of an action, a quantifier or a declaration; the name starts with ``?``."""
+
+    name: str
+    types: tuple[str, ...] = ("object",)
+
+    def __str__(self) -> str:
+        if len(self.types) == 1:
+            return f"{self.name} - {self.types[0]}"
+        return f"{self.name} - (either {' '.join(self.types)})"
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """A number, an object's name, a variable such as ``?x`` that stands for one, or a truth value."""
+
+    value: Value
+
+    def __str__(self) -> str:
+        if isinstance(self.value, float):
+            return f"{self.value:.12g}" if self.value != int(self.value) else str(int(self.value))
+        return str(self.value)
+
+
+@dataclass(frozen=True, slots=True)
+class ValueOf:
+    """The value of a fluent: ``(battery r1)``; `DURATION` is the duration of the action."""
+
+    fluent: Fluent
+
+    def __str__(self) -> str:
+        return "?duration" if self.fluent == DURATION else show(self.fluent)
+
+
+@dataclass(frozen=True, slots=True)
+class Arithmetic:
+    """``+ - * /`` over two or more operands; ``-`` over one operand negates."""
+
+    operation: str
+    operands: tuple[Expression, ...]
+
+    def __str__(self) -> str:
+        return f"({self.operation} {' '.join(map(str, self.operands))})"
+
+
+Expression: TypeAlias = Constant | ValueOf | Arithmetic
+
+_ARITHMETIC: Final[dict[str, Callable[[float, float], float]]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": operator.truediv,
+}
+
+
+def value_of(expression: Expression, state: State, env: Environment = NOTHING) -> Value | Unknown:
+    """Return the value of the expression; unknown as soon as one part is, or on division by zero."""
+    match expression:
+        case Constant(value):
+            return env.get(value, value) if isinstance(value, str) else value
+        case ValueOf(fluent) if fluent == DURATION and DURATION[0] in env:
+            return float(env[DURATION[0]])
+        case ValueOf(fluent):
+            found = state.value(bind(fluent, env))
+            return UNKNOWN if found is None else found
+        case Arithmetic(operation, operands):
+            numbers = [value_of(operand, state, env) for operand in operands]
+            if any(number is UNKNOWN or isinstance(number, str) for number in numbers):
+                return UNKNOWN
+            return _calculate(operation, [float(number) for number in numbers])  # type: ignore[arg-type]
+        case _:
+            assert_never(expression)
+
+
+def same(one: Value | Unknown | None, other: Value | Unknown | None) -> bool:
+    """Tell whether two recorded values are the same; nothing recorded is false, and 0 is not."""
+    one, other = (False if value is None else value for value in (one, other))
+    return isinstance(one, bool) is isinstance(other, bool) and one == other
+
+
+def choices(variables: tuple[Variable, ...], state: State, env: Environment) -> Iterator[Environment]:
+    """Yield the environment extended by every choice of objects for the variables."""
+    names = [variable.name for variable in variables]
+    for chosen in product(*(state.objects(variable.types) for variable in variables)):
+        yield {**env, **dict(zip(names, chosen, strict=True))}
+
+
+def bind(fluent: Fluent, env: Environment) -> Fluent:
+    """Replace the variables of the fluent by the objects the environment gives them."""
+    return tuple(env.get(term, term) for term in fluent) if env else fluent
+
+
+def show(fluent: Fluent) -> str:
+    """Write the fluent as PDDL does."""
+    return f"({' '.join(fluent)})"
+
+
+def expression_fluents(expression: Expression, env: Environment = NOTHING) -> Iterator[Fluent]:
+    """Yield every ground fluent the value of the expression depends on."""
+    match expression:
+        case Constant():
+            return
+        case ValueOf(fluent):
+            if fluent != DURATION or DURATION[0] not in env:
+                yield bind(fluent, env)
+        case Arithmetic(_, operands):
+            for operand in operands:
+                yield from expression_fluents(operand, env)
+        case _:
+            assert_never(expression)
+
+
+def ground_expression(expression: Expression, env: Environment) -> Expression:
+    """Substitute the environment's objects for the variables of an expression."""
+    match expression:
+        case Constant(value):
+            return Constant(env.get(value, value)) if isinstance(value, str) else expression
+        case ValueOf(fluent) if fluent == DURATION and DURATION[0] in env:
+            return Constant(float(env[DURATION[0]]))
+        case ValueOf(fluent):
+            return ValueOf(bind(fluent, env))
+        case Arithmetic(operation, operands):
+            return Arithmetic(operation, tuple(ground_expression(one, env) for one in operands))
+        case _:
+            assert_never(expression)
+
+
+def hidden(env: Environment, variables: tuple[Variable, ...]) -> Environment:
+    """Return the environment without the variables that a quantifier binds anew."""
+    names = {variable.name for variable in variables}
+    return {name: value for name, value in env.items() if name not in names}
+
+
+def _calculate(operation: str, numbers: list[float]) -> float | Unknown:
+    if operation == "-" and len(numbers) == 1:
+        return -numbers[0]
+    total = numbers[0]
+    for number in numbers[1:]:
+        if operation == "/" and number == 0:
+            return UNKNOWN
+        total = _ARITHMETIC[operation](total, number)
+    return total
