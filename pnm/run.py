@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 from heapq import heappop, heappush
 from typing import Final, assert_never
 from uuid import UUID, uuid5
@@ -26,6 +25,7 @@ from pnm.errors import PnmError
 from pnm.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
 from pnm.expressions import Fluent, Value
 from pnm.knowledge import Layered
+from pnm.ledger import Ledger
 from pnm.machine import (
     Accepts,
     After,
@@ -48,7 +48,7 @@ from pnm.machine import (
 from pnm.marking import Marking
 from pnm.observer import Observer
 from pnm.plan_graph import GroundAction
-from pnm.results import CallResult, Failure, RunResult
+from pnm.results import RunResult
 
 NEVER: Final = float("inf")
 _KNOWING: Final = (Holding, Denied, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
@@ -108,13 +108,10 @@ class Run:
         self._commands: list[Command] = []
         self._open: dict[UUID, int] = {}
         self._request: dict[int, UUID] = {}
-        self._results: dict[int, CallResult] = {call.index: CallResult(call) for call in machine.plan.calls}
-        self._messages: dict[int, str] = {}
-        self._causes: dict[int, tuple[str, str, str]] = {}
+        self._ledger = Ledger(machine.plan.calls)
         self._begun: dict[int, tuple[Changes, Changes]] = {}
         self._expected: dict[int, dict[Fluent, Value]] = {}
         self._missing: dict[int, tuple[str, ...]] = {}
-        self._failures: list[Failure] = []
         self._stop: Stop | None = None
 
     # --- what a caller sees -------------------------------------------------------------------
@@ -132,20 +129,20 @@ class Run:
     @property
     def ending(self) -> bool:
         """Whether nothing more is started: a failure place is marked, or the run was told to stop."""
-        return bool(self._failures) or self._stop is not None
+        return bool(self._ledger.failures) or self._stop is not None
 
     def result(self) -> RunResult:
         """Return how the run ended."""
         if not self.over:
             raise RunError(f"the run is not over: {self.marking}")
         goal = bool(self._engine.tokens[self._final_ids[0]])
-        return RunResult(goal, self._reason(goal), tuple(self._results.values()), tuple(self._failures), self._stop is not None)
+        return RunResult(goal, self._reason(goal), tuple(self._ledger.results), tuple(self._ledger.failures), self._stop is not None)
 
     def _reason(self, goal: bool) -> str:
         if goal:
             return "the goal holds"
-        if self._failures:
-            return str(self._failures[0])
+        if self._ledger.failures:
+            return str(self._ledger.failures[0])
         if self._stop:
             return self._stop.reason
         expected, seen = self._explain(self.machine.plan.goal)
@@ -206,8 +203,8 @@ class Run:
         if outcome.kind is OutcomeKind.SUCCEEDED:
             store = self._bindings.of(self._action(call).name).store
             self.knowledge.local.store({store.get(name, name): value for name, value in outcome.result.items()})
-        self._messages[call] = outcome.message or outcome.kind.value
-        self._observer.ended(self._results[call].call, outcome, self._now)
+        self._ledger.answered(call, outcome)
+        self._observer.ended(self.machine.plan.calls[call], outcome, self._now)
 
     # --- δ̂ ------------------------------------------------------------------------------------
 
@@ -301,52 +298,26 @@ class Run:
         self._observer.fired(compiled.transitions[transition], rule, self._now)
 
     def _note(self, rule: Rule, call: int) -> None:
-        """Keep the record of the call up to date."""
-        result = self._results[call]
-        if rule.deed is Deed.SEND:
-            started = self._now if result.started is None else result.started
-            self._results[call] = replace(result, outcome="running", attempts=result.attempts + 1, started=started)
-        elif rule.name in _DONE:
-            assumed = rule.deed is Deed.FINISH and is_assumed(self._action(call), self.knowledge)
-            self._results[call] = replace(result, outcome=_DONE[rule.name], ended=self._now, assumed=assumed)
-        if rule.name in _CAUSES:
-            self._causes[call] = (_CAUSES[rule.name], *self._expectation(rule, call))
+        assumed = rule.deed is Deed.FINISH and is_assumed(self._action(call), self.knowledge)
+        self._ledger.fired(rule, call, self._now, missing=self._missing.get(call, ()), assumed=assumed)
         if rule.name in _GIVEN_UP:
             self._open.pop(self._request[call], None)
 
-    def _expectation(self, rule: Rule, call: int) -> tuple[str, str]:
-        """Return what was expected and what was seen when this transition fired."""
-        match rule.name:
-            case "effects_missing":
-                return " ".join(self._missing[call]), "the action succeeded, but that is not so"
-            case "unanswered":
-                return "an answer to the goal in time", "none"
-            case "expired":
-                return "an end in time", f"none; then {self._messages[call]}"
-            case "unconfirmed":
-                return "an end, or a confirmed cancellation, in time", "neither"
-            case _:
-                return "success", self._messages[call]
-
     def _fail(self, call: int, rule: Rule) -> None:
         first = not self.ending
-        failure = self._failure(call, rule)
-        self._failures.append(failure)
-        self._results[call] = replace(self._results[call], outcome=failure.cause, ended=self._now)
-        self._observer.failed(failure, self._now)
+        self._observer.failed(self._ledger.failed(call, self._now, self._why(call, rule)), self._now)
         if first:
             self._agenda.extend(self._undecided)
 
-    def _failure(self, call: int, rule: Rule) -> Failure:
-        """Say why the failure place is being marked by the transition of this rule."""
-        about, guard = self._results[call].call, rule.guard
-        if isinstance(guard, Denied):
-            return Failure(about, rule.name, *self._explain(guard.condition))
-        if isinstance(guard, DataMissing):
-            return Failure(
-                about, rule.name, f"values for {', '.join(self._goal(call)[1])}", "no argument, variable or constant of that name"
-            )
-        return Failure(about, *self._causes[call])
+    def _why(self, call: int, rule: Rule) -> tuple[str, str, str] | None:
+        """Return the cause of a failure that a check has found, with what was expected and what was seen."""
+        match rule.guard:
+            case Denied(condition):
+                return rule.name, *self._explain(condition)
+            case DataMissing():
+                return rule.name, f"values for {', '.join(self._goal(call)[1])}", "no argument, variable or constant of that name"
+            case _:
+                return None
 
     def _explain(self, condition: Condition) -> tuple[str, str]:
         missing = failing(condition, self.knowledge)
@@ -370,16 +341,16 @@ class Run:
                 assert_never(deed)
 
     def _send(self, call: int) -> None:
-        attempt = self._results[call].attempts
+        attempt = self._ledger.results[call].attempts
         identity = uuid5(self.id, f"{call}/{attempt}")
         self._open[identity] = call
         self._request[call] = identity
         request = Request(identity, self._action(call), self._goal(call)[0], attempt)
         self._commands.append(Send(request))
-        self._observer.sent(self._results[call].call, request, self._now)
+        self._observer.sent(self.machine.plan.calls[call], request, self._now)
 
     def _begin_effects(self, call: int) -> None:
-        self._expected[call] = expected(self._results[call].call, self.knowledge)
+        self._expected[call] = expected(self.machine.plan.calls[call], self.knowledge)
         written = changes(self._action(call).start_effects, self.knowledge)
         self._begun[call] = {fluent: self.knowledge.value(fluent) or False for fluent in written}, written
         self._write(written)
@@ -397,7 +368,7 @@ class Run:
     # --- shorthand ----------------------------------------------------------------------------
 
     def _action(self, call: int) -> GroundAction:
-        return self._results[call].call.action
+        return self.machine.plan.calls[call].action
 
     def _goal(self, call: int) -> tuple[dict[str, object], tuple[str, ...]]:
         action = self._action(call)
@@ -409,32 +380,6 @@ class Run:
     def _unseen(self, call: int) -> tuple[str, ...]:
         return unseen(self._expected.get(call, {}), self._action(call), self.knowledge)
 
-
-_DONE: Final = {
-    "skip": "skipped",
-    "already_true": "already true",
-    "effects_hold": "succeeded",
-    "completed": "succeeded",
-    "stopped": "canceled",
-    "unconfirmed_stop": "canceled, unconfirmed",
-}
-"""The transitions that end a call without failure, and how that is called."""
-
-_CAUSES: Final = {
-    "rejected": "rejected",
-    "unavailable": "unavailable",
-    "unanswered": "unavailable",
-    "ended_early": "unavailable",
-    "aborted": "aborted",
-    "canceled": "canceled",
-    "lost": "lost",
-    "lost_early": "lost",
-    "ended_oddly": "aborted",
-    "expired": "timed_out",
-    "unconfirmed": "timed_out",
-    "effects_missing": "effects_missing",
-}
-"""The transitions after which a call recovers or fails, and how the cause is called."""
 
 _GIVEN_UP: Final = frozenset({"unanswered", "unconfirmed", "unconfirmed_stop"})
 """The transitions after which a request is no longer waited for."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import FrozenInstanceError, fields
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,7 +12,7 @@ from hypothesis import strategies as st
 from pnm.compiled import CompiledNet, Engine
 from pnm.errors import NotEnabled
 from pnm.marking import Marking
-from pnm.net import Arc, NetBuilder, NetError, PetriNet
+from pnm.net import Arc, NetBuilder, NetError, PetriNet, Place, Transition
 from pnm.semantics import enabled, fire, is_enabled
 
 Firing = tuple[str, int]
@@ -120,6 +122,13 @@ def test_of_two_transitions_in_conflict_only_one_fires() -> None:
     assert engine.marking() == after == Marking(["done"])
 
 
+def test_only_what_is_missing_is_said_to_be() -> None:
+    net, marking = loan().build(), Marking({"shelf": 3, "card": 2})
+    for refused in (lambda: fire(net, marking, "borrow", 2), lambda: Engine(CompiledNet(net), marking).fire(0, 2)):
+        with pytest.raises(NotEnabled, match=r"^borrow is not enabled; missing tokens: {'shelf': 1}$"):
+            refused()
+
+
 @given(runs())
 def test_engines_of_one_compiled_net_do_not_share_a_marking(run: tuple[PetriNet, Marking, list[Firing]]) -> None:
     net, marking, _ = run
@@ -166,6 +175,12 @@ def test_arcs_and_incidence() -> None:
     assert net.arcs[:3] == (Arc("shelf", "borrow", 2), Arc("card", "borrow"), Arc("borrow", "home", 2))
     assert net.incidence().tolist() == [[-2, 0, 2], [1, 0, -1]]
     assert repr(net) == "<PetriNet 3 places, 2 transitions>"
+
+
+@pytest.mark.parametrize("value", [Place("p"), Transition("t"), Arc("p", "t"), PetriNet((), {}, {})], ids=repr)
+def test_nets_and_their_parts_are_frozen(value: object) -> None:
+    with pytest.raises(FrozenInstanceError):
+        setattr(value, fields(value)[0].name, "other")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", ["shelf", "borrow"])
@@ -257,3 +272,4 @@ def test_a_marking_is_no_dictionary() -> None:
 @given(COUNTS, COUNTS, st.integers(1, 3))
 def test_covering_is_having_enough_of_everything(have: dict[str, int], need: dict[str, int], times: int) -> None:
     assert Marking(have).covers(need, times) is all(have.get(place, 0) >= times * count for place, count in need.items())
+    assert Marking(need).covers(need)

@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -35,7 +36,7 @@ def staging(folder: Path) -> Iterator[Callable[..., Scene]]:
     with ExitStack() as stack:
         scenes: list[Scene] = []
 
-        def stage(name: str, **options: str) -> Scene:
+        def stage(name: str, **options: Any) -> Scene:
             here = folder / f"scene{len(scenes)}"
             here.mkdir()
             scenes.append(Scene(name, here, stack.enter_context(ros_domain()), **options))

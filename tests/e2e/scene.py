@@ -15,6 +15,16 @@ from pnm.conditions import evaluate
 from pnm.knowledge import KnowledgeBase, parse_statement
 from tests.e2e.processes import LIMIT, ROOT, Program
 
+QUICK = """<?xml version="1.0" encoding="UTF-8"?>
+<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+  <participant profile_name="quick" is_default_profile="true">
+    <rtps><builtin><discovery_config>
+      <leaseAnnouncement><sec>0</sec><nanosec>200000000</nanosec></leaseAnnouncement>
+    </discovery_config></builtin></rtps>
+  </participant>
+</profiles>
+"""
+
 
 @dataclass(frozen=True)
 class Story:
@@ -82,9 +92,12 @@ class Scene:
         faults: text of a faults file; by default nothing goes wrong.
         bindings: text of a bindings file; by default the domain's own.
         speed: how many times faster than real time the robots are.
+        quick: have processes look out for each other more often than every 3 s, which is the default.
     """
 
-    def __init__(self, name: str, folder: Path, ros_domain: int, *, faults: str = "", bindings: str = "", speed: str = "20") -> None:
+    def __init__(
+        self, name: str, folder: Path, ros_domain: int, *, faults: str = "", bindings: str = "", speed: str = "20", quick: bool = False
+    ) -> None:
         domain, number = name.split("/")
         self.files = [str(ROOT / "domains" / domain / "domain.pddl"), str(ROOT / "problems" / domain / f"{number}.pddl")]
         self._faults = ["--faults", _written(folder / "faults.yaml", faults)] if faults else []
@@ -95,6 +108,8 @@ class Scene:
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",  # killed processes would leave shared memory behind
         }
+        if quick:
+            self.environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = _written(folder / "dds.xml", QUICK)
         self._programs: list[Program] = []
 
     @cached_property
@@ -144,6 +159,13 @@ class Scene:
         """End all processes."""
         for program in self._programs:
             program.close()
+
+
+def play_together(*scenes: Scene) -> list[Story]:
+    """Play several scenes at the same time."""
+    simulations = [scene.simulate() for scene in scenes]
+    runs = [scene.run() for scene, simulation in zip(scenes, simulations, strict=True) if simulation.ready()]
+    return [scene.judge(run, simulation) for scene, run, simulation in zip(scenes, runs, simulations, strict=True)]
 
 
 def _written(path: Path, text: str) -> str:
