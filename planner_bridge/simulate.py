@@ -63,9 +63,9 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
         logged = LoggedRobots(robots, log)
         servers = ActionServers(ros, logged, loop, robots.progress)
         found = serving(problem, bindings)
-        await servers.offer([Offer(one.server, one.type, one.decode) for one in found])
         publisher = StatePublisher(ros, loop, robots.world, robots.world.reported(bindings.assumed))
-        await publisher.open()
+        await publisher.open()  # before the servers: who finds them shall know the world
+        await servers.offer([Offer(one.server, one.type, one.decode) for one in found])
         print(f"ready: {len(found)} action servers: {', '.join(one.server for one in found)}", flush=True)
         await stopped.wait()
         logged.write("state", facts=sorted(_statements(robots.world.truth.facts())))

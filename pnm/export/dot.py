@@ -15,27 +15,26 @@ def to_dot(machine: PetriNetMachine) -> str:
 
 
 def _body(machine: PetriNetMachine) -> Iterator[str]:
-    for call in machine.plan.calls:
+    titles = tuple(f"{call} " for call in machine.plan.calls)
+    free = [place for place in machine.net.places if place in machine.orderings or " < " in place or not place.startswith(titles)]
+    for call, title in zip(machine.plan.calls, titles, strict=True):
         yield f'  subgraph cluster_{call.index} {{ label={_quote(str(call))}; color=gray; fontname="sans-serif";'
-        yield from (
-            f"    {_place(machine, place)}"
-            for place in machine.net.places
-            if place.startswith(f"{call} ") and place not in machine.orderings
-        )
+        yield from (f"    {_place(machine, place, title)}" for place in machine.net.places if place.startswith(title) and place not in free)
         yield from (f"    {_transition(machine, name)}" for name, rule in machine.rules.items() if rule.call == call.index)
         yield "  }"
-    owned = tuple(f"{call} " for call in machine.plan.calls)
-    yield from (f"  {_place(machine, place)}" for place in machine.net.places if place in machine.orderings or not place.startswith(owned))
+    yield from (f"  {_place(machine, place)}" for place in free)
     yield from (f"  {_transition(machine, name)}" for name, rule in machine.rules.items() if rule.call is None)
     for arc in machine.net.arcs:
         weight = f" [label={arc.weight}]" if arc.weight > 1 else ""
         yield f"  {_quote(arc.source)} -> {_quote(arc.target)}{weight};"
 
 
-def _place(machine: PetriNetMachine, place: str) -> str:
-    tokens = machine.initial[place]
-    label = place.rsplit(" ", 1)[-1] if place not in machine.orderings else ", ".join(map(" ".join, machine.orderings[place].protects))
-    return f"{_quote(place)} [shape=circle, label={_quote(label + ' •' * tokens)}, color={_quote(_COLOURS[role(machine, place)])}];"
+def _place(machine: PetriNetMachine, place: str, title: str = "") -> str:
+    label = place.removeprefix(title)
+    if place in machine.orderings:
+        label = ", ".join(map(" ".join, machine.orderings[place].protects))
+    label += " •" * machine.initial[place]
+    return f"{_quote(place)} [shape=circle, label={_quote(label)}, color={_quote(_COLOURS[role(machine, place)])}];"
 
 
 def _transition(machine: PetriNetMachine, name: str) -> str:

@@ -33,6 +33,8 @@ class Goal:
     cancel_answered: bool = False
     results: list[Any] = field(default_factory=list)
     """The futures of the requests for the result."""
+    restarted: float | None = None
+    """When the server said that it does not know the goal."""
     ended: bool = False
 
     def end(self, kind: OutcomeKind, message: str = "", result: Mapping[str, object] | None = None) -> None:

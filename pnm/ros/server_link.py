@@ -27,6 +27,8 @@ RETURN: Final = 5.0
 """Seconds for which a server that went away is expected back: how long a restart may take."""
 DISCOVERY: Final = 5.0
 """Seconds after which a server that is there must have been discovered."""
+RESENSED: Final = 1.0
+"""Seconds after a restart until a goal counts as lost: what is sensed anew should be known before it is tried again."""
 START: Final = 10.0
 """The same, while the node itself is new: for servers that are being started together with it."""
 _DEPTH: Final = 1000
@@ -161,7 +163,7 @@ class ServerLink:
             return
         answer = future.result()
         if answer.status == UNKNOWN:
-            self._lose(goal, f"{self.name} no longer knows the goal; it was restarted")
+            goal.restarted = goal.restarted or monotonic()
         elif answer.status in OVER:
             self._accepted.discard(goal)
             result = to_data(answer.result)
@@ -242,6 +244,8 @@ class ServerLink:
                     goal.end(OVER[goal.handle.status], "its result never came")
                 case Verdict.FINE:
                     pass
+            if goal.restarted and now - goal.restarted >= RESENSED:
+                self._lose(goal, f"{self.name} no longer knows the goal; it was restarted")
             if not goal.ended and goal.wants_cancel and goal.cancel_sent is not None and now - goal.cancel_sent >= AGAIN:
                 self._send_cancel(goal)
 

@@ -6,7 +6,7 @@ import signal
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from planner_bridge.loading import load
 from planner_bridge.model import Problem
@@ -24,6 +24,9 @@ QUICK = """<?xml version="1.0" encoding="UTF-8"?>
   </participant>
 </profiles>
 """
+
+
+P = TypeVar("P", bound=Program)
 
 
 @dataclass(frozen=True)
@@ -83,23 +86,36 @@ class Run(Program):
 
 
 class Scene:
-    """One of the project's own problems, played in a ROS domain of its own.
+    """A problem that is played in a ROS domain of its own.
 
     Args:
-        name: such as ``delivery/p01``.
+        name: one of the project's own problems, such as ``delivery/p01``.
         folder: for the files of the scene.
         ros_domain: its number.
         faults: text of a faults file; by default nothing goes wrong.
         bindings: text of a bindings file; by default the domain's own.
         speed: how many times faster than real time the robots are.
         quick: have processes look out for each other more often than every 3 s, which is the default.
+        texts: of a domain and a problem, in place of the project's own.
     """
 
     def __init__(
-        self, name: str, folder: Path, ros_domain: int, *, faults: str = "", bindings: str = "", speed: str = "20", quick: bool = False
+        self,
+        name: str,
+        folder: Path,
+        ros_domain: int,
+        *,
+        faults: str = "",
+        bindings: str = "",
+        speed: str = "20",
+        quick: bool = False,
+        texts: tuple[str, str] | None = None,
     ) -> None:
-        domain, number = name.split("/")
-        self.files = [str(ROOT / "domains" / domain / "domain.pddl"), str(ROOT / "problems" / domain / f"{number}.pddl")]
+        if texts:
+            self.files = [_written(folder / "domain.pddl", texts[0]), _written(folder / "problem.pddl", texts[1])]
+        else:
+            domain, number = name.split("/")
+            self.files = [str(ROOT / "domains" / domain / "domain.pddl"), str(ROOT / "problems" / domain / f"{number}.pddl")]
         self._faults = ["--faults", _written(folder / "faults.yaml", faults)] if faults else []
         self._bindings = ["--bindings", _written(folder / "bindings.yaml", bindings)] if bindings else []
         self._speed = ["--speed", speed]
@@ -120,16 +136,17 @@ class Scene:
     def simulate(self) -> Simulation:
         """Start the robots."""
         options = [*self._bindings, *self._faults, *self._speed, "--log", "/dev/stdout"]
-        simulation = Simulation(["-m", "planner_bridge", "simulate", *self.files, *options], self.environment)
-        self._programs.append(simulation)
-        return simulation
+        return self.start(Simulation(["-m", "planner_bridge", "simulate", *self.files, *options], self.environment))
 
     def run(self, *options: str) -> Run:
         """Start a run."""
         options = ("--actions", "ros2", "--json", *self._bindings, *options)
-        run = Run(["-m", "planner_bridge", "run", *self.files, *options], self.environment)
-        self._programs.append(run)
-        return run
+        return self.start(Run(["-m", "planner_bridge", "run", *self.files, *options], self.environment))
+
+    def start(self, program: P) -> P:
+        """Have a program end with the scene."""
+        self._programs.append(program)
+        return program
 
     def play(self, *options: str) -> Story:
         """Start the robots and a run, wait for its end, and judge it."""

@@ -12,6 +12,7 @@ import pytest
 from pnm.actions.base import OutcomeKind
 from pnm.bindings import Binding
 from pnm.plan_graph import GroundAction
+from pnm.ros.node import RosThread
 
 GROUND = "pnm_interfaces/action/GroundAction"
 FIBONACCI = "test_msgs/action/Fibonacci"
@@ -252,6 +253,20 @@ def test_a_killed_server_is_lost_within_30_seconds_and_a_blocked_one_is_not(play
         assert (await busy.ended(30.0)).kind is OutcomeKind.SUCCEEDED
 
     play(scenario, limit=60.0, act=Binding(server=killed), busy=Binding(server=blocked))
+
+
+def test_goals_end_when_the_ros_thread_is_closed_under_the_client(play, shared):
+    async def scenario(another):
+        ros = RosThread("closed_early")
+        client = type(another)(ros, act=Binding(server=shared))
+        sent = client.send("act", action="hang")
+        await sent.accepted()
+        assert await asyncio.to_thread(ros.close)
+        outcome = await sent.ended(2.0)
+        assert (outcome.kind, outcome.message) == (OutcomeKind.LOST, "the ROS 2 node was closed")
+        assert (await client.send("act", action="succeed").ended(2.0)).kind is OutcomeKind.UNAVAILABLE
+
+    play(scenario)
 
 
 CLOSING = """
