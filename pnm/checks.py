@@ -6,11 +6,12 @@ fluent is sensed and has the value; effects on assumed fluents cannot be checked
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 
 from pnm.conditions import Condition, conjuncts, evaluate, names
-from pnm.effects import Changes, Set, changes, facts, names_written
-from pnm.expressions import Fluent, Value, show
+from pnm.effects import Changes, changes, facts, names_written, unconditional
+from pnm.expressions import Fluent, Value, same, show
 from pnm.knowledge import Layered
 from pnm.plan_graph import ActionCall, GroundAction
 
@@ -20,33 +21,57 @@ def already_true(action: GroundAction, knowledge: Layered) -> bool:
     at_start, at_end = facts(action.start_effects, knowledge), facts(action.end_effects, knowledge)
     if at_start is None or at_end is None or not (at_start or at_end):
         return False
-    return all((knowledge.value(fluent) or False) is value for fluent, value in (at_start | at_end).items())
+    return all(same(knowledge.value(fluent), value) for fluent, value in (at_start | at_end).items())
 
 
-def expected(call: ActionCall, knowledge: Layered) -> dict[Fluent, Value]:
-    """Return the facts that sensors should report once the call, which starts now, has succeeded.
+@dataclass(frozen=True, slots=True)
+class Intention:
+    """What a call is going to change, computed when it is sent: later the sensors already show some of it."""
 
-    Numbers are left out: a real battery never shows the modelled figure. So are, for a durative
+    start: Changes = field(default_factory=dict)
+    end: Changes = field(default_factory=dict)
+    expected: Mapping[Fluent, Value] = field(default_factory=dict)
+    """The facts that sensors should report once the call has succeeded."""
+
+
+def intention(call: ActionCall, knowledge: Layered) -> Intention:
+    """Compute what the call, which is being sent, is going to change, and what of it should be seen.
+
+    Numbers are not expected: a real battery never shows the modelled figure. Nor are, of a durative
     action, effects under a condition, which is only decided at its end.
     """
     action = call.action
-    lasting = {fluent: value for fluent, value in changes(action.start_effects, knowledge).items() if fluent in call.lasting}
-    effects = action.end_effects
+    start, end = changes(action.start_effects, knowledge), changes(action.end_effects, knowledge)
+    lasting = {fluent: value for fluent, value in start.items() if fluent in call.lasting}
+    conditional = _names_under_conditions(action) if action.duration is not None else frozenset()
+    wanted = lasting | {fluent: value for fluent, value in end.items() if fluent[0] not in conditional}
+    seen = {fluent: value for fluent, value in wanted.items() if isinstance(value, bool) and knowledge.world.is_sensed(fluent)}
+    return Intention(start, end, seen)
+
+
+def _names_under_conditions(action: GroundAction) -> frozenset[str]:
+    return names_written(tuple(effect for effect in action.end_effects if unconditional((effect,)) != (effect,)))
+
+
+def finished(action: GroundAction, intended: Intention, knowledge: Layered) -> Changes:
+    """Return what the end of the action changes.
+
+    A durative action's end effects read the state at its end. An instantaneous action's conditions
+    were decided when it was sent; its numbers change from what they are now, for others may have
+    changed them meanwhile.
+    """
+    now = changes(action.end_effects, knowledge)
     if action.duration is not None:
-        conditional = names_written(
-            tuple(effect for effect in effects if facts((effect,), knowledge) is None and not isinstance(effect, Set))
-        )
-        effects = tuple(effect for effect in effects if not names_written((effect,)) & conditional)
-    wanted: Changes = lasting | changes(effects, knowledge)
-    return {fluent: value for fluent, value in wanted.items() if isinstance(value, bool) and knowledge.world.is_sensed(fluent)}
+        return now
+    return {fluent: value if isinstance(value, bool) else now.get(fluent, value) for fluent, value in intended.end.items()}
 
 
-def unseen(wanted: dict[Fluent, Value], action: GroundAction, knowledge: Layered) -> tuple[str, ...]:
+def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: Layered) -> tuple[str, ...]:
     """Return, as PDDL, which expected facts are not reported and which end conditions do not hold."""
     missing = (
         show(fluent) if value else f"(not {show(fluent)})"
         for fluent, value in wanted.items()
-        if (knowledge.world.value(fluent) or False) is not value
+        if not same(knowledge.world.value(fluent), value)
     )
     return (*missing, *map(str, _end_denied(action, knowledge)))
 
@@ -59,7 +84,7 @@ def _end_denied(action: GroundAction, knowledge: Layered) -> Iterator[Condition]
             yield part
 
 
-def lag_of_effects(wanted: dict[Fluent, Value], action: GroundAction, knowledge: Layered) -> float:
+def lag_of_effects(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: Layered) -> float:
     """Return how many seconds late the reports about the effects and the end condition may come."""
     return knowledge.world.lag({*(fluent[0] for fluent in wanted), *names(action.end_condition)})
 

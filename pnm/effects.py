@@ -190,6 +190,15 @@ def _ground(effect: Effect, env: Environment) -> Effect:
             assert_never(effect)
 
 
+def values_before(after: Changes, state: State) -> Changes:
+    """Return what the state has for the fluents that are about to be changed; what is absent is false, or an unknown number."""
+    found: Changes = {}
+    for fluent, value in after.items():
+        old = state.value(fluent)
+        found[fluent] = old if old is not None else False if isinstance(value, bool) else UNKNOWN
+    return found
+
+
 def undo(before: Changes, after: Changes, now: State) -> Changes:
     """Return what takes back `after`: old values where nobody else has written since.
 

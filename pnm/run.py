@@ -17,13 +17,12 @@ from uuid import UUID, uuid5
 
 from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Report, Request
 from pnm.bindings import Bindings, goal_data
-from pnm.checks import already_true, expected, is_assumed, lag_of_effects, unseen
+from pnm.checks import Intention, already_true, finished, intention, is_assumed, lag_of_effects, unseen
 from pnm.compiled import Engine
 from pnm.conditions import Condition, evaluate, failing, names, observed
-from pnm.effects import Changes, changes, undo
+from pnm.effects import Changes, undo, values_before
 from pnm.errors import PnmError
 from pnm.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
-from pnm.expressions import Fluent, Value
 from pnm.knowledge import Layered
 from pnm.ledger import Ledger
 from pnm.machine import (
@@ -109,8 +108,8 @@ class Run:
         self._open: dict[UUID, int] = {}
         self._request: dict[int, UUID] = {}
         self._ledger = Ledger(machine.plan.calls)
-        self._begun: dict[int, tuple[Changes, Changes]] = {}
-        self._expected: dict[int, dict[Fluent, Value]] = {}
+        self._intended: dict[int, Intention] = {}
+        self._begun: dict[int, Changes] = {}
         self._missing: dict[int, tuple[str, ...]] = {}
         self._stop: Stop | None = None
 
@@ -169,7 +168,8 @@ class Run:
                     self._agenda.append(heappop(self._timers)[1])
                     self._scheduled.pop(self._agenda[-1], None)
             case Stop():
-                self._stop = self._stop or event
+                if self._stop is None or event.cancel:
+                    self._stop = event
                 self._agenda.extend(self._undecided)
             case Accepted() | Ended():
                 self._report(event)
@@ -191,13 +191,20 @@ class Run:
             self._observer.orphaned(report, self._now)
             return
         if isinstance(report, Ended):
+            if report.outcome.kind not in _BEFORE_ACCEPTANCE:
+                self._take(call, Accepted(report.request))  # a client may leave out what goes without saying
             del self._open[report.request]
             self._note_outcome(call, report.outcome)
+        if not self._take(call, report):
+            self._observer.orphaned(report, self._now)
+
+    def _take(self, call: int, report: Report) -> bool:
+        """Fire the transition of the call that the report opens, if there is one."""
         for transition in self._reported[call]:
             if self._engine.is_enabled(transition) and _admits(self._rules[transition], report):
                 self._fire(transition)
-                return
-        self._observer.orphaned(report, self._now)
+                return True
+        return False
 
     def _note_outcome(self, call: int, outcome: Outcome) -> None:
         if outcome.kind is OutcomeKind.SUCCEEDED:
@@ -334,7 +341,7 @@ class Run:
             case Deed.BEGIN:
                 self._begin_effects(call)
             case Deed.FINISH:
-                self._write(changes(self._action(call).end_effects, self.knowledge))
+                self._write(finished(self._action(call), self._intended[call], self.knowledge))
             case Deed.UNDO:
                 self._undo(call)
             case _:
@@ -346,18 +353,18 @@ class Run:
         self._open[identity] = call
         self._request[call] = identity
         request = Request(identity, self._action(call), self._goal(call)[0], attempt)
+        self._intended[call] = intention(self.machine.plan.calls[call], self.knowledge)
         self._commands.append(Send(request))
         self._observer.sent(self.machine.plan.calls[call], request, self._now)
 
     def _begin_effects(self, call: int) -> None:
-        self._expected[call] = expected(self.machine.plan.calls[call], self.knowledge)
-        written = changes(self._action(call).start_effects, self.knowledge)
-        self._begun[call] = {fluent: self.knowledge.value(fluent) or False for fluent in written}, written
-        self._write(written)
+        start = self._intended[call].start
+        self._begun[call] = values_before(start, self.knowledge)
+        self._write(start)
 
     def _undo(self, call: int) -> None:
-        before, written = self._begun.pop(call, ({}, {}))
-        self._write(undo(before, written, self.knowledge))
+        if call in self._begun:
+            self._write(undo(self._begun.pop(call), self._intended[call].start, self.knowledge))
 
     def _write(self, new: Changes) -> None:
         """Write what nobody reports; sensors tell the rest."""
@@ -375,11 +382,14 @@ class Run:
         return goal_data(action, self._bindings.of(action.name), self._goal_fields(action), self.knowledge)
 
     def _lag_of_effects(self, call: int) -> float:
-        return lag_of_effects(self._expected.get(call, {}), self._action(call), self.knowledge)
+        return lag_of_effects(self._intended[call].expected, self._action(call), self.knowledge)
 
     def _unseen(self, call: int) -> tuple[str, ...]:
-        return unseen(self._expected.get(call, {}), self._action(call), self.knowledge)
+        return unseen(self._intended[call].expected, self._action(call), self.knowledge)
 
+
+_BEFORE_ACCEPTANCE: Final = frozenset({OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE, OutcomeKind.LOST})
+"""Ends that do not tell whether the goal was accepted before."""
 
 _GIVEN_UP: Final = frozenset({"unanswered", "unconfirmed", "unconfirmed_stop"})
 """The transitions after which a request is no longer waited for."""
@@ -393,7 +403,3 @@ def _admits(rule: Rule, report: Report) -> bool:
     if isinstance(report, Accepted):
         return isinstance(rule.guard, Accepts)
     return isinstance(rule.guard, Ends) and report.outcome.kind in rule.guard.kinds
-
-
-def _recorded(value: object) -> object:
-    return False if value is None else value

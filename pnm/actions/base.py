@@ -1,7 +1,8 @@
 """What the executor asks of anything that carries out actions.
 
 A *request* is one dispatch of a call to an action server, with a UUID chosen by us. It is
-answered by reports: at most one `Accepted`, then exactly one `Ended` with an `Outcome`. A
+answered by reports: at most one `Accepted`, then exactly one `Ended` with an `Outcome`. (An
+`Accepted` may be left out before an end that implies it.) A
 client that cannot keep that promise is still safe: the run gives every request a limit.
 """
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from pnm.conditions import TRUE, Condition, evaluate, failing
-from pnm.effects import Changes, changes, undo
+from pnm.effects import Changes, changes, undo, values_before
 from pnm.expressions import Fluent, Unknown, Value
 from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import GroundAction
@@ -57,7 +57,7 @@ class Activity:
         self.world = world
         self.action = action
         self._written = changes(action.start_effects, world.truth)
-        self._before: Changes = {fluent: world.truth.value(fluent) or False for fluent in self._written}
+        self._before = values_before(self._written, world.truth)
         world.change(self._written)
 
     @property

@@ -66,17 +66,19 @@ class Program:
             status = self.process.wait(limit)
         except subprocess.TimeoutExpired as error:
             raise AssertionError(f"it does not end within {limit:g} s: {self}") from error
-        for reader in self._readers:
-            reader.join(LIMIT)
-        assert "Traceback" not in "\n".join((*self.out, *self.err)), str(self)
+        self._heard_out()
         return status
 
     def close(self) -> None:
-        """Kill it unless it has ended."""
+        """Kill it unless it has ended; either way there must be no traceback in what was printed."""
         self.process.kill()
         self.process.wait(LIMIT)
+        self._heard_out()
+
+    def _heard_out(self) -> None:
         for reader in self._readers:
             reader.join(LIMIT)
+        assert "Traceback" not in "\n".join((*self.out, *self.err)), str(self)
 
     def objects(self) -> list[dict[str, Any]]:
         """Return the JSON objects printed so far."""
