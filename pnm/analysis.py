@@ -5,34 +5,39 @@ machine ends, with exactly one token on its goal place or on its failed place an
 but on record places; no place ever holds two tokens, a budget never more than it began with.
 
 `explore` walks through all states: the oracle, for machines of a few calls. `verify` is linear
-in the number of calls. It trusts nothing but the net and the rules: every block (the transitions
-of one call) is explored on its own, once per shape, with its inputs supplied at any moment; every
-place between blocks has one writing and one reading block; and the orderings have no cycle. By
-induction along the orderings, each block then gets its inputs once and gives its outputs once.
+in the number of calls, and trusts nothing but the net and the rules. Every block (the transitions
+of one call) is explored on its own, once per shape, with its inputs supplied at any moment; at
+every place some exit opens in finite time for any answer; every place between blocks has one
+writing and one reading block; and what the blocks wait for has no cycle. By induction along that
+order each block gets its inputs once and gives its outputs once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from graphlib import CycleError, TopologicalSorter
+from math import isfinite
+from typing import Final, TypeAlias
 
 from pnm.actions.base import OutcomeKind
 from pnm.machine import (
-    AlreadyTrue,
-    CancelAsked,
-    DataMissing,
+    Accepts,
+    After,
+    Always,
+    Deed,
     Denied,
     EffectsMissing,
     EffectsSeen,
-    Ending,
     Ends,
     Guard,
     Holding,
+    NotBefore,
     OnFailure,
     PetriNetMachine,
 )
 from pnm.net import Weights
+from pnm.plan_graph import Moment
 from pnm.state_space import Part, Step, Unsound, explore_part
 
 
@@ -59,17 +64,20 @@ def verify(machine: PetriNetMachine) -> Proof:
     owner = {name: rule.call for name, rule in machine.rules.items()}
     writers, readers = _blocks_at(machine, machine.net.outputs, owner), _blocks_at(machine, machine.net.inputs, owner)
     _check_channels(machine, writers, readers)
-    machine.plan.in_order()
     steps: dict[int | None, list[str]] = {}
     for name, call in owner.items():
         steps.setdefault(call, []).append(name)
     shapes: dict[object, int] = {}
+    waits: dict[_Event, set[_Event]] = {}
     for call, names in steps.items():
-        part = _block(machine, call, names, writers, readers)
-        _check_exits(part)
-        shape = _shape(part)
+        block = _block(machine, call, names, writers, readers)
+        _check_exits(block.part)
+        _check_rules(machine, call, names)
+        _note_channels(block, writers, waits)
+        shape = _shape(block.part)
         if shape not in shapes:
-            shapes[shape] = explore_part(part)
+            shapes[shape] = explore_part(block.part)
+    _check_order(waits)
     return Proof(len(machine.plan.calls), len(shapes), sum(shapes.values()))
 
 
@@ -139,12 +147,64 @@ def _check_exits(part: Part) -> None:
                 raise Unsound(f"{place} has no exit for when {guard.condition} does not hold")
             if isinstance(guard, EffectsSeen) and EffectsMissing(guard.call) not in guards:
                 raise Unsound(f"{place} has no exit for when the effects are not seen")
-        if all(isinstance(guard, _PARTIAL) for guard in guards):
-            raise Unsound(f"{place} has no exit that is sure to open")
+        if not any(isinstance(guard, _SURE) or (isinstance(guard, After | NotBefore) and isfinite(guard.seconds)) for guard in guards):
+            raise Unsound(f"{place} has no exit that is sure to open in finite time")
 
 
-_PARTIAL: Final = (Ending, CancelAsked, AlreadyTrue, DataMissing)
-"""Guards that may stay closed for ever."""
+_SURE: Final = (Always, Denied, EffectsMissing)
+"""Guards of which it is certain that they, or the guards they complement, open in finite time."""
+
+
+def _check_rules(machine: PetriNetMachine, call: int | None, names: list[str]) -> None:
+    """Check that the rules of a block speak of its own call, and that requests and the goal are what they seem."""
+    waiting = {place for name in names if isinstance(machine.rules[name].guard, Accepts) for place in machine.net.inputs[name]}
+    for name in names:
+        rule, outputs = machine.rules[name], machine.net.outputs[name]
+        if getattr(rule.guard, "call", call) != call:
+            raise Unsound(f"{name} listens to another call")
+        if (rule.deed is Deed.SEND) is not bool(waiting & set(outputs)):
+            raise Unsound(f"{name} does not send the request that is waited for, or sends one that is not")
+        if any(machine.failure_places.get(place, call) != call for place in outputs):
+            raise Unsound(f"{name} marks the failure of another call")
+        if machine.goal_place in outputs and rule.guard != Holding(machine.plan.goal):
+            raise Unsound(f"{name} marks the goal place without asking for the goal")
+
+
+_Event: TypeAlias = tuple[int | None, str]
+"""The start or the end of a block; that of the frame around all calls is None."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """A block and what connects it to others."""
+
+    call: int | None
+    part: Part
+    first: tuple[str, ...]
+    """Inputs that its start waits for."""
+    rest: tuple[str, ...]
+    """Inputs that only its end waits for."""
+    early: frozenset[str]
+    """Outputs that its start gives."""
+
+
+def _note_channels(block: _Block, writers: Mapping[str, set[int | None]], waits: dict[_Event, set[_Event]]) -> None:
+    """Note which events of other blocks the events of this block wait for."""
+    start, end = (block.call, "start"), (block.call, "end")
+    waits.setdefault(end, set()).add(start)
+    for places, event in ((block.first, end if block.call is None else start), (block.rest, end)):
+        for place in places:
+            (writer,) = writers[place] - {block.call}
+            waits.setdefault(event, set()).add((writer, f"start of {place}"))
+    for place in block.part.places:
+        waits.setdefault((block.call, f"start of {place}"), set()).add(start if place in block.early else end)
+
+
+def _check_order(waits: Mapping[_Event, set[_Event]]) -> None:
+    try:
+        TopologicalSorter(waits).prepare()
+    except CycleError as error:
+        raise Unsound(f"blocks wait for each other: {error.args[1]}") from error
 
 
 def _block(
@@ -153,7 +213,7 @@ def _block(
     names: list[str],
     writers: Mapping[str, set[int | None]],
     readers: Mapping[str, set[int | None]],
-) -> Part:
+) -> _Block:
     """Cut the block of one call, or the frame around all calls, out of the machine."""
     steps = tuple(_step(machine, name) for name in names)
     places = tuple(dict.fromkeys(place for step in steps for place in (*step.inputs, *step.outputs)))
@@ -170,8 +230,13 @@ def _block(
             if 0 < sum(place in step.inputs for place in together) < len(together):
                 raise Unsound(f"{step.name} takes only some of the inputs {together}")
     records = machine.record_places
-    early = frozenset(place for place in outputs if place in machine.orderings and machine.orderings[place].before.moment.value == "start")
     finals = {machine.goal_place, machine.failed_place}
+    if call is None:
+        early = frozenset(outputs) - finals
+    else:
+        early = frozenset(
+            place for place in outputs if place in machine.orderings and machine.orderings[place].before.moment is Moment.START
+        )
 
     def is_proper(left: Mapping[str, int]) -> str:
         ends = [place for place in left if place in finals]
@@ -181,7 +246,7 @@ def _block(
         return "" if left == expected else f"it leaves {dict(left)} in place of {expected}"
 
     supplies = tuple(tuple(together) for together in (first, rest) if together)
-    return Part(
+    part = Part(
         places,
         steps,
         {place: machine.initial[place] for place in places if machine.initial[place]},
@@ -190,8 +255,9 @@ def _block(
         records & frozenset(places),
         machine.on_failure is OnFailure.CANCEL,
         is_proper,
-        early if rest else frozenset(),
+        early if rest or call is None else frozenset(),
     )
+    return _Block(call, part, tuple(first), tuple(rest), early)
 
 
 def _is_awaited(place: str, steps: tuple[Step, ...]) -> bool:

@@ -160,6 +160,15 @@ def test_only_what_is_read_decides(effects: Effects, before: KnowledgeBase, data
     assert changes(effects, before) == after
 
 
+def test_what_is_read_are_conditions_right_hand_sides_and_numbers_that_are_moved() -> None:
+    effects = (
+        number("increase", "n", ValueOf(("m",))),
+        number("assign", "k", 1.0),
+        ForEach((Variable("?x"),), (When(Holds(("at", "?x")), (add("p"),)),)),
+    )
+    assert read(effects, state()) == {("n",), ("m",), ("at", "hall"), ("at", "kitchen")}
+
+
 @given(st.lists(EFFECTS, max_size=4).map(tuple), STATES, st.sampled_from(ROOMS))
 def test_grounding_first_gives_the_same(effects: Effects, before: KnowledgeBase, room: str) -> None:
     env = {"?x": room}

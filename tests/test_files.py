@@ -98,6 +98,7 @@ def test_missing_files_folders_and_huge_files_are_refused(tmp_path: Path) -> Non
     assert error(load_yaml, tmp_path / "nowhere.yaml") == "FILE:1:1: cannot be read: No such file or directory"
     assert error(load_yaml, tmp_path) == "FILE:1:1: cannot be read: Is a directory"
     assert error(load_yaml, huge) == f"FILE:1:1: the file has {MAX_BYTES + 1} bytes; at most {MAX_BYTES} are read"
+    assert read_text(written(tmp_path, "four"), 4) == "four"
     assert error(lambda path: read_text(path, 3), written(tmp_path, "four")) == "FILE:1:1: the file has 4 bytes; at most 3 are read"
 
 
@@ -223,7 +224,7 @@ actions:
     )
     assert read_bindings(written(tmp_path, content)) == Bindings({"wait": Binding(), "move": move}, frozenset({"holding", "tidy"}), 2.0)
     assert read_bindings(written(tmp_path, "{}")) == Bindings()
-    assert Bindings().of("move") == Binding(server=None, goal=None, timeout=None, retries=1)
+    assert Bindings().of("move") == Binding(server=None, type=None, goal=None, store={}, timeout=None, accept=15.0, cancel=5.0, retries=1)
 
 
 MOVE = GroundAction("move", ("r1", "hall", "lab"), ("robot", "from", "to"), duration=12.0)
@@ -242,6 +243,11 @@ def test_bindings_of_what_the_domain_does_not_have_are_refused(tmp_path: Path, c
     path = written(tmp_path, content)
     assert error(lambda path: read_bindings(path, {"move": MOVE.parameters, "wait": ()}), path) == message
     assert read_bindings(path).actions
+
+
+def test_bindings_of_what_the_domain_has_are_read(tmp_path: Path) -> None:
+    content = "actions: {move: {server: '{robot}', goal: {a: '?to', b: 'to', c: 1, d: $x}}}"
+    assert read_bindings(written(tmp_path, content), {"move": MOVE.parameters}).of("move").server == "{robot}"
 
 
 @pytest.mark.parametrize(
@@ -327,6 +333,7 @@ BAD_FAULTS = [
     ("changes:\n- {set: [(p)]}", "FILE:2:3: expected either 'at' (seconds) or 'on' (start of CALL, end of CALL)"),
     ("changes:\n- {at: 1, on: end of move, set: [(p)]}", "FILE:2:3: expected either 'at' (seconds) or 'on' (start of CALL, end of CALL)"),
     ("changes:\n- {at: 1, set: [(p), q]}", "FILE:2:16: not a fact: 'q'; expected something like (at r1 kitchen)"),
+    ("changes:\n- {at: 1, st: [(p)]}", "FILE:2:11: unknown key 'st'; did you mean 'set'?"),
     ("changes:\n- {at: 1, set: (p)}", "FILE:2:16: expected a list of names under 'set'"),
     ("changes:\n- {on: middle of move, set: [(p)]}", "FILE:2:8: expected 'start of CALL' or 'end of CALL', found 'middle of move'"),
 ]

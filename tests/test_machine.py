@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pnm.analysis import explore, verify
 from pnm.bindings import Binding, Bindings
 from pnm.generation import generate
-from pnm.machine import Always, Ends, OnFailure, PetriNetMachine, Rule
+from pnm.machine import Accepts, After, Always, Deed, Ends, OnFailure, PetriNetMachine, Rule
 from pnm.net import PetriNet
 from pnm.plan_graph import PlanGraph, PlanGraphError
 from pnm.state_space import Unsound
@@ -102,6 +102,48 @@ def test_the_block_proof_accepts_no_machine_that_the_state_space_refutes(name: s
         else:
             accepted += 1
     assert refuted > accepted
+
+
+def lost(machine: PetriNetMachine, name: str) -> PetriNetMachine:
+    rules = {other: rule for other, rule in machine.rules.items() if other != name}
+    return replace(machine, net=_without(machine.net, name), rules=rules)
+
+
+def ruled(machine: PetriNetMachine, name: str, **changes: object) -> PetriNetMachine:
+    return replace(machine, rules={**machine.rules, name: replace(machine.rules[name], **changes)})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["timed_out", "unconfirmed", "unconfirmed_stop", "unanswered"])
+def test_a_wait_without_a_limit_is_refuted(name: str) -> None:
+    machine = generate(SHAPES["chain"])
+    with pytest.raises(Unsound, match="no exit that is sure to open in finite time"):
+        verify(lost(machine, f"a1()#1 {name}"))
+    with pytest.raises(Unsound, match="no exit that is sure to open in finite time"):
+        verify(ruled(machine, f"a1()#1 {name}", guard=After(float("inf"))))
+
+
+def test_rules_that_are_not_what_they_seem_are_refuted() -> None:
+    machine = generate(SHAPES["chain"])
+    for broken, why in (
+        (ruled(machine, "a0()#0 start", deed=None), "does not send"),
+        (ruled(machine, "a0()#0 retry", deed=Deed.SEND), "sends one that is not"),
+        (ruled(machine, "a0()#0 accepted", guard=Accepts(1)), "listens to another call"),
+        (ruled(machine, "goal_holds", guard=Always()), "without asking for the goal"),
+        (replace(machine, failure_places=dict.fromkeys(machine.failure_places, 0)), "marks the failure of another call"),
+    ):
+        with pytest.raises(Unsound, match=why):
+            verify(broken)
+
+
+def test_a_channel_that_closes_a_cycle_is_refuted() -> None:
+    machine = generate(SHAPES["chain"])
+    net = PetriNet(
+        (*machine.net.places, "hidden"),
+        {**machine.net.inputs, "a0()#0 join": {**machine.net.inputs["a0()#0 join"], "hidden": 1}},
+        {**machine.net.outputs, "a1()#1 fork": {**machine.net.outputs["a1()#1 fork"], "hidden": 1}},
+    )
+    with pytest.raises(Unsound, match="wait for each other"):
+        verify(replace(machine, net=net))
 
 
 def test_a_missing_outcome_is_refuted_by_name() -> None:
