@@ -12,11 +12,12 @@ if TYPE_CHECKING:
     from planner_bridge.model import ActionSchema, Domain, Problem
     from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
     from planner_bridge.pddl_writer import write_domain, write_problem
-    from planner_bridge.pipeline import Settings, TaskObserver, TaskResult, achieve
+    from planner_bridge.pipeline import achieve
     from planner_bridge.plan import Plan, PlanningResult, PlanningStatus, PlanStep
     from planner_bridge.planning import solve, validate
     from planner_bridge.plans import plan_graph
     from planner_bridge.replanning import Limits
+    from planner_bridge.tasks import Settings, TaskObserver, TaskResult
 
 __all__ = [
     "ActionSchema",
@@ -54,9 +55,9 @@ _WHERE = {
     "read_problem": "planner_bridge.pddl",
     "write_domain": "planner_bridge.pddl_writer",
     "write_problem": "planner_bridge.pddl_writer",
-    "Settings": "planner_bridge.pipeline",
-    "TaskObserver": "planner_bridge.pipeline",
-    "TaskResult": "planner_bridge.pipeline",
+    "Settings": "planner_bridge.tasks",
+    "TaskObserver": "planner_bridge.tasks",
+    "TaskResult": "planner_bridge.tasks",
     "achieve": "planner_bridge.pipeline",
     "load": "planner_bridge.loading",
     "Plan": "planner_bridge.plan",

@@ -167,8 +167,9 @@ def run(
 
     from planner_bridge.console import ConsoleObserver, print_result
     from planner_bridge.loading import load
-    from planner_bridge.pipeline import Settings, Stopwatch, TaskObserver, achieve
+    from planner_bridge.pipeline import Stopwatch, achieve
     from planner_bridge.replanning import Limits
+    from planner_bridge.tasks import Settings, TaskObserver
     from pnm.machine import OnFailure
 
     if faults and actions == "ros2":

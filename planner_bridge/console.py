@@ -7,9 +7,9 @@ from contextlib import ExitStack
 from rich.console import Console
 from rich.markup import escape
 
-from planner_bridge.pipeline import TaskObserver, TaskResult
-from planner_bridge.plan import Plan
+from planner_bridge.plan import Plan, PlanningResult
 from planner_bridge.replanning import PlanAgain, Resume
+from planner_bridge.tasks import TaskObserver, TaskResult
 from pnm.actions.base import Outcome, OutcomeKind, Request
 from pnm.analysis import Proof
 from pnm.machine import PetriNetMachine
@@ -37,6 +37,10 @@ class ConsoleObserver(TaskObserver):
         """Print the plan."""
         self._waiting.close()
         self._console.print(f"[bold]plan[/]     {escape(str(plan))}", highlight=False, soft_wrap=True)
+
+    def unplanned(self, result: PlanningResult) -> None:
+        """Stop showing that a planner is being asked; the result is printed at the end."""
+        self._waiting.close()
 
     def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
         """Print the size of the machine."""

@@ -11,7 +11,8 @@ nothing changes, and counters that only a metric reads (`total-cost`), order not
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from planner_bridge.envelopes import tightened
@@ -27,7 +28,7 @@ from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent
 _DIGITS: Final = 5
 """Times are compared at this many decimals: planners separate events by 0.001 and compute in floats."""
 
-_CLOSE, _TIMED, _END, _START, _INSTANT_END, _OPEN = range(6)
+_TIMED, _END, _START, _INSTANT_END, _OPEN = range(5)
 """The order of what happens at one time."""
 
 
@@ -41,6 +42,23 @@ def plan_graph(problem: Problem, plan: Plan) -> PlanGraph:
         else:
             ordering.happen(kind, index, steps[index], round(plan.steps[index].start + plan.steps[index].duration, _DIGITS), time)
     return tightened(ordering.graph(steps, problem))
+
+
+def in_causal_order(problem: Problem, calls: tuple[ActionCall, ...], order: Iterable[PlanEvent]) -> PlanGraph:
+    """Return the calls with the orderings that their causes demand, given one order of their events that works."""
+    positions = {event: float(position) for position, event in enumerate(order)}
+    causes = _Causes(initial_knowledge(problem), _relevant(problem))
+    for event, now in positions.items():
+        action = calls[event.call].action
+        end = positions[PlanEvent(event.call, Moment.END)]
+        if event.moment is Moment.START:
+            causes.happen(_START, event.call, action, end, now)
+            causes.happen(_OPEN, event.call, action, end, now)
+        else:
+            causes.happen(_END, event.call, action, end, now)
+    graph = tightened(causes.graph([call.action for call in calls], problem))
+    kept = tuple(replace(call, release=old.release) for call, old in zip(graph.calls, calls, strict=True))
+    return replace(graph, calls=kept)
 
 
 def ground_step(problem: Problem, plan: Plan, step: PlanStep) -> GroundAction:
@@ -57,7 +75,6 @@ def _happenings(problem: Problem, plan: Plan) -> list[tuple[float, int, int, int
         if problem.domain.actions[step.action].duration is None:
             continue
         end = round(step.start + step.duration, _DIGITS)
-        found.append((end, _CLOSE if end > start else _INSTANT_END, index, _CLOSE))
         found.append((end, _END if end > start else _INSTANT_END, index, _END))
         found.append((start, _OPEN if end > start else _START, index, _OPEN))
     return found
@@ -125,6 +142,8 @@ class _Causes:
         start_event, end_event = PlanEvent(call, Moment.START), PlanEvent(call, Moment.END)
         match kind:
             case _ if action.duration is None:
+                if kind != _START:
+                    return
                 reads = fluents(action.precondition, self.state) | read(action.end_effects, self.state)
                 self._point(start_event, end_event, reads, written(action.end_effects, self.state), now)
             case k if k == _START:
@@ -173,7 +192,7 @@ class _Causes:
                 protected.append(fluent)
 
     def graph(self, steps: list[GroundAction], problem: Problem) -> PlanGraph:
-        """Return the plan graph, orderings that others imply left out."""
+        """Return the plan graph; of two orderings between the same calls only the stronger is kept."""
         calls = tuple(
             ActionCall(index, action, self.releases.get(index, 0.0), self.lasting.get(index, frozenset()))
             for index, action in enumerate(steps)

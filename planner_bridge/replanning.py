@@ -8,11 +8,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
-from planner_bridge.state import ForbiddenCall
+from planner_bridge.forbidding import ForbiddenCall
+from planner_bridge.model import Problem
+from planner_bridge.plans import in_causal_order
 from pnm.conditions import Condition, evaluate, failing, observed
 from pnm.effects import changes
 from pnm.knowledge import KnowledgeBase
-from pnm.plan_graph import GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.ledger import UNCONFIRMED
+from pnm.plan_graph import GroundAction, Moment, PlanEvent, PlanGraph
 from pnm.results import CallResult, Failure
 
 _FINISHED = frozenset({"succeeded", "already true"})
@@ -27,7 +30,7 @@ class Limits:
     replans: int = 10
     """New nets after the first, whether or not a planner was asked."""
     seconds: float = 3600.0
-    """From the start of the task, on the clock of the run."""
+    """From the start of the task, on the clock of its runs; then it is stopped."""
     forbid_after: int = 2
     """A ground action that failed so often is not planned with any more."""
     backoff: float = 0.5
@@ -40,24 +43,33 @@ class History:
     """What a task remembers about its failures."""
 
     failed: dict[ForbiddenCall, int] = field(default_factory=dict)
+    unconfirmed: frozenset[ForbiddenCall] = frozenset()
+    """Calls whose server has not confirmed that it stopped: it may still be at work."""
     replans: int = 0
     fruitless: int = 0
     """Runs in a row in which no call succeeded."""
 
     def after(self, calls: Iterable[CallResult], failures: Iterable[Failure]) -> History:
         """Return the history with one more failed run."""
+        calls, failures = tuple(calls), tuple(failures)
         failed = dict(self.failed)
         for failure in failures:
-            if failure.cause in _WORLD:
-                continue
-            call = ForbiddenCall(failure.call.action.name, failure.call.action.arguments)
-            failed[call] = failed.get(call, 0) + 1
+            if failure.cause not in _WORLD:
+                call = ForbiddenCall.of(failure.call.action)
+                failed[call] = failed.get(call, 0) + 1
+        at_work = [failure.call for failure in failures if failure.unconfirmed]
+        at_work += [one.call for one in calls if one.outcome == UNCONFIRMED]
         progress = any(one.outcome == "succeeded" for one in calls)
-        return History(failed, self.replans + 1, 0 if progress else self.fruitless + 1)
+        return History(
+            failed,
+            self.unconfirmed | {ForbiddenCall.of(call.action) for call in at_work},
+            self.replans + 1,
+            0 if progress else self.fruitless + 1,
+        )
 
     def forbidden(self, limits: Limits) -> frozenset[ForbiddenCall]:
-        """Return the ground actions that failed too often."""
-        return frozenset(call for call, times in self.failed.items() if times >= limits.forbid_after)
+        """Return the ground actions that failed too often, or whose servers may still be at work."""
+        return self.unconfirmed | {call for call, times in self.failed.items() if times >= limits.forbid_after}
 
     def pause(self, limits: Limits) -> float:
         """Return how many seconds to wait before trying again."""
@@ -86,45 +98,39 @@ class GiveUp:
     reason: str
 
 
-def decide(
-    plan: PlanGraph,
-    calls: tuple[CallResult, ...],
-    knowledge: KnowledgeBase,
-    history: History,
-    limits: Limits,
-    elapsed: float,
-    *,
-    timed: bool = False,
-) -> Resume | PlanAgain | GiveUp:
-    """Decide what follows a run that ended without the goal; `history` includes that run.
+Decision = Resume | PlanAgain | GiveUp
 
-    With `timed` changes ahead the old plan is not trusted: only a planner knows what its delay means.
+
+def decide(
+    now: Problem, plan: PlanGraph, calls: tuple[CallResult, ...], knowledge: KnowledgeBase, history: History, limits: Limits
+) -> Decision:
+    """Decide what follows a run that ended without the goal.
+
+    Args:
+        now: the problem from the world as it is known to be.
+        plan: what the run executed.
+        calls: what became of its calls.
+        knowledge: what is known.
+        history: of all failures, those of this run included.
+        limits: how long to go on.
     """
     if history.replans > limits.replans:
         return GiveUp(f"the limit of {limits.replans} replans is reached")
-    if elapsed > limits.seconds:
-        return GiveUp(f"the limit of {limits.seconds:g} s is reached")
     forbidden = history.forbidden(limits)
-    rest = rest_of(plan, calls, elapsed)
-    obstacle = "facts will change by themselves, so the times of the plan matter" if timed else why_not(rest, knowledge, forbidden)
-    return Resume(rest) if not obstacle else PlanAgain(forbidden, obstacle)
+    if now.timed:  # only a planner knows what the delay means
+        return PlanAgain(forbidden, "facts will change by themselves, so the times of the plan matter")
+    rest = rest_of(now, plan, calls)
+    obstacle = why_not(rest, knowledge, forbidden)
+    return PlanAgain(forbidden, obstacle) if obstacle else Resume(rest)
 
 
-def rest_of(plan: PlanGraph, calls: tuple[CallResult, ...], elapsed: float = 0.0) -> PlanGraph:
-    """Return the calls that are not finished, renumbered, with the orderings among them."""
+def rest_of(now: Problem, plan: PlanGraph, calls: tuple[CallResult, ...]) -> PlanGraph:
+    """Return the calls that are not finished, in an order of events of the old plan, with the orderings that their causes demand."""
     kept = [one.call for one in calls if one.outcome not in _FINISHED]
     number = {call.index: position for position, call in enumerate(kept)}
-    renumbered = tuple(replace(call, index=number[call.index], release=max(0.0, call.release - elapsed)) for call in kept)
-    orderings = tuple(
-        Ordering(_moved(one.before, number), _moved(one.after, number), one.protects)
-        for one in plan.orderings
-        if one.before.call in number and one.after.call in number
-    )
-    return PlanGraph(renumbered, orderings, plan.goal)
-
-
-def _moved(event: PlanEvent, number: dict[int, int]) -> PlanEvent:
-    return PlanEvent(number[event.call], event.moment)
+    renumbered = tuple(replace(call, index=number[call.index]) for call in kept)
+    order = [PlanEvent(number[event.call], event.moment) for event in plan.in_order() if event.call in number]
+    return in_causal_order(now, renumbered, order)
 
 
 def why_not(plan: PlanGraph, knowledge: KnowledgeBase, forbidden: frozenset[ForbiddenCall] = frozenset()) -> str:
@@ -133,8 +139,8 @@ def why_not(plan: PlanGraph, knowledge: KnowledgeBase, forbidden: frozenset[Forb
     Walks through the events in an order that the plan allows and applies them to a copy of the state.
     """
     for call in plan.calls:
-        if ForbiddenCall(call.action.name, call.action.arguments) in forbidden:
-            return f"{call.action} has failed too often"
+        if ForbiddenCall.of(call.action) in forbidden:
+            return f"{call.action} has failed too often, or its server may still be at work"
     state = KnowledgeBase(knowledge.facts(), objects=knowledge.objects_by_type())
     running: dict[int, GroundAction] = {}
     for event in plan.in_order():
@@ -143,11 +149,10 @@ def why_not(plan: PlanGraph, knowledge: KnowledgeBase, forbidden: frozenset[Forb
         condition = action.precondition if starts else action.end_condition
         if evaluate(condition, state) is not True:
             return f"{action} would {'start' if starts else 'end'} although {_denied(condition, state)}"
+        running.pop(event.call, None)
         state.update(changes(action.start_effects if starts else action.end_effects, state))
         if starts:
             running[event.call] = action
-        else:
-            del running[event.call]
         for other in running.values():
             if evaluate(other.invariant, state) is not True:
                 return f"{other} would go on although {_denied(other.invariant, state)}"

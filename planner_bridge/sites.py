@@ -62,7 +62,8 @@ class SimulatedSite:
         """Do nothing: simulated robots are always ready."""
 
     async def close(self) -> None:
-        """Do nothing."""
+        """Stop the world."""
+        self.robots.close()
 
 
 class Ros2Site:

@@ -17,7 +17,7 @@ from typing import Final
 
 from pnm.effects import Changes
 from pnm.errors import InputError
-from pnm.expressions import Fluent, Unknown, Value, same
+from pnm.expressions import UNKNOWN, Fluent, Unknown, Value, same
 
 Listener = Callable[[Mapping[Fluent, Value | Unknown]], None]
 
@@ -90,11 +90,15 @@ class KnowledgeBase:
         return real
 
     def replace(self, names: Iterable[str], facts: Mapping[Fluent, Value | Unknown]) -> Changes:
-        """Record a complete report about the named predicates and functions: what it omits is no longer so."""
+        """Record a complete report about the named predicates and functions.
+
+        A fact that it omits is no longer so, and a number that it omits is no longer known.
+        """
         names = frozenset(names)
-        gone: Changes = {
-            fluent: False for fluent, value in self._facts.items() if fluent[0] in names and isinstance(value, bool) and fluent not in facts
-        }
+        gone: Changes = {}
+        for fluent, value in self._facts.items():
+            if fluent[0] in names and fluent not in facts and value is not UNKNOWN:
+                gone[fluent] = False if isinstance(value, bool) else UNKNOWN
         return self.update({**gone, **facts})
 
     def listen(self, listener: Listener) -> Callable[[], None]:
@@ -115,6 +119,11 @@ class KnowledgeBase:
     def lag(self, names: Iterable[str]) -> float:
         """Return how many seconds late the slowest report about any of the names may come."""
         return max((self._sensed.get(name, 0.0) for name in names), default=0.0)
+
+    @property
+    def longest_lag(self) -> float:
+        """How many seconds it may take until everything that has happened is reported."""
+        return max(self._sensed.values(), default=0.0)
 
     # variables
 

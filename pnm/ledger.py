@@ -10,13 +10,16 @@ from pnm.machine import Deed, Rule
 from pnm.plan_graph import ActionCall
 from pnm.results import CallResult, Failure
 
+UNCONFIRMED: Final = "canceled, unconfirmed"
+"""The outcome of a call that was stopped, but whose server has not confirmed that."""
+
 _DONE: Final = {
     "skip": "skipped",
     "already_true": "already true",
     "effects_hold": "succeeded",
     "completed": "succeeded",
     "stopped": "canceled",
-    "unconfirmed_stop": "canceled, unconfirmed",
+    "unconfirmed_stop": UNCONFIRMED,
 }
 """The transitions that end a call without failure, and how that is called."""
 
@@ -78,9 +81,9 @@ class Ledger:
             case _:
                 return "success", self._messages[call]
 
-    def failed(self, call: int, now: float, why: tuple[str, str, str] | None) -> Failure:
+    def failed(self, call: int, now: float, why: tuple[str, str, str] | None, *, unconfirmed: bool) -> Failure:
         """Note that the call has failed; the cause is the last one noted unless `why` names another."""
-        failure = Failure(self.results[call].call, *(why or self._causes[call]))
+        failure = Failure(self.results[call].call, *(why or self._causes[call]), unconfirmed=unconfirmed)
         self.failures.append(failure)
         self.results[call] = replace(self.results[call], outcome=failure.cause, ended=now)
         return failure

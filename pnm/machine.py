@@ -108,7 +108,7 @@ class After:
 
 @dataclass(frozen=True, slots=True)
 class NotBefore:
-    """Open when so many seconds have passed since the run began."""
+    """Open when so many seconds have passed since the origin of the run: the moment it was planned from."""
 
     seconds: float
 

@@ -55,7 +55,7 @@ class ActionCall:
     index: int
     action: GroundAction
     release: float = 0.0
-    """Seconds after the beginning of the run before which the call must not start."""
+    """Seconds after the moment the plan starts from before which the call must not start."""
     lasting: frozenset[Fluent] = frozenset()
     """Fluents written at the start that are still the action's own doing when it ends."""
 

@@ -15,6 +15,8 @@ class Failure:
     cause: str
     expected: str = ""
     observed: str = ""
+    unconfirmed: bool = False
+    """The server has not confirmed that it stopped: it may still be at work."""
 
     def __str__(self) -> str:
         details = f": expected {self.expected}" if self.expected else ""

@@ -65,6 +65,15 @@ def _unknown_fields(action: GroundAction) -> None:
 class Run:
     """A machine, its marking and what its calls are doing.
 
+    Args:
+        machine: what is executed.
+        knowledge: what guards ask, and what effects and results are written to.
+        id: the identities of all requests follow from it.
+        bindings: where goal data comes from and where results go.
+        goal_fields: tells which fields the goal of an action must have, as far as is known.
+        observer: is told what happens.
+        origin: the time from which releases count; the beginning of the run when not given.
+
     The mutable state is what the constructor sets under "state".
     """
 
@@ -77,6 +86,7 @@ class Run:
         bindings: Bindings | None = None,
         goal_fields: Callable[[GroundAction], tuple[str, ...] | None] = _unknown_fields,
         observer: Observer | None = None,
+        origin: float | None = None,
     ) -> None:
         self.machine = machine
         self.knowledge = knowledge
@@ -97,6 +107,7 @@ class Run:
         self._engine = Engine(compiled, machine.initial)
         self._now = -NEVER
         self._began: float | None = None
+        self._origin = origin
         self._agenda: deque[int] = deque()
         self._undecided: dict[int, None] = {}
         self._arrived: dict[int, float] = {}
@@ -140,10 +151,10 @@ class Run:
     def _reason(self, goal: bool) -> str:
         if goal:
             return "the goal holds"
-        if self._ledger.failures:
-            return str(self._ledger.failures[0])
         if self._stop:
             return self._stop.reason
+        if self._ledger.failures:
+            return str(self._ledger.failures[0])
         expected, seen = self._explain(self.machine.plan.goal)
         return f"every call is done but the goal does not hold: expected {expected}; observed {seen}"
 
@@ -183,6 +194,7 @@ class Run:
         if self._began is not None:
             raise RunError("the run has begun already")
         self._began = self._now
+        self._origin = self._now if self._origin is None else self._origin
         self._agenda.extend(place for place, tokens in enumerate(self._engine.tokens) if tokens)
 
     def _report(self, report: Report) -> None:
@@ -270,7 +282,7 @@ class Run:
             case After(seconds):
                 return self._arrived[place] + seconds
             case NotBefore(seconds):
-                return (self._began or 0.0) + seconds
+                return (self._origin or 0.0) + seconds
             case _:
                 assert_never(guard)
 
@@ -312,7 +324,8 @@ class Run:
 
     def _fail(self, call: int, rule: Rule) -> None:
         first = not self.ending
-        self._observer.failed(self._ledger.failed(call, self._now, self._why(call, rule)), self._now)
+        failure = self._ledger.failed(call, self._now, self._why(call, rule), unconfirmed=rule.name == "unconfirmed")
+        self._observer.failed(failure, self._now)
         if first:
             self._agenda.extend(self._undecided)
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pnm.conditions import TRUE, Condition, Holds, Not
+from pnm.conditions import TRUE, Condition, Holds, Not, evaluate
 from pnm.effects import (
     OPERATIONS,
     Changes,
@@ -24,9 +24,10 @@ from pnm.effects import (
     show_effects,
     unconditional,
     undo,
+    values_before,
     written,
 )
-from pnm.expressions import UNKNOWN, Arithmetic, Constant, Expression, Fluent, Unknown, Value, ValueOf, Variable
+from pnm.expressions import UNKNOWN, Arithmetic, Constant, Expression, Fluent, Unknown, Value, ValueOf, Variable, value_of
 from pnm.knowledge import KnowledgeBase
 
 ROOMS = ("hall", "kitchen")
@@ -210,16 +211,27 @@ def test_plain_facts_of_every_object() -> None:
 def begin(effects: Effects, knowledge: KnowledgeBase) -> tuple[Changes, Changes]:
     """Apply the effects; return what was there before and what they made of it."""
     after = changes(effects, knowledge)
-    before: Changes = {fluent: False if (value := knowledge.value(fluent)) is None else value for fluent in after}
+    before = values_before(after, knowledge)
     knowledge.update(after)
     return before, after
 
 
+def seen(knowledge: KnowledgeBase) -> list[object]:
+    """What conditions can tell of the state: an absent fact is false, an absent number unknown."""
+    return [evaluate(Holds(fluent), knowledge) for fluent in ALL_FACTS] + [value_of(ValueOf(fluent), knowledge) for fluent in ALL_NUMBERS]
+
+
 @given(ANY_EFFECTS, STATES)
 def test_undo_restores_the_state(effects: Effects, knowledge: KnowledgeBase) -> None:
-    at_first = knowledge.facts()
+    at_first = seen(knowledge)
     knowledge.update(undo(*begin(effects, knowledge), knowledge))
-    assert knowledge.facts() == at_first
+    assert seen(knowledge) == at_first
+
+
+def test_what_was_absent_is_a_false_fact_or_an_unknown_number() -> None:
+    after: Changes = {("p",): True, ("q",): True, ("n",): 3.0, ("m",): 3.0, ("k",): UNKNOWN}
+    knowledge = state({("q",): UNKNOWN, ("m",): 0.0})
+    assert values_before(after, knowledge) == {("p",): False, ("q",): UNKNOWN, ("n",): UNKNOWN, ("m",): 0.0, ("k",): UNKNOWN}
 
 
 @given(ANY_EFFECTS, STATES, st.dictionaries(st.sampled_from(ALL_FACTS), TRUTHS))

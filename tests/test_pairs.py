@@ -8,8 +8,9 @@ from typing import Final
 import pytest
 
 from planner_bridge.loading import load
-from planner_bridge.pipeline import Settings, Stopwatch, TaskObserver, pursue
+from planner_bridge.pipeline import Stopwatch, pursue
 from planner_bridge.sites import SimulatedSite
+from planner_bridge.tasks import Settings, TaskObserver
 from pnm.clock import run_async
 from pnm.conditions import evaluate
 from pnm.errors import InputError

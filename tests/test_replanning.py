@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from planner_bridge.model import Problem
-from planner_bridge.pipeline import Settings, Stopwatch, TaskObserver, TaskResult, pursue
+from planner_bridge.pipeline import Stopwatch, pursue
 from planner_bridge.replanning import GiveUp, History, Limits, PlanAgain, Resume
 from planner_bridge.sites import SimulatedSite
+from planner_bridge.tasks import Settings, TaskObserver, TaskResult
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.bindings import Binding, Bindings
 from pnm.clock import run_async

@@ -7,7 +7,7 @@ offers the same robots as ROS 2 action servers.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 from uuid import UUID
@@ -70,6 +70,7 @@ class SimulatedRobots:
     _lost: set[str] = field(default_factory=set)
     _seen: dict[Fault, int] = field(default_factory=dict)
     _begun: bool = False
+    _timers: set[asyncio.TimerHandle] = field(default_factory=set)
 
     def begin(self) -> None:
         """Start the world's clock, once: timed changes count from here."""
@@ -80,6 +81,11 @@ class SimulatedRobots:
         timed = [(change.at, change.changes) for change in self.faults.changes if change.at is not None]
         for time, changes in (*timed, *((one.time, one.changes) for one in self.scheduled)):
             self._later(time, self.world.change, changes)
+
+    def close(self) -> None:
+        """Stop the world: nothing happens in it any more."""
+        for timer in self._timers:
+            timer.cancel()
 
     # --- ActionClient ---------------------------------------------------------------------------
 
@@ -197,8 +203,14 @@ class SimulatedRobots:
         for job in self._jobs.values():
             job.broken = job.broken or job.activity.broken
 
-    def _later(self, seconds: float, callback: object, *args: object) -> asyncio.TimerHandle:
-        return asyncio.get_running_loop().call_later(seconds / self.speed, callback, *args)  # type: ignore[arg-type]
+    def _later(self, seconds: float, callback: Callable[..., object], *args: object) -> asyncio.TimerHandle:
+        def run() -> None:
+            self._timers.discard(timer)
+            callback(*args)
+
+        timer = asyncio.get_running_loop().call_later(seconds / self.speed, run)
+        self._timers.add(timer)
+        return timer
 
 
 def sense(world: World, knowledge: KnowledgeBase, assumed: Iterable[str] = ()) -> None:

@@ -1,0 +1,121 @@
+"""What a task is given, who listens to it, and how it ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from planner_bridge.plan import Plan, PlanningResult
+from planner_bridge.planning import DEFAULT_PLANNER
+from planner_bridge.replanning import Decision, GiveUp, Limits, PlanAgain, Resume
+from pnm.analysis import Proof
+from pnm.bindings import Bindings
+from pnm.machine import OnFailure, PetriNetMachine
+from pnm.observer import Observer
+from pnm.results import CallResult, Failure, RunResult
+
+
+class TaskObserver(Observer):
+    """Listens to a whole task: one more empty method per moment."""
+
+    def planning(self, planner: str) -> None:
+        """Note that a planner is being asked."""
+
+    def planned(self, plan: Plan) -> None:
+        """Note that a plan was found."""
+
+    def unplanned(self, result: PlanningResult) -> None:
+        """Note that no plan was found."""
+
+    def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
+        """Note that a machine is ready to run, and proved sound."""
+
+    def replanning(self, decision: Resume | PlanAgain, result: RunResult) -> None:
+        """Note that a run failed and what follows."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a task is pursued."""
+
+    planner: str = DEFAULT_PLANNER
+    planner_timeout: float = 30.0
+    bindings: Bindings = field(default_factory=Bindings)
+    limits: Limits = field(default_factory=Limits)
+    on_failure: OnFailure = OnFailure.DRAIN
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One machine and its run; `decision` is what followed if the goal was not reached."""
+
+    machine: PetriNetMachine
+    result: RunResult
+    decision: Decision | None = None
+
+
+@dataclass(frozen=True)
+class TaskResult:
+    """How a task ended, episode by episode."""
+
+    goal_reached: bool
+    reason: str
+    plans: int
+    """How often a planner found a plan."""
+    episodes: tuple[Episode, ...]
+    seconds: dict[str, float]
+    """Where the time went: parse, plan, translate, verify, execute."""
+    began: float = 0.0
+    """When the task began, on the clock of its calls."""
+
+    @property
+    def calls(self) -> tuple[CallResult, ...]:
+        """What became of the calls of all episodes."""
+        return tuple(call for episode in self.episodes for call in episode.result.calls)
+
+    @property
+    def failures(self) -> tuple[Failure, ...]:
+        """Everything that failed in all episodes."""
+        return tuple(failure for episode in self.episodes for failure in episode.result.failures)
+
+    @property
+    def replans(self) -> int:
+        """How many new machines followed the first."""
+        return max(0, len(self.episodes) - 1)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the result as `pnm run --json` prints it."""
+        return {
+            "goal_reached": self.goal_reached,
+            "reason": self.reason,
+            "plans": self.plans,
+            "replans": self.replans,
+            "calls": [_call_as_json(call, self.began) for call in self.calls],
+            "failures": [
+                {"call": str(one.call), "cause": one.cause, "expected": one.expected, "observed": one.observed} for one in self.failures
+            ],
+            "decisions": [_decision_as_json(episode.decision) for episode in self.episodes if episode.decision],
+            "seconds": {name: round(seconds, 6) for name, seconds in self.seconds.items()},
+        }
+
+
+def _call_as_json(result: CallResult, began: float) -> dict[str, Any]:
+    return {
+        "action": result.call.action.name,
+        "arguments": list(result.call.action.arguments),
+        "outcome": result.outcome,
+        "attempts": result.attempts,
+        "started": None if result.started is None else round(result.started - began, 4),
+        "ended": None if result.ended is None else round(result.ended - began, 4),
+        "assumed": result.assumed,
+    }
+
+
+def _decision_as_json(decision: Decision) -> dict[str, Any]:
+    match decision:
+        case Resume(rest):
+            return {"decision": "resume", "calls": [str(call.action) for call in rest.calls]}
+        case PlanAgain(forbidden, why):
+            return {"decision": "plan again", "why": why, "forbidden": sorted(map(str, forbidden))}
+        case GiveUp(reason):
+            return {"decision": "give up", "why": reason}
