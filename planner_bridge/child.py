@@ -108,5 +108,4 @@ def _read(answer: dict[str, object], problem: Problem) -> PlanningResult:
         PlanStep(actions[action.casefold()], tuple(objects[one.casefold()] for one in arguments), start, duration)
         for action, arguments, start, duration in steps
     )
-    temporal = any(schema.duration is not None for schema in problem.domain.actions.values())
-    return PlanningResult(PlanningStatus.SOLVED, Plan(found, temporal=temporal))
+    return PlanningResult(PlanningStatus.SOLVED, Plan(found, temporal=problem.is_timed))

@@ -115,6 +115,11 @@ class Problem:
     goal: Condition = TRUE
     metric: Metric | None = None
 
+    @property
+    def is_timed(self) -> bool:
+        """Whether the starts of a plan are times: some action lasts, or facts change by themselves."""
+        return bool(self.timed) or any(schema.duration is not None for schema in self.domain.actions.values())
+
     @cached_property
     def objects(self) -> dict[str, tuple[str, ...]]:
         """Every object and constant by name, with its types."""

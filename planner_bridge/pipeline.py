@@ -75,7 +75,6 @@ async def pursue(problem: Problem, site: Site, settings: Settings, observer: Tas
     """Plan, execute and replan at a site; `achieve` does this with a loop of its own."""
     knowledge = initial_knowledge(problem)
     try:
-        await site.open(knowledge)
         return await _Task(problem, site, settings, observer, seconds, Layered(knowledge)).pursue()
     finally:
         await site.close()
@@ -110,12 +109,13 @@ class _Task:
     episodes: list[Episode] = field(default_factory=list)
     history: History = field(default_factory=History)
     plans: int = 0
-    began: float = field(default_factory=lambda: asyncio.get_running_loop().time())
+    began: float = 0.0
     timers: list[asyncio.TimerHandle] = field(default_factory=list)
 
     async def pursue(self) -> TaskResult:
-        self._watch_the_clock()
         try:
+            await self.site.open(self.knowledge.world)
+            self._watch_the_clock()
             return await self._pursue()
         except asyncio.CancelledError:  # while no run was there to be stopped
             cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
@@ -125,7 +125,8 @@ class _Task:
                 timer.cancel()
 
     def _watch_the_clock(self) -> None:
-        """Let those timed facts come true by themselves that nobody reports."""
+        """Begin; let those timed facts come true by themselves that nobody reports."""
+        self.began = asyncio.get_running_loop().time()
         world = self.knowledge.world
         for change in self.problem.timed:
             assumed = {fluent: value for fluent, value in change.changes.items() if not world.is_sensed(fluent)}
@@ -141,7 +142,7 @@ class _Task:
                 now = self._now()
                 found = await self._plan(forbid(now, forbidden))
                 if found.plan is None:
-                    return self._ended(False, _no_plan(found, forbidden))
+                    return self._ended(False, _no_plan(found, forbidden) + self._last_failure())
                 with self.seconds.of("translate"):
                     graph = plan_graph(now, found.plan)
             machine, result = await self._run(graph, origin)
@@ -152,7 +153,7 @@ class _Task:
             self.episodes.append(Episode(machine, result, decision))
             match decision:
                 case GiveUp(reason):
-                    return self._ended(False, f"{reason}; last failure: {result.reason}")
+                    return self._ended(False, reason + self._last_failure())
                 case Resume(rest):
                     graph = rest
                 case PlanAgain():
@@ -223,6 +224,9 @@ class _Task:
                 return machine, await executor.execute()
         finally:
             timer.cancel()
+
+    def _last_failure(self) -> str:
+        return f"; last failure: {self.episodes[-1].result.reason}" if self.episodes else ""
 
     def _ended(self, goal_reached: bool, reason: str) -> TaskResult:
         return TaskResult(goal_reached, reason, self.plans, tuple(self.episodes), self.seconds.seconds, self.began)

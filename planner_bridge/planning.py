@@ -116,7 +116,7 @@ def _plan(found: kairos.Plan, problem: Problem) -> Plan:
             )
             for step in found.steps
         ),
-        temporal=any(schema.duration is not None for schema in problem.domain.actions.values()),
+        temporal=problem.is_timed,
         cost=found.cost,
     )
 

@@ -83,6 +83,9 @@ class Ledger:
 
     def failed(self, call: int, now: float, why: tuple[str, str, str] | None, *, unconfirmed: bool) -> Failure:
         """Note that the call has failed; the cause is the last one noted unless `why` names another."""
+        if why and call in self._causes:
+            cause, expected, observed = self._causes[call]
+            why = (why[0], why[1], f"{why[2]}; so it was not tried again after {cause}: expected {expected}, observed {observed}")
         failure = Failure(self.results[call].call, *(why or self._causes[call]), unconfirmed=unconfirmed)
         self.failures.append(failure)
         self.results[call] = replace(self.results[call], outcome=failure.cause, ended=now)

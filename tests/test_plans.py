@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner_bridge.model import Problem
+from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.plan import Plan, PlanStep
 from planner_bridge.planning import solve, validate
 from planner_bridge.plans import plan_graph
@@ -61,6 +62,20 @@ def test_an_enveloping_call_waits_for_what_its_insides_wait_for() -> None:
     assert any(
         one.before == PlanEvent(mends[0].index, Moment.END) and one.after == PlanEvent(second, Moment.START) for one in graph.orderings
     )
+
+
+def test_an_end_does_not_come_before_a_start_that_must_precede_it() -> None:
+    problem = parse_problem(
+        "(define (problem p) (:domain d) (:init (p)) (:goal (and (done) (w))))",
+        parse_domain("""(define (domain d) (:requirements :durative-actions) (:predicates (p) (w) (done))
+          (:durative-action a :parameters () :duration (= ?duration 8) :condition () :effect (at end (not (p))))
+          (:durative-action make-w :parameters () :duration (= ?duration 5) :condition () :effect (at end (w)))
+          (:durative-action b :parameters () :duration (= ?duration 1)
+            :condition (and (at start (p)) (at start (w))) :effect (at end (done))))"""),
+    )
+    plan = Plan((PlanStep("a", (), 0.0, 8.0), PlanStep("make-w", (), 0.0, 5.0), PlanStep("b", (), 5.001, 1.0)), temporal=True)
+    graph = plan_graph(problem, plan)
+    assert "start of #2 < start of #0 ((p))" in shown(graph)
 
 
 def any_order(graph: PlanGraph, seed: int) -> list[PlanEvent]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import pytest
 
 from planner_bridge.model import Problem
+from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline import Stopwatch, pursue
 from planner_bridge.replanning import GiveUp, History, Limits, PlanAgain, Resume
 from planner_bridge.sites import SimulatedSite
@@ -14,7 +17,7 @@ from pnm.bindings import Binding, Bindings
 from pnm.clock import run_async
 from pnm.conditions import evaluate
 from pnm.knowledge import KnowledgeBase
-from tests.domains import matches, rooms
+from tests.domains import ROOMS, matches, rooms
 
 
 def pursued(
@@ -124,6 +127,83 @@ def test_a_match_that_goes_out_is_noticed() -> None:
     result, _ = pursued(matches(1), Faults(changes=(out,)))
     assert not result.goal_reached
     assert "invariant_false" in [failure.cause for failure in result.failures]
+
+
+def test_a_task_is_stopped_when_its_time_is_up() -> None:
+    slow = Faults((Fault("move", FaultKind.SLOW),))
+    result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)"), slow, limits=Limits(seconds=5.0))
+    assert result.reason == "the limit of 5 s is reached"
+    assert [call.outcome for call in result.calls] == ["canceled", "skipped"]
+
+
+def test_an_action_that_may_still_be_going_on_is_not_planned_with() -> None:
+    stuck = Faults((Fault("move(r1, a, b)", FaultKind.SLOW, ignores_cancel=True),))
+    bindings = Bindings({"move": Binding(timeout=3.0, cancel=1.0)}, assumed=frozenset({"at"}))
+    site = SimulatedSite(rooms(init="(at r1 a)", goal="(at r1 b)"), bindings, stuck)
+    task = pursue(rooms(init="(at r1 a)", goal="(at r1 b)"), site, Settings(bindings=bindings), TaskObserver(), Stopwatch())
+    result = run_async(task, virtual=True)
+    assert result.failures[0].unconfirmed
+    assert sum(call.attempts for call in result.calls) == 1
+    assert result.reason.startswith("no plan without move(r1, a, b)")
+
+
+class LateSite(SimulatedSite):
+    """Simulated robots whose sensors are late."""
+
+    def __init__(self, problem: Problem, faults: Faults, delay: float, lag: float) -> None:
+        super().__init__(problem, Bindings(), faults)
+        self.delay, self.lag = delay, lag
+
+    async def open(self, knowledge: KnowledgeBase) -> None:
+        loop = asyncio.get_running_loop()
+        world = self.robots.world
+        names = world.reported()
+        knowledge.sense(names, lag=self.lag)
+        world.truth.listen(lambda _: loop.call_later(self.delay, lambda: knowledge.replace(names, world.report(names))) and None)
+        self.robots.begin()
+
+
+@pytest.mark.parametrize("what", ["strike(m0)", "mend(f0, m0)"])
+def test_late_reports_are_waited_for_before_anything_is_decided(what: str) -> None:
+    problem = matches(1)
+    faults = Faults((Fault(what, FaultKind.ABORT, times=1),))
+    site = LateSite(problem, faults, delay=0.3, lag=1.0)
+    settings = Settings(bindings=Bindings({"strike": Binding(retries=0), "mend": Binding(retries=0)}))
+    result = run_async(pursue(problem, site, settings, TaskObserver(), Stopwatch()), virtual=True)
+    truth = evaluate(problem.goal, site.robots.world.truth)
+    assert result.goal_reached is truth
+    assert what != "strike(m0)" or result.goal_reached
+
+
+def test_a_report_about_things_unheard_of_does_not_disturb_planning() -> None:
+    strange = HiddenChange({("at", "zz", "b"): True, ("flies", "r1"): True}, at=0.5)
+    faults = Faults(aborts("move(r1, b, c)").faults, (strange,))
+    result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc ba ad dc"), faults)
+    assert result.goal_reached
+
+
+def timed_rooms(time: float) -> Problem:
+    """Room b opens at a time."""
+    text = ROOMS.replace("(clean ?a - room))", "(clean ?a - room) (open ?a - room))", 1)
+    domain = parse_domain(text.replace("(way ?a ?b))\n    :effect", "(way ?a ?b) (open ?b))\n    :effect"))
+    things = f"(:objects r1 - robot a b - room) (:init (at r1 a) (way a b) (at {time} (open b)))"
+    return parse_problem(f"(define (problem p) (:domain rooms) {things} (:goal (at r1 b)))", domain)
+
+
+@pytest.mark.parametrize("assumed", [frozenset[str](), frozenset({"open"})])
+def test_a_fact_that_comes_true_by_itself_is_waited_for_whether_or_not_it_is_sensed(assumed: frozenset[str]) -> None:
+    result, _ = pursued(timed_rooms(4.0), bindings=Bindings(assumed=assumed))
+    assert result.goal_reached, result.reason
+    assert result.calls[0].started is not None
+    assert result.calls[0].started >= 4.0
+
+
+def test_nothing_happens_in_a_world_after_its_task() -> None:
+    for _ in range(5):
+        _, truth = pursued(
+            rooms(init="(at r1 a)", goal="(at r1 b)"), Faults(changes=(HiddenChange({("at", "r1", "b"): False}, at=100_000.0),))
+        )
+        assert truth.value(("at", "r1", "b")) is True
 
 
 @pytest.mark.parametrize("kind", FaultKind)

@@ -11,11 +11,13 @@ from hypothesis import strategies as st
 
 from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind
 from pnm.bindings import Binding, Bindings
-from pnm.conditions import Holds
+from pnm.conditions import Holds, Not
+from pnm.effects import Effect, Set, When
 from pnm.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
+from pnm.expressions import UNKNOWN, Constant, Unknown, Value
 from pnm.generation import generate
 from pnm.knowledge import KnowledgeBase, Layered
-from pnm.plan_graph import PlanGraph
+from pnm.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.run import Run, RunError
 from pnm.semantics import fire
 from tests.machines import plan, plans
@@ -124,6 +126,72 @@ def test_a_fact_that_does_not_come_in_time_is_a_failure() -> None:
     run.handle(Begin(), 0.0)
     run.handle(Tick(), 2.0)
     assert [failure.cause for failure in run.result().failures] == ["precondition_false"]
+
+
+def test_an_end_that_implies_acceptance_needs_no_acceptance() -> None:
+    run, commands = begun(plan(1))
+    assert sent(run.handle(Ended(sent(commands)[0], SUCCEEDED), 1.0)) == []
+    assert run.result().goal
+
+
+def test_being_told_to_cancel_is_stronger_than_being_told_to_end() -> None:
+    run, commands = begun(plan(1))
+    run.handle(Accepted(sent(commands)[0]), 0.0)
+    assert run.handle(Stop(cancel=False), 1.0) == []
+    assert run.handle(Stop(cancel=True), 2.0)[0] == Cancel(sent(commands)[0])
+
+
+def test_releases_count_from_the_moment_that_was_planned_from() -> None:
+    graph = plan(1)
+    released = PlanGraph((replace(graph.calls[0], release=10.0),))
+    run = Run(generate(released), Layered(KnowledgeBase()), id=RUN, origin=100.0)
+    assert run.handle(Begin(), 105.0) == [Wake(110.0)]
+
+
+def acting(*effects: Effect, **options: object) -> tuple[Run, list[Command]]:
+    """A run of one instantaneous action with these effects, in knowledge with these facts."""
+    action = GroundAction("act", end_effects=effects)
+    run = Run(generate(PlanGraph((ActionCall(0, action),))), Layered(KnowledgeBase(**options)), id=RUN)  # type: ignore[arg-type]
+    return run, run.handle(Begin(), 0.0)
+
+
+def test_assumed_effects_do_not_depend_on_what_the_sensors_show_meanwhile() -> None:
+    held = Holds(("held",))
+    effects = When(held, (Set(("held",), Constant(False)), Set(("delivered",), Constant(True))))
+    run, commands = acting(effects, facts={("held",): True}, sensed={"held": 0.0})
+    run.handle(Accepted(sent(commands)[0]), 0.0)
+    run.knowledge.world.update({("held",): False})
+    run.handle(KnowledgeChanged(), 1.0)
+    run.handle(Ended(sent(commands)[0], SUCCEEDED), 1.0)
+    assert run.result().goal
+    assert run.knowledge.value(("delivered",)) is True
+
+
+def test_a_toggle_that_the_sensors_show_early_is_not_taken_for_a_missing_effect() -> None:
+    on = ("on",)
+    effects = (When(Holds(on), (Set(on, Constant(False)),)), When(Not(Holds(on)), (Set(on, Constant(True)),)))
+    run, commands = acting(*effects, sensed={"on": 0.0})
+    run.knowledge.world.update({on: True})
+    run.handle(Accepted(sent(commands)[0]), 0.5)
+    run.handle(Ended(sent(commands)[0], SUCCEEDED), 1.0)
+    assert run.result().goal
+    assert run.result().calls[0].attempts == 1
+
+
+@pytest.mark.parametrize("before", [0.0, 3.0, UNKNOWN, None])
+def test_a_number_changed_at_the_start_is_what_it_was_after_a_failure(before: Value | Unknown | None) -> None:
+    action = GroundAction("act", start_effects=(Set(("fuel",), Constant(1.0), "increase"),), duration=1.0)
+    facts = {} if before is None else {("fuel",): before}
+    run = Run(generate(PlanGraph((ActionCall(0, action),))), Layered(KnowledgeBase(facts)), id=RUN)
+    commands = run.handle(Begin(), 0.0)
+    run.handle(Accepted(sent(commands)[0]), 0.0)
+    run.handle(Ended(sent(commands)[0], Outcome(OutcomeKind.ABORTED)), 1.0)
+    assert run.knowledge.value(("fuel",)) == (UNKNOWN if before is None else before)
+
+
+def test_a_fact_that_is_unknown_is_not_already_true() -> None:
+    _, commands = acting(Set(("p",), Constant(True)), facts={("p",): UNKNOWN}, sensed={"p": 0.0})
+    assert len(sent(commands)) == 1
 
 
 ANSWERS = st.lists(
