@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from planner_bridge.model import Problem
 from planner_bridge.pddl_writer import write_domain, write_problem
@@ -101,11 +101,19 @@ def _read(answer: dict[str, object], problem: Problem) -> PlanningResult:
         raise InputError(str(answer["message"]))
     steps = answer.get("steps")
     if not isinstance(steps, list):
-        return PlanningResult(PlanningStatus[status], message=str(answer.get("message", "")))
+        known = PlanningStatus.__members__
+        return PlanningResult(known.get(status, PlanningStatus.CRASHED), message=str(answer.get("message", "")))
+    try:
+        return PlanningResult(PlanningStatus.SOLVED, _plan(steps, problem))
+    except (KeyError, TypeError, ValueError) as error:
+        return PlanningResult(PlanningStatus.CRASHED, message=f"the plan makes no sense: {error}")
+
+
+def _plan(steps: list[Any], problem: Problem) -> Plan:
     actions = {name.casefold(): name for name in problem.domain.actions}
     objects = {name.casefold(): name for name in problem.objects}
     found = tuple(
         PlanStep(actions[action.casefold()], tuple(objects[one.casefold()] for one in arguments), start, duration)
         for action, arguments, start, duration in steps
     )
-    return PlanningResult(PlanningStatus.SOLVED, Plan(found, temporal=problem.is_timed))
+    return Plan(found, temporal=problem.is_timed)

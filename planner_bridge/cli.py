@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import json
 import sys
+import traceback
 from collections.abc import Callable
 from functools import wraps
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec
 
@@ -28,6 +30,19 @@ Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 _FILE = click.Path(path_type=Path)
 
 
+class Seconds(click.FloatRange):
+    """A finite number."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Refuse what is not a finite number of at least the minimum."""
+        number = super().convert(value, param, ctx)
+        if not isfinite(number):
+            self.fail(f"{value} is not a finite number", param, ctx)
+        return number
+
+
 def _command(function: Callable[P, int]) -> Callable[P, None]:
     """Turn the returned status into the exit status, and errors into one message without a traceback."""
 
@@ -43,6 +58,11 @@ def _command(function: Callable[P, int]) -> Callable[P, None]:
             status = 1
         except KeyboardInterrupt:
             print("cancelled", file=sys.stderr)
+            status = 1
+        except Exception as error:  # a fault of ours, but nobody wants to read our stack
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            place = f"{Path(where.filename).name}:{where.lineno}"
+            print(f"internal error, please report it: {type(error).__name__} at {place}: {error}", file=sys.stderr)
             status = 1
         sys.exit(status)
 
@@ -63,7 +83,7 @@ def _options(*options: Decorator) -> Decorator:
 files = _options(click.argument("domain", type=_FILE), click.argument("problem", type=_FILE))
 planning = _options(
     click.option("--planner", default="kairos", show_default=True, help="kairos, or any engine of unified-planning"),
-    click.option("--timeout", type=click.FloatRange(0.01), default=30.0, show_default=True, help="seconds the planner may take"),
+    click.option("--timeout", type=Seconds(0.01), default=30.0, show_default=True, help="seconds the planner may take"),
 )
 as_json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object as the last line, and nothing else")
 bindings_option = click.option("--bindings", type=_FILE, help="how actions are bound to servers; by default bindings.yaml beside DOMAIN")
@@ -138,7 +158,7 @@ def net(domain: Path, problem: Path, written_as: str, output: Path | None, bindi
 @faults_option
 @planning
 @click.option("--replans", type=click.IntRange(0), default=10, show_default=True, help="how many new machines may follow the first")
-@click.option("--seconds", type=click.FloatRange(0), default=3600.0, show_default=True, help="how long the goal is pursued")
+@click.option("--seconds", type=Seconds(0), default=3600.0, show_default=True, help="how long the goal is pursued")
 @click.option(
     "--on-failure",
     type=click.Choice(["drain", "cancel"]),
@@ -200,16 +220,16 @@ def run(
 @files
 @bindings_option
 @faults_option
-@click.option("--speed", type=click.FloatRange(0.001), default=20.0, show_default=True, help="seconds simulated in one real second")
+@click.option("--speed", type=Seconds(0.001), help="seconds simulated per real second; default 20, or 1 if facts change by themselves")
 @click.option("--log", type=_FILE, help="write what truly happens, a JSON object per line")
 @_command
-def simulate(domain: Path, problem: Path, bindings: Path | None, faults: Path | None, speed: float, log: Path | None) -> int:
+def simulate(domain: Path, problem: Path, bindings: Path | None, faults: Path | None, speed: float | None, log: Path | None) -> int:
     """Play the robots: offer a ROS 2 action server per action, and publish what sensors see."""
     from planner_bridge.loading import load
     from planner_bridge.simulate import play
 
     loaded = load(domain, problem)
-    return play(loaded, _bindings(bindings, domain, loaded), _faults(faults, loaded), speed, log)
+    return play(loaded, _bindings(bindings, domain, loaded), _faults(faults, loaded), speed or (1.0 if loaded.timed else 20.0), log)
 
 
 @app.command()
@@ -226,7 +246,7 @@ def demo() -> int:
 def _faults(file: Path | None, problem: Problem) -> Faults:
     from pnm.actions.faults import NO_FAULTS, read_faults
 
-    return read_faults(file, problem.domain.actions) if file else NO_FAULTS
+    return read_faults(file, problem.vocabulary) if file else NO_FAULTS
 
 
 def _bindings(file: Path | None, domain: Path, problem: Problem) -> Bindings:
@@ -235,7 +255,7 @@ def _bindings(file: Path | None, domain: Path, problem: Problem) -> Bindings:
     beside = domain.parent / "bindings.yaml"
     if file is None and not beside.is_file():
         return Bindings()
-    return read_bindings(file or beside, problem.domain.parameters)
+    return read_bindings(file or beside, problem.vocabulary)
 
 
 def _write(path: Path, text: str) -> None:

@@ -29,8 +29,8 @@ def show(console: Console) -> int:
     """Run the delivery example with its faults and say what is to be seen."""
     domain, problems = examples() / "domains" / "delivery", examples() / "problems" / "delivery"
     problem = load(domain / "domain.pddl", problems / "p01.pddl")
-    settings = Settings(bindings=read_bindings(domain / "bindings.yaml", problem.domain.parameters))
-    faults = read_faults(problems / "faults.yaml", problem.domain.actions)
+    settings = Settings(bindings=read_bindings(domain / "bindings.yaml", problem.vocabulary))
+    faults = read_faults(problems / "faults.yaml", problem.vocabulary)
     site = SimulatedSite(problem, settings.bindings, faults)
     world = site.robots.world
 

@@ -10,6 +10,7 @@ from typing import Literal
 from pnm.conditions import TRUE, Condition
 from pnm.effects import Effects
 from pnm.expressions import Expression, Fluent, Value, Variable
+from pnm.vocabulary import Vocabulary
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +115,11 @@ class Problem:
     """Ordered by time."""
     goal: Condition = TRUE
     metric: Metric | None = None
+
+    @property
+    def vocabulary(self) -> Vocabulary:
+        """The names that files about this problem may use."""
+        return Vocabulary(self.domain.parameters, frozenset((*self.domain.predicates, *self.domain.functions)), frozenset(self.objects))
 
     @property
     def is_timed(self) -> bool:

@@ -7,8 +7,8 @@ every search, and a search can be cancelled from another thread.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Mapping
-from typing import Final, TypeAlias
+from collections.abc import Iterable, Mapping
+from typing import Final
 
 import kairos
 
@@ -16,9 +16,6 @@ from planner_bridge.model import Domain, Problem
 from planner_bridge.pddl_writer import write_domain, write_problem
 from planner_bridge.plan import Plan, PlanningResult, PlanningStatus, PlanStep
 from pnm.errors import InputError
-
-Planner: TypeAlias = Callable[[Problem, float, threading.Event], PlanningResult]
-"""Takes a problem, a limit in seconds and an event that cancels the search."""
 
 DEFAULT_PLANNER: Final = "kairos"
 _POLL: Final = 0.05
@@ -57,7 +54,10 @@ def solve(
 
 def validate(problem: Problem, plan: Plan) -> str:
     """Return why the plan does not solve the problem by Kairos' validator; empty when it does."""
-    report = kairos.validate(_load(problem), kairos.parse_plan(plan_text(plan)))
+    try:
+        report = kairos.validate(_load(problem), kairos.parse_plan(plan_text(plan)))
+    except kairos.PddlError as error:
+        return str(error)
     return "" if report.valid else _told(report.diagnostics) or str(report.status)
 
 

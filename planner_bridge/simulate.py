@@ -64,7 +64,7 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
         servers = ActionServers(ros, logged, loop, robots.progress)
         found = serving(problem, bindings)
         publisher = StatePublisher(ros, loop, robots.world, robots.world.reported(bindings.assumed))
-        await publisher.open()  # before the servers: who finds them shall know the world
+        await publisher.open(robots.begin)  # before the servers: who finds them shall know the world
         await servers.offer([Offer(one.server, one.type, one.decode) for one in found])
         print(f"ready: {len(found)} action servers: {', '.join(one.server for one in found)}", flush=True)
         await stopped.wait()

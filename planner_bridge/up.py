@@ -72,7 +72,7 @@ def _solve(engine: str, timeout: float) -> dict[str, object]:
 
 
 def _steps(plan: Any) -> list[tuple[str, list[str], float, float]]:
-    if isinstance(plan, up.TimeTriggeredPlan if hasattr(up, "TimeTriggeredPlan") else ()) or hasattr(plan, "timed_actions"):
+    if hasattr(plan, "timed_actions"):
         return [(*_call(action), float(start), float(duration or 0)) for start, action, duration in plan.timed_actions]
     if not hasattr(plan, "actions"):
         plan = next(iter(plan.all_sequential_plans()))

@@ -18,7 +18,8 @@ from pnm.errors import InputError
 from pnm.expressions import Fluent, Unknown, Value, bind
 from pnm.knowledge import MISSING, parse_fluent
 from pnm.plan_graph import GroundAction
-from pnm.yaml_files import Mapped, check_known, load_yaml
+from pnm.vocabulary import Vocabulary
+from pnm.yaml_files import Mapped, load_yaml
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,16 +136,16 @@ def _resolve(source: object, own: Mapping[str, object], knowledge: Lookup) -> ob
     return source
 
 
-def read_bindings(path: Path, known: Mapping[str, tuple[str, ...]] | None = None) -> Bindings:
+def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
     """Read a bindings file.
 
     Args:
         path: the file.
-        known: the names of all actions with those of their parameters, to be checked against.
+        known: the names to be checked against.
 
     Raises:
         InputError: the file is not readable YAML, has an unknown key or a value of the wrong kind, or
-            names an action or a parameter that is not known.
+            names something that is not known.
     """
     top = load_yaml(path)
     top.only("actions", "assumed", "lag")
@@ -152,6 +153,8 @@ def read_bindings(path: Path, known: Mapping[str, tuple[str, ...]] | None = None
     if known is not None:
         for name, entry in top.mapping("actions").items():
             _check_names(name, actions[name], entry, known)
+        for name in top.strings("assumed"):
+            known.check_name(name, top.position("assumed"))
     return Bindings(actions, frozenset(top.strings("assumed")), top.number("lag", 1.0))
 
 
@@ -201,18 +204,25 @@ def _check_pattern(server: str, entry: Mapped) -> None:
         raise InputError(f"{wrong[0]} in {server!r}; expected something like /{{robot}}/navigate", entry.position("server"))
 
 
-def _check_names(name: str, binding: Binding, entry: Mapped, known: Mapping[str, tuple[str, ...]]) -> None:
-    check_known(name, known, "action", entry.start)
+def _check_names(name: str, binding: Binding, entry: Mapped, known: Vocabulary) -> None:
+    known.check_action(name, entry.start)
     for parameter in placeholders(binding.server or ""):
-        if parameter not in known[name]:
-            raise InputError(f"{{{parameter}}} is not a parameter of {name} ({_listed(known[name])})", entry.position("server"))
-    for source in (binding.goal or {}).values():
-        if isinstance(source, str) and source.startswith("?") and source[1:] not in known[name]:
-            raise InputError(f"{source} is not a parameter of {name} ({_listed(known[name])})", entry.position("goal"))
+        known.check_parameter(name, parameter, entry.position("server"))
+    for parameter in _parameters(binding.goal or {}):
+        known.check_parameter(name, parameter, entry.position("goal"))
 
 
-def _listed(names: tuple[str, ...]) -> str:
-    return ", ".join(names) or "it has none"
+def _parameters(source: object) -> Iterator[str]:
+    """Yield the parameters that goal fields are filled from, at any depth."""
+    if isinstance(source, Mapping):
+        source = list(source.values())
+    if isinstance(source, list):
+        for part in source:
+            yield from _parameters(part)
+    elif isinstance(source, str) and source.startswith("?"):
+        yield source[1:]
+    elif isinstance(source, str) and source.startswith("("):
+        yield from (term[1:] for term in parse_fluent(source) if term.startswith("?"))
 
 
 def placeholders(server: str) -> Iterator[str]:

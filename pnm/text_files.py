@@ -11,12 +11,14 @@ def read_text(path: Path, limit: int) -> str:
     """Read a text file, with clear refusals of what is missing, too large or not text."""
     start = Position(str(path), 1, 1)
     try:
-        size = path.stat().st_size
-        if size > limit:
-            raise InputError(f"the file has {size} bytes; at most {limit} are read", start)
-        raw = path.read_bytes()
+        if not path.is_file() and path.exists():
+            raise InputError("cannot be read: it is not a regular file", start)
+        with path.open("rb") as file:
+            raw = file.read(limit + 1)
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}", start) from error
+    if len(raw) > limit:
+        raise InputError(f"the file has more than {limit} bytes; no more are read", start)
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:

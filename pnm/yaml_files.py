@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -90,15 +90,6 @@ def _plain(node: yaml.Node, file: str) -> object:
         raise InputError(f"cannot be read as {_kind(node)}: {node.value[:40]!r}", _at(node, file)) from error
     finally:
         constructor.dispose()
-
-
-def check_known(name: str, known: Iterable[str], what: str, position: Position) -> None:
-    """Refuse a name that is not known, naming the nearest that is."""
-    names = tuple(known)
-    if name not in names:
-        near = get_close_matches(name, names, 1)
-        hint = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(names)}"
-        raise InputError(f"there is no {what} {name!r} in the domain; {hint}", position)
 
 
 @dataclass(frozen=True, slots=True)

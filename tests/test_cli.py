@@ -117,7 +117,7 @@ def test_a_server_name_with_an_unknown_parameter_is_refused(tmp_path: Path) -> N
     (tmp_path / "b.yaml").write_text("actions:\n  move:\n    server: /{robo}/move\n")
     done = pnm("run", *DELIVERY, "--bindings", str(tmp_path / "b.yaml"))
     assert done.returncode == 2
-    assert "{robo}" in done.stderr
+    assert "robo is not a parameter of move (robot, from, to)" in done.stderr
 
 
 def test_a_fault_for_an_action_that_is_not_there_is_refused(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from pnm.expressions import UNKNOWN
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.plan_graph import GroundAction
 from pnm.text_files import read_text
+from pnm.vocabulary import Vocabulary
 from pnm.yaml_files import MAX_BYTES, MAX_DEPTH, MAX_NODES, Mapped, load_yaml
 
 
@@ -96,10 +97,10 @@ def test_missing_files_folders_and_huge_files_are_refused(tmp_path: Path) -> Non
     with huge.open("wb") as file:
         file.truncate(MAX_BYTES + 1)
     assert error(load_yaml, tmp_path / "nowhere.yaml") == "FILE:1:1: cannot be read: No such file or directory"
-    assert error(load_yaml, tmp_path) == "FILE:1:1: cannot be read: Is a directory"
-    assert error(load_yaml, huge) == f"FILE:1:1: the file has {MAX_BYTES + 1} bytes; at most {MAX_BYTES} are read"
+    assert error(load_yaml, tmp_path) == "FILE:1:1: cannot be read: it is not a regular file"
+    assert error(load_yaml, huge) == f"FILE:1:1: the file has more than {MAX_BYTES} bytes; no more are read"
     assert read_text(written(tmp_path, "four"), 4) == "four"
-    assert error(lambda path: read_text(path, 3), written(tmp_path, "four")) == "FILE:1:1: the file has 4 bytes; at most 3 are read"
+    assert error(lambda path: read_text(path, 3), written(tmp_path, "four")) == "FILE:1:1: the file has more than 3 bytes; no more are read"
 
 
 PLAIN = [
@@ -230,24 +231,27 @@ actions:
 MOVE = GroundAction("move", ("r1", "hall", "lab"), ("robot", "from", "to"), duration=12.0)
 
 
+WORDS = Vocabulary({"move": MOVE.parameters, "wait": ()}, frozenset({"at", "battery"}), frozenset({"r1", "lab"}))
 UNKNOWN_NAMES = [
+    ("assumed: [att]", "FILE:1:10: there is no predicate or function 'att' in the domain; did you mean 'at'?"),
+    ("actions:\n  wait: {goal: {a: {b: '?nobody'}}}", "FILE:2:16: nobody is not a parameter of wait (it has none)"),
     ("actions: {mvoe: {retries: 1}}", "FILE:1:17: there is no action 'mvoe' in the domain; did you mean 'move'?"),
     ("actions: {jump: {}}", "FILE:1:17: there is no action 'jump' in the domain; expected one of move, wait"),
-    ("actions: {move: {server: '{to}/{who}'}}", "FILE:1:26: {who} is not a parameter of move (robot, from, to)"),
-    ("actions: {wait: {goal: {at: '?at'}}}", "FILE:1:24: ?at is not a parameter of wait (it has none)"),
+    ("actions: {move: {server: '{to}/{who}'}}", "FILE:1:26: who is not a parameter of move (robot, from, to)"),
+    ("actions: {wait: {goal: {at: '?at'}}}", "FILE:1:24: at is not a parameter of wait (it has none)"),
 ]
 
 
 @pytest.mark.parametrize(("content", "message"), UNKNOWN_NAMES, ids=[message for _, message in UNKNOWN_NAMES])
 def test_bindings_of_what_the_domain_does_not_have_are_refused(tmp_path: Path, content: str, message: str) -> None:
     path = written(tmp_path, content)
-    assert error(lambda path: read_bindings(path, {"move": MOVE.parameters, "wait": ()}), path) == message
-    assert read_bindings(path).actions
+    assert error(lambda path: read_bindings(path, WORDS), path) == message
+    assert read_bindings(path) != Bindings()
 
 
 def test_bindings_of_what_the_domain_has_are_read(tmp_path: Path) -> None:
     content = "actions: {move: {server: '{robot}', goal: {a: '?to', b: 'to', c: 1, d: $x}}}"
-    assert read_bindings(written(tmp_path, content), {"move": MOVE.parameters}).of("move").server == "{robot}"
+    assert read_bindings(written(tmp_path, content), Vocabulary({"move": MOVE.parameters})).of("move").server == "{robot}"
 
 
 @pytest.mark.parametrize(
@@ -372,6 +376,8 @@ changes:
 
 
 UNKNOWN_ACTIONS = [
+    ("faults:\n- {call: 'move(r1)', do: abort}", "FILE:2:10: move takes 3 arguments, found 1"),
+    ("changes:\n- {at: 1, set: [(at r9 lab)]}", "FILE:2:16: there is no object 'r9' in the domain; expected one of lab, r1"),
     ("faults:\n- {do: hang, action: mvoe}", "FILE:2:22: there is no action 'mvoe' in the domain; did you mean 'move'?"),
     ("faults:\n- {do: hang, call: (jump r1)}", "FILE:2:20: there is no action 'jump' in the domain; expected one of move, wait"),
     ("changes:\n- {on: end of mvoe, set: [(p)]}", "FILE:2:8: there is no action 'mvoe' in the domain; did you mean 'move'?"),
@@ -381,7 +387,7 @@ UNKNOWN_ACTIONS = [
 @pytest.mark.parametrize(("content", "message"), UNKNOWN_ACTIONS, ids=[message for _, message in UNKNOWN_ACTIONS])
 def test_faults_of_what_the_domain_does_not_have_are_refused(tmp_path: Path, content: str, message: str) -> None:
     path = written(tmp_path, content)
-    assert error(lambda path: read_faults(path, ("move", "wait")), path) == message
+    assert error(lambda path: read_faults(path, WORDS), path) == message
     assert read_faults(path) != Faults()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -13,7 +13,8 @@ from pnm.errors import InputError
 from pnm.expressions import Fluent, Value
 from pnm.knowledge import parse_statement
 from pnm.plan_graph import GroundAction
-from pnm.yaml_files import Mapped, check_known, load_yaml
+from pnm.vocabulary import Vocabulary
+from pnm.yaml_files import Mapped, load_yaml
 
 
 class FaultKind(Enum):
@@ -75,32 +76,29 @@ NO_FAULTS = Faults()
 _MOMENT = re.compile(r"(start|end) of (.+)\Z")
 
 
-def read_faults(path: Path, known: Iterable[str] | None = None) -> Faults:
+def read_faults(path: Path, known: Vocabulary | None = None) -> Faults:
     """Read a faults file.
 
     Args:
         path: the file.
-        known: the names of all actions, to be checked against.
+        known: the names to be checked against.
 
     Raises:
         InputError: the file is not readable YAML, has an unknown key or a value of the wrong kind, or
-            names an action that is not known.
+            names something that is not known.
     """
     top = load_yaml(path)
     top.only("faults", "changes")
     faults = Faults(tuple(map(_fault, top.sequence("faults"))), tuple(map(_change, top.sequence("changes"))))
     if known is not None:
-        names = tuple(known)
         for fault, entry in zip(faults.faults, top.sequence("faults"), strict=True):
-            check_known(_action(fault.what), names, "action", entry.position("action" if "action" in entry.nodes else "call"))
+            known.check_call(fault.what, entry.position("action" if "action" in entry.nodes else "call"))
         for change, entry in zip(faults.changes, top.sequence("changes"), strict=True):
             if change.what:
-                check_known(_action(change.what), names, "action", entry.position("on"))
+                known.check_call(change.what, entry.position("on"))
+            for fluent in change.changes:
+                known.check_fluent(fluent, entry.position("set"))
     return faults
-
-
-def _action(what: str) -> str:
-    return what.split("(", 1)[0]
 
 
 def ground_name(text: str) -> str:

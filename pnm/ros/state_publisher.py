@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from pnm.actions.world import World
@@ -34,11 +35,14 @@ class StatePublisher:
         self._sequence = 0
         self._due = False
 
-    async def open(self) -> None:
-        """Publish the state as it is, and every later one."""
+    async def open(self, heard: Callable[[], None]) -> None:
+        """Publish the state as it is, and every later one; call `heard` when somebody listens, again and again."""
         # latched, so that whoever comes later learns the state at once
         latched = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._publisher = await self._ros.ask(lambda: self._ros.node.create_publisher(self._type, TOPIC, latched))
+        callbacks = PublisherEventCallbacks(matched=lambda _: self._loop.call_soon_threadsafe(heard))
+        self._publisher = await self._ros.ask(
+            lambda: self._ros.node.create_publisher(self._type, TOPIC, latched, event_callbacks=callbacks)
+        )
         self._world.truth.listen(self._changed)
         self._publish()
 
