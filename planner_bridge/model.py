@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Literal
 
 from pnm.conditions import TRUE, Condition
-from pnm.effects import Effects
+from pnm.effects import Effects, TimedChange
 from pnm.expressions import Expression, Fluent, Value, Variable
 from pnm.vocabulary import Vocabulary
 
@@ -83,14 +83,6 @@ class Domain:
                     found.add(parent)
                     waiting.append(parent)
         return frozenset(found)
-
-
-@dataclass(frozen=True, slots=True)
-class TimedChange:
-    """Timed initial literals and fluents: these values from this time on, in seconds."""
-
-    time: float
-    changes: Mapping[Fluent, Value]
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,13 +15,14 @@ from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
 from planner_bridge import pddl_declarations as declarations
-from planner_bridge.model import Declaration, Domain, Metric, Problem, TimedChange
+from planner_bridge.model import Declaration, Domain, Metric, Problem
 from planner_bridge.pddl_actions import DURATIVE, INSTANTANEOUS, actions
 from planner_bridge.pddl_conditions import Reader, operands
 from planner_bridge.pddl_names import Names, is_number, number, unsupported
 from planner_bridge.pddl_sections import Definition, define
 from planner_bridge.sexpr import Atom, Group, Node, wrong
 from pnm.conditions import Condition
+from pnm.effects import TimedChange
 from pnm.expressions import Fluent, Value, show
 from pnm.text_files import read_text
 

@@ -12,9 +12,9 @@ from itertools import groupby, takewhile
 from operator import itemgetter
 from typing import Final, TypeAlias, assert_never
 
-from planner_bridge.model import ActionSchema, Declaration, Domain, Problem, TimedChange
+from planner_bridge.model import ActionSchema, Declaration, Domain, Problem
 from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
-from pnm.effects import Effect, Effects, ForEach, Set, When
+from pnm.effects import Effect, Effects, ForEach, Set, TimedChange, When
 from pnm.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, Value, ValueOf, Variable
 
 Form: TypeAlias = "str | list[Form]"

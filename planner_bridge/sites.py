@@ -14,7 +14,7 @@ from planner_bridge.model import Problem
 from planner_bridge.state import dynamic_names, initial_knowledge
 from pnm.actions.base import ActionClient
 from pnm.actions.faults import NO_FAULTS, Faults
-from pnm.actions.simulated import ScheduledChange, SimulatedRobots, sense
+from pnm.actions.simulated import SimulatedRobots, sense
 from pnm.actions.world import World
 from pnm.bindings import Bindings
 from pnm.knowledge import KnowledgeBase
@@ -109,5 +109,4 @@ class Ros2Site:
 def simulated_robots(problem: Problem, bindings: Bindings, faults: Faults, *, speed: float = 1.0) -> SimulatedRobots:
     """Return robots in a world that starts as the problem says."""
     world = World(initial_knowledge(problem), dynamic_names(problem))
-    scheduled = tuple(ScheduledChange(change.time, change.changes) for change in problem.timed)
-    return SimulatedRobots(world, faults, bindings, scheduled, speed)
+    return SimulatedRobots(world, faults, bindings, problem.timed, speed)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from planner_bridge.model import Problem, TimedChange
-from pnm.effects import names_written
+from planner_bridge.model import Problem
+from pnm.effects import TimedChange, names_written
 from pnm.expressions import Fluent, Unknown, Value
 from pnm.knowledge import KnowledgeBase
 

@@ -6,7 +6,7 @@ state before, and a fact both deleted and added is added (PDDL 2.1, section 8).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, TypeAlias, TypeGuard, assert_never
 
@@ -76,6 +76,14 @@ class ForEach:
 Effect: TypeAlias = Set | When | ForEach
 Effects: TypeAlias = tuple[Effect, ...]
 Changes: TypeAlias = dict[Fluent, Value | Unknown]
+
+
+@dataclass(frozen=True, slots=True)
+class TimedChange:
+    """Facts and numbers that change by themselves at a time, in seconds: timed initial literals and fluents."""
+
+    time: float
+    changes: Mapping[Fluent, Value]
 
 
 def show_effects(effects: Effects) -> str:

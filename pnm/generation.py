@@ -66,6 +66,7 @@ class _Generator:
     initial: dict[str, int] = field(default_factory=dict)
     failure_places: dict[str, int] = field(default_factory=dict)
     budget_places: set[str] = field(default_factory=set)
+    blocks: dict[int, list[str]] = field(default_factory=dict)
     orderings: dict[str, Ordering] = field(default_factory=dict)
     into: dict[PlanEvent, list[str]] = field(default_factory=dict)
     """For every event, the places it waits for."""
@@ -95,6 +96,7 @@ class _Generator:
             failed_place=failed,
             failure_places=self.failure_places,
             budget_places=frozenset(self.budget_places),
+            blocks={call: tuple(places) for call, places in self.blocks.items()},
             orderings=self.orderings,
             on_failure=self.on_failure,
         )
@@ -242,7 +244,9 @@ class _Block:
         self.all.transition(self.name(name), Rule(name, guard, self.call.index, deed), [self.name(source)], map(self.name, targets))
 
     def place(self, name: str) -> str:
-        return self.all.net.place(self.name(name))
+        found = self.all.net.place(self.name(name))
+        self.all.blocks.setdefault(self.call.index, []).append(found)
+        return found
 
     def name(self, name: str) -> str:
         return f"{self.title} {name}"

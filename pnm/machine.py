@@ -22,7 +22,7 @@ from pnm.compiled import CompiledNet
 from pnm.conditions import Condition
 from pnm.marking import Marking
 from pnm.net import PetriNet
-from pnm.plan_graph import ActionCall, Ordering, PlanGraph
+from pnm.plan_graph import Ordering, PlanGraph
 
 # --- guards --------------------------------------------------------------------------------
 
@@ -173,6 +173,8 @@ class PetriNetMachine:
     """For every place that marks the failure of a call, the call."""
     budget_places: frozenset[str]
     """Places that count retries left and retries spent."""
+    blocks: Mapping[int, tuple[str, ...]]
+    """For every call, the places of its block."""
     orderings: Mapping[str, Ordering]
     """For every place that stands for an ordering of the plan, that ordering."""
     on_failure: OnFailure = OnFailure.DRAIN
@@ -187,10 +189,15 @@ class PetriNetMachine:
         """Places that may stay marked at the end: failures and budgets."""
         return frozenset(self.failure_places) | self.budget_places
 
-    def call(self, transition: str) -> ActionCall | None:
-        """Return the call that the transition belongs to."""
-        index = self.rules[transition].call
-        return None if index is None else self.plan.calls[index]
+    def role(self, place: str) -> str:
+        """Return ``goal``, ``failure``, ``budget``, ``ordering`` or, for all other places, nothing."""
+        if place == self.goal_place:
+            return "goal"
+        if place in self.failure_places or place == self.failed_place:
+            return "failure"
+        if place in self.budget_places:
+            return "budget"
+        return "ordering" if place in self.orderings else ""
 
     @cached_property
     def compiled(self) -> CompiledNet:

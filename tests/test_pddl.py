@@ -11,12 +11,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from planner_bridge.model import ActionSchema, Declaration, Domain, DurationConstraint, Metric, Problem, TimedChange
+from planner_bridge.model import ActionSchema, Declaration, Domain, DurationConstraint, Metric, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
 from planner_bridge.pddl_writer import number_text, write_domain, write_problem
 from planner_bridge.sexpr import MAX_DEPTH
 from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
-from pnm.effects import OPERATIONS, Effect, ForEach, Set, When
+from pnm.effects import OPERATIONS, Effect, ForEach, Set, TimedChange, When
 from pnm.errors import InputError
 from pnm.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
 
@@ -300,7 +300,7 @@ def test_files_that_cannot_be_read_are_refused_at_their_beginning(tmp_path: Path
     (tmp_path / "bytes").write_bytes(b"(define \xff)")
     for name, message in {
         "missing": "1:1: cannot be read: No such file or directory",
-        "": "1:1: cannot be read: Is a directory",
+        "": "1:1: cannot be read: it is not a regular file",
         "empty": "1:1: the file is empty; expected (define (domain NAME) ...)",
         "zeros": "1:1: not a text file: it contains zero bytes",
         "bytes": "1:9: not a text file: byte 0xff is not UTF-8",

@@ -16,7 +16,7 @@ from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Reporter, Re
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.actions.world import Activity, World
 from pnm.bindings import Bindings
-from pnm.effects import Changes
+from pnm.effects import Changes, TimedChange
 from pnm.expressions import Fluent, Unknown, Value
 from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import GroundAction
@@ -45,14 +45,6 @@ class _Job:
     """What of the over-all condition has not been so all the time."""
 
 
-@dataclass(frozen=True, slots=True)
-class ScheduledChange:
-    """Facts that change at a time after the start of the world, whatever anybody does."""
-
-    time: float
-    changes: Mapping[Fluent, Value]
-
-
 @dataclass
 class SimulatedRobots:
     """Performs every action for its duration and changes the world, unless a fault says otherwise.
@@ -63,7 +55,7 @@ class SimulatedRobots:
     world: World
     faults: Faults = NO_FAULTS
     bindings: Bindings = field(default_factory=Bindings)
-    scheduled: tuple[ScheduledChange, ...] = ()
+    scheduled: tuple[TimedChange, ...] = ()
     speed: float = 1.0
     """How many seconds of the world pass in one second of the clock."""
     _jobs: dict[UUID, _Job] = field(default_factory=dict)
@@ -229,4 +221,4 @@ def sense(world: World, knowledge: KnowledgeBase, assumed: Iterable[str] = ()) -
     world.truth.listen(tell)
 
 
-__all__ = ["INSTANTANEOUS", "HiddenChange", "ScheduledChange", "SimulatedRobots", "sense"]
+__all__ = ["INSTANTANEOUS", "HiddenChange", "SimulatedRobots", "sense"]

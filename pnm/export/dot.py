@@ -15,15 +15,17 @@ def to_dot(machine: PetriNetMachine) -> str:
 
 
 def _body(machine: PetriNetMachine) -> Iterator[str]:
-    titles = tuple(f"{call} " for call in machine.plan.calls)
-    free = [place for place in machine.net.places if place in machine.orderings or " < " in place or not place.startswith(titles)]
-    for call, title in zip(machine.plan.calls, titles, strict=True):
+    transitions: dict[int | None, list[str]] = {}
+    for name, rule in machine.rules.items():
+        transitions.setdefault(rule.call, []).append(name)
+    for call in machine.plan.calls:
         yield f'  subgraph cluster_{call.index} {{ label={_quote(str(call))}; color=gray; fontname="sans-serif";'
-        yield from (f"    {_place(machine, place, title)}" for place in machine.net.places if place.startswith(title) and place not in free)
-        yield from (f"    {_transition(machine, name)}" for name, rule in machine.rules.items() if rule.call == call.index)
+        yield from (f"    {_place(machine, place, f'{call} ')}" for place in machine.blocks[call.index])
+        yield from (f"    {_transition(machine, name)}" for name in transitions[call.index])
         yield "  }"
-    yield from (f"  {_place(machine, place)}" for place in free)
-    yield from (f"  {_transition(machine, name)}" for name, rule in machine.rules.items() if rule.call is None)
+    inside = {place for places in machine.blocks.values() for place in places}
+    yield from (f"  {_place(machine, place)}" for place in machine.net.places if place not in inside)
+    yield from (f"  {_transition(machine, name)}" for name in transitions[None])
     for arc in machine.net.arcs:
         weight = f" [label={arc.weight}]" if arc.weight > 1 else ""
         yield f"  {_quote(arc.source)} -> {_quote(arc.target)}{weight};"
@@ -34,22 +36,11 @@ def _place(machine: PetriNetMachine, place: str, title: str = "") -> str:
     if place in machine.orderings:
         label = ", ".join(map(" ".join, machine.orderings[place].protects))
     label += " •" * machine.initial[place]
-    return f"{_quote(place)} [shape=circle, label={_quote(label)}, color={_quote(_COLOURS[role(machine, place)])}];"
+    return f"{_quote(place)} [shape=circle, label={_quote(label)}, color={_quote(_COLOURS[machine.role(place)])}];"
 
 
 def _transition(machine: PetriNetMachine, name: str) -> str:
     return f"{_quote(name)} [shape=box, height=0.2, label={_quote(machine.rules[name].name)}];"
-
-
-def role(machine: PetriNetMachine, place: str) -> str:
-    """Return ``goal``, ``failure``, ``budget``, ``ordering`` or, for all other places, nothing."""
-    if place in machine.goal_places:
-        return "goal"
-    if place in machine.failure_places or place == machine.failed_place:
-        return "failure"
-    if place in machine.budget_places:
-        return "budget"
-    return "ordering" if place in machine.orderings else ""
 
 
 def _quote(text: str) -> str:

@@ -6,7 +6,6 @@ import json
 from dataclasses import fields
 from typing import Any
 
-from pnm.export.dot import role
 from pnm.machine import Guard, PetriNetMachine
 
 
@@ -23,7 +22,7 @@ def as_data(machine: PetriNetMachine) -> dict[str, Any]:
             {"before": str(one.before), "after": str(one.after), "protects": [" ".join(fluent) for fluent in one.protects]}
             for one in machine.plan.orderings
         ],
-        "places": [{"name": place, "role": role(machine, place), "tokens": machine.initial[place]} for place in machine.net.places],
+        "places": [{"name": place, "role": machine.role(place), "tokens": machine.initial[place]} for place in machine.net.places],
         "transitions": [
             {
                 "name": name,
