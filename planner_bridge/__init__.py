@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from planner_bridge.loading import load
     from planner_bridge.model import ActionSchema, Domain, Problem
     from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
-    from planner_bridge.pddl_writer import write_domain, write_problem
+    from planner_bridge.pddl.writer import write_domain, write_problem
     from planner_bridge.pipeline import achieve
     from planner_bridge.plan import Plan, PlanningResult, PlanningStatus, PlanStep
     from planner_bridge.planning import solve, validate
@@ -53,8 +53,8 @@ _WHERE = {
     "parse_problem": "planner_bridge.pddl",
     "read_domain": "planner_bridge.pddl",
     "read_problem": "planner_bridge.pddl",
-    "write_domain": "planner_bridge.pddl_writer",
-    "write_problem": "planner_bridge.pddl_writer",
+    "write_domain": "planner_bridge.pddl.writer",
+    "write_problem": "planner_bridge.pddl.writer",
     "Settings": "planner_bridge.tasks",
     "TaskObserver": "planner_bridge.tasks",
     "TaskResult": "planner_bridge.tasks",

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from planner_bridge.model import Problem
-from planner_bridge.pddl_writer import write_domain, write_problem
+from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.plan import Plan, PlanningResult, PlanningStatus, PlanStep
 from pnm.errors import InputError
 

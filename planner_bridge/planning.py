@@ -13,7 +13,7 @@ from typing import Final
 import kairos
 
 from planner_bridge.model import Domain, Problem
-from planner_bridge.pddl_writer import write_domain, write_problem
+from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.plan import Plan, PlanningResult, PlanningStatus, PlanStep
 from pnm.errors import InputError
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from planner_bridge.model import ActionSchema, Declaration, Domain, DurationConstraint, Metric, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
-from planner_bridge.pddl_writer import number_text, write_domain, write_problem
-from planner_bridge.sexpr import MAX_DEPTH
+from planner_bridge.pddl.sexpr import MAX_DEPTH
+from planner_bridge.pddl.writer import number_text, write_domain, write_problem
 from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.effects import OPERATIONS, Effect, ForEach, Set, TimedChange, When
 from pnm.errors import InputError

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Final, Literal
 
-from planner_bridge.pddl_names import new_name, unsupported
-from planner_bridge.sexpr import Atom, Group, Node, parse, where, wrong
+from planner_bridge.pddl.names import new_name, unsupported
+from planner_bridge.pddl.sexpr import Atom, Group, Node, parse, where, wrong
 from pnm.errors import InputError, Position
 
 _TASKS: Final = ("task networks (HDDL)", "a hierarchical planner")

@@ -6,12 +6,12 @@ from collections.abc import Iterable
 from typing import Final
 
 from planner_bridge.model import ActionSchema
-from planner_bridge.pddl_conditions import Reader
-from planner_bridge.pddl_declarations import Once
-from planner_bridge.pddl_durative import duration, timed_conditions, timed_effects
-from planner_bridge.pddl_names import Names, new_name
-from planner_bridge.pddl_sections import keyed
-from planner_bridge.sexpr import Group, Node, wrong
+from planner_bridge.pddl.conditions import Reader
+from planner_bridge.pddl.declarations import Once
+from planner_bridge.pddl.durative import duration, timed_conditions, timed_effects
+from planner_bridge.pddl.names import Names, new_name
+from planner_bridge.pddl.sections import keyed
+from planner_bridge.pddl.sexpr import Group, Node, wrong
 from pnm.expressions import Variable
 
 INSTANTANEOUS: Final = ":action"

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Final, Literal, TypeAlias, TypeVar, get_args
 
 from planner_bridge.model import DurationConstraint
-from planner_bridge.pddl_conditions import Reader, conjunction, operands
-from planner_bridge.pddl_names import unsupported
-from planner_bridge.sexpr import Atom, Group, Node, wrong
+from planner_bridge.pddl.conditions import Reader, conjunction, operands
+from planner_bridge.pddl.names import unsupported
+from planner_bridge.pddl.sexpr import Atom, Group, Node, wrong
 from pnm.conditions import TRUE, Condition, ForAll
 from pnm.effects import OPERATIONS, Effect, Effects, ForEach, When
 

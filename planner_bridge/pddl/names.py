@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Final
 
 from planner_bridge.model import Declaration, Domain
-from planner_bridge.sexpr import Atom, Group, Node, wrong
+from planner_bridge.pddl.sexpr import Atom, Group, Node, wrong
 from pnm.effects import OPERATIONS
 from pnm.errors import InputError
 from pnm.expressions import Variable

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from planner_bridge.model import Declaration
-from planner_bridge.pddl_names import Names, is_number, number, show_types, unknown, unsupported
-from planner_bridge.sexpr import Atom, Group, Node, wrong
+from planner_bridge.pddl.names import Names, is_number, number, show_types, unknown, unsupported
+from planner_bridge.pddl.sexpr import Atom, Group, Node, wrong
 from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.effects import OPERATIONS, Effects, ForEach, Set, When
 from pnm.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable

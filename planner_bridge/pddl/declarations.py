@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from planner_bridge.model import Declaration, Domain
-from planner_bridge.pddl_names import CONNECTIVES, Names, Types, new_name, runs, show_types, type_words, unsupported
-from planner_bridge.sexpr import Atom, Group, Node, where, wrong
+from planner_bridge.pddl.names import CONNECTIVES, Names, Types, new_name, runs, show_types, type_words, unsupported
+from planner_bridge.pddl.sexpr import Atom, Group, Node, where, wrong
 
 Parts = tuple[Node, ...]
 

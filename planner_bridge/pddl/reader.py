@@ -1,4 +1,4 @@
-"""PDDL domains and problems: text to model. Model to text is in `planner_bridge.pddl_writer`.
+"""PDDL domains and problems: text to model. Model to text is in `planner_bridge.pddl.writer`.
 
 Sections may stand in any order, so a file is first cut into its sections and these are then
 interpreted in the order in which they need each other: types, constants, predicates and
@@ -14,13 +14,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
-from planner_bridge import pddl_declarations as declarations
 from planner_bridge.model import Declaration, Domain, Metric, Problem
-from planner_bridge.pddl_actions import DURATIVE, INSTANTANEOUS, actions
-from planner_bridge.pddl_conditions import Reader, operands
-from planner_bridge.pddl_names import Names, is_number, number, unsupported
-from planner_bridge.pddl_sections import Definition, define
-from planner_bridge.sexpr import Atom, Group, Node, wrong
+from planner_bridge.pddl import declarations
+from planner_bridge.pddl.actions import DURATIVE, INSTANTANEOUS, actions
+from planner_bridge.pddl.conditions import Reader, operands
+from planner_bridge.pddl.names import Names, is_number, number, unsupported
+from planner_bridge.pddl.sections import Definition, define
+from planner_bridge.pddl.sexpr import Atom, Group, Node, wrong
 from pnm.conditions import Condition
 from pnm.effects import TimedChange
 from pnm.expressions import Fluent, Value, show

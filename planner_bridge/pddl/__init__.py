@@ -1,0 +1,10 @@
+"""PDDL text to models and back.
+
+`sexpr` → `sections` → `declarations`, `conditions`, `durative`, `actions` → `reader`; `writer` is the way back.
+Errors say file, line and column, what was found and what was expected.
+"""
+
+from planner_bridge.pddl.reader import parse_domain, parse_problem, read_domain, read_problem
+from planner_bridge.pddl.writer import write_domain, write_problem
+
+__all__ = ["parse_domain", "parse_problem", "read_domain", "read_problem", "write_domain", "write_problem"]
