@@ -4,8 +4,9 @@
 function: `load`, `solve`, `plan_graph`, `pnm.generate`.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from pnm.lazy import lazily
 
 if TYPE_CHECKING:
     from planner_bridge.loading import load
@@ -44,7 +45,6 @@ __all__ = [
     "write_problem",
 ]
 
-# Loaded when asked for, so that importing the package costs nothing.
 _WHERE = {
     "ActionSchema": "planner_bridge.model",
     "Domain": "planner_bridge.model",
@@ -70,12 +70,4 @@ _WHERE = {
     "Limits": "planner_bridge.replanning",
 }
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _WHERE:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_WHERE[name]), name)
-
-
-def __dir__() -> list[str]:
-    return [*__all__]
+__getattr__, __dir__ = lazily(__name__, _WHERE)

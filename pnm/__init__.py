@@ -5,8 +5,9 @@ A `PlanGraph` says which calls of actions wait for which; `generate` turns it in
 connects a run to an `ActionClient`, a clock and knowledge.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from pnm.lazy import lazily
 
 if TYPE_CHECKING:
     from pnm.actions.base import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Request
@@ -80,7 +81,6 @@ __all__ = [
     "verify",
 ]
 
-# Loaded when asked for, so that importing the package costs nothing.
 _WHERE = {
     "Accepted": "pnm.actions.base",
     "ActionClient": "pnm.actions.base",
@@ -132,12 +132,4 @@ _WHERE = {
     "is_enabled": "pnm.semantics",
 }
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _WHERE:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_WHERE[name]), name)
-
-
-def __dir__() -> list[str]:
-    return [*__all__]
+__getattr__, __dir__ = lazily(__name__, _WHERE)
