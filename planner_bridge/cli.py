@@ -7,6 +7,7 @@ takes to begin.
 from __future__ import annotations
 
 import json
+import os
 import sys
 import traceback
 from collections.abc import Callable
@@ -50,11 +51,15 @@ def _command(function: Callable[P, int]) -> Callable[P, None]:
     def run(*args: P.args, **kwargs: P.kwargs) -> None:
         try:
             status = function(*args, **kwargs)
+            sys.stdout.flush()
         except InputError as error:
             print(error, file=sys.stderr)
             status = 2
         except PnmError as error:
             print(error, file=sys.stderr)
+            status = 1
+        except BrokenPipeError:  # nobody reads what we print: not our fault, and no more can be said
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             status = 1
         except KeyboardInterrupt:
             print("cancelled", file=sys.stderr)
@@ -183,9 +188,7 @@ def run(
     as_json: bool,
 ) -> int:
     """Plan, execute, and replan until the goal holds."""
-    from rich.console import Console
-
-    from planner_bridge.console import ConsoleObserver, print_result
+    from planner_bridge.console import ConsoleObserver, Terminal, print_result
     from planner_bridge.loading import load
     from planner_bridge.pipeline import Stopwatch, achieve
     from planner_bridge.replanning import Limits
@@ -199,7 +202,7 @@ def run(
         loaded = load(domain, problem)
         chosen = _bindings(bindings, domain, loaded)
     limits = Limits(replans=replans, seconds=seconds)
-    console = Console()
+    console = Terminal()
     result = achieve(
         None,
         loaded,
@@ -236,11 +239,10 @@ def simulate(domain: Path, problem: Path, bindings: Path | None, faults: Path | 
 @_command
 def demo() -> int:
     """Show the whole story on simulated robots: plan, machine, run, failure, replan, goal."""
-    from rich.console import Console
-
+    from planner_bridge.console import Terminal
     from planner_bridge.demo import show
 
-    return show(Console())
+    return show(Terminal())
 
 
 def _faults(file: Path | None, problem: Problem) -> Faults:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from contextlib import ExitStack
 
 from rich.console import Console
@@ -15,6 +17,14 @@ from pnm.analysis import Proof
 from pnm.machine import PetriNetMachine
 from pnm.plan_graph import ActionCall
 from pnm.results import Failure, RunResult
+
+
+class Terminal(Console):
+    """Where a person reads along; when nobody reads any more, what goes on is not disturbed by that."""
+
+    def on_broken_pipe(self) -> None:
+        """Write nowhere from now on."""
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class ConsoleObserver(TaskObserver):

@@ -30,14 +30,20 @@ def forbid(problem: Problem, forbidden: frozenset[ForbiddenCall]) -> Problem:
     """Return the problem in which every action concerned has a precondition that is false for the forbidden arguments."""
     domain, init = problem.domain, dict[Fluent, Value](problem.init)
     predicates, actions = dict(domain.predicates), dict(domain.actions)
-    for name in {call.action for call in forbidden}:
+    facts = {name: _unused(f"forbidden-{name}", domain) for name in sorted({call.action for call in forbidden})}
+    for name, fact in facts.items():
         schema = actions[name]
-        fact = f"forbidden-{name}"
         predicates[fact] = Declaration(fact, schema.parameters)
         actions[name] = _guarded(schema, Not(Holds((fact, *(variable.name for variable in schema.parameters)))))
     for call in forbidden:
-        init[(f"forbidden-{call.action}", *call.arguments)] = True
+        init[(facts[call.action], *call.arguments)] = True
     return replace(problem, domain=_with(domain, predicates, actions), init=init)
+
+
+def _unused(name: str, domain: Domain) -> str:
+    while name in domain.predicates or name in domain.functions:
+        name += "-"
+    return name
 
 
 def _guarded(schema: ActionSchema, guard: Not) -> ActionSchema:

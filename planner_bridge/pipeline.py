@@ -26,14 +26,16 @@ from planner_bridge.tasks import Episode, Settings, TaskObserver, TaskResult
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.analysis import verify
 from pnm.clock import run_async
+from pnm.conditions import evaluate
 from pnm.errors import InputError
 from pnm.executor import Executor
 from pnm.generation import generate
 from pnm.knowledge import Layered
 from pnm.machine import PetriNetMachine
-from pnm.plan_graph import PlanGraph
+from pnm.plan_graph import PlanGraph, PlanGraphError
 from pnm.results import RunResult
 from pnm.run import Run
+from pnm.state_space import Unsound
 
 Where: TypeAlias = Literal["simulated", "ros2"]
 
@@ -120,6 +122,8 @@ class _Task:
         except asyncio.CancelledError:  # while no run was there to be stopped
             cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
             return self._ended(False, "cancelled")
+        except (PlanGraphError, Unsound) as error:  # a plan that is valid, but not by causes alone
+            return self._ended(False, f"the plan cannot be executed: {error}")
         finally:
             for timer in self.timers:
                 timer.cancel()
@@ -146,10 +150,15 @@ class _Task:
                 with self.seconds.of("translate"):
                     graph = plan_graph(now, found.plan)
             machine, result = await self._run(graph, origin)
-            if result.goal or result.stopped:
+            if not result.goal:  # reports about what has just happened may still be under way
+                await asyncio.sleep(self.knowledge.world.longest_lag)
+            if evaluate(self.problem.goal, self.knowledge) is True:
                 self.episodes.append(Episode(machine, result))
-                return self._ended(result.goal, result.reason)
-            decision = await self._decide(graph, result)
+                return self._ended(True, "the goal holds")
+            if result.stopped:
+                self.episodes.append(Episode(machine, result))
+                return self._ended(False, result.reason)
+            decision = self._decide(graph, result)
             self.episodes.append(Episode(machine, result, decision))
             match decision:
                 case GiveUp(reason):
@@ -168,9 +177,8 @@ class _Task:
         """Return how many seconds the task may still take."""
         return max(0.0, self.began + self.settings.limits.seconds - asyncio.get_running_loop().time())
 
-    async def _decide(self, graph: PlanGraph, result: RunResult) -> Decision:
-        """Decide from the world as it is: reports about what has just happened may still be under way."""
-        await asyncio.sleep(self.knowledge.world.longest_lag)
+    def _decide(self, graph: PlanGraph, result: RunResult) -> Decision:
+        """Decide from the world as it is now known to be."""
         self.history = self.history.after(result.calls, result.failures)
         if not self._left():
             return GiveUp(f"the limit of {self.settings.limits.seconds:g} s is reached")

@@ -124,21 +124,23 @@ class _Causes:
 
     state: State
     relevant: frozenset[str]
-    writer: dict[Fluent, PlanEvent | float] = field(default_factory=dict)
-    """The event that wrote the fluent last, or the time of the timed change that did."""
+    writer: dict[Fluent, PlanEvent] = field(default_factory=dict)
+    """The event that wrote the fluent last."""
+    changed_at: dict[Fluent, float] = field(default_factory=dict)
+    """When the fluent changed by itself since."""
     readers: dict[Fluent, list[_Reader]] = field(default_factory=dict)
     orderings: dict[tuple[PlanEvent, PlanEvent], list[Fluent]] = field(default_factory=dict)
     releases: dict[int, float] = field(default_factory=dict)
+    durations: dict[int, float] = field(default_factory=dict)
     lasting: dict[int, frozenset[Fluent]] = field(default_factory=dict)
 
     def timed(self, time: float, changed: tuple[Fluent, ...]) -> None:
         """Note that fluents change by themselves."""
-        for fluent in changed:
-            self.writer[fluent] = time
-            self.readers[fluent] = []
+        self.changed_at.update(dict.fromkeys(changed, time))
 
     def happen(self, kind: int, call: int, action: GroundAction, end: float, now: float) -> None:
         """Note what one happening reads and writes."""
+        self.durations[call] = action.duration or 0.0
         start_event, end_event = PlanEvent(call, Moment.START), PlanEvent(call, Moment.END)
         match kind:
             case _ if action.duration is None:
@@ -177,13 +179,14 @@ class _Causes:
                     self._order(reader.event, waits, fluent)
             self.readers[fluent] = still
             self.writer[fluent] = releases
+            self.changed_at.pop(fluent, None)
 
     def _after_writer(self, fluent: Fluent, waits: PlanEvent) -> None:
-        writer = self.writer.get(fluent)
-        if isinstance(writer, PlanEvent):
-            self._order(writer, waits, fluent)
-        elif writer is not None and waits.moment is Moment.START:
-            self.releases[waits.call] = max(writer, self.releases.get(waits.call, 0.0))
+        if fluent in self.writer:
+            self._order(self.writer[fluent], waits, fluent)
+        if fluent in self.changed_at:  # an end comes when its time is up, so its start must not be too early
+            lead = self.durations.get(waits.call, 0.0) if waits.moment is Moment.END else 0.0
+            self.releases[waits.call] = max(self.changed_at[fluent] - lead, self.releases.get(waits.call, 0.0))
 
     def _order(self, before: PlanEvent, after: PlanEvent, fluent: Fluent) -> None:
         if before.call != after.call:

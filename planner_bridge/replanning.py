@@ -32,7 +32,7 @@ class Limits:
     seconds: float = 3600.0
     """From the start of the task, on the clock of its runs; then it is stopped."""
     forbid_after: int = 2
-    """A ground action that failed so often is not planned with any more."""
+    """A ground action that failed so often since it last succeeded is not planned with any more."""
     backoff: float = 0.5
     """Seconds before the second replan in a row without progress; doubled each time."""
     longest_backoff: float = 30.0
@@ -57,6 +57,9 @@ class History:
             if failure.cause not in _WORLD:
                 call = ForbiddenCall.of(failure.call.action)
                 failed[call] = failed.get(call, 0) + 1
+        for one in calls:
+            if one.outcome == "succeeded":
+                failed.pop(ForbiddenCall.of(one.call.action), None)
         at_work = [failure.call for failure in failures if failure.unconfirmed]
         at_work += [one.call for one in calls if one.outcome == UNCONFIRMED]
         progress = any(one.outcome == "succeeded" for one in calls)

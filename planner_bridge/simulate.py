@@ -89,15 +89,26 @@ class Serving:
         Raises:
             InputError: no argument, or no known object, for some parameter.
         """
-        named = data.get("action")
-        schema, fixed = next((one for one in self.choices if one[0].name == named), self.choices[0])
+        schema, fixed = self._meant(data)
         known = {**_arguments(schema, self.bindings, data), **fixed}
         missing = [variable.name for variable in schema.parameters if known.get(variable.name[1:]) not in self.problem.objects]
         if missing:
             raise InputError(f"the goal names no object of the problem for {', '.join(missing)} of {schema.name}: {dict(data)}")
         arguments = tuple(str(known[variable.name[1:]]) for variable in schema.parameters)
+        planned = data.get("duration")
+        if isinstance(planned, float) and planned > 0:
+            return ground_action(schema, arguments, planned)
         duration = modelled_duration(schema, arguments, initial_knowledge(self.problem))
         return ground_action(schema, arguments, duration)
+
+    def _meant(self, data: Mapping[str, object]) -> tuple[ActionSchema, Mapping[str, str]]:
+        """Return the schema that the goal names, or the only one there is."""
+        named = data.get("action")
+        choices = [one for one in self.choices if named in (None, one[0].name)]
+        if len(choices) != 1:
+            known = ", ".join(schema.name for schema, _ in self.choices)
+            raise InputError(f"the goal's field `action` must name one of {known}; found {named!r}")
+        return choices[0]
 
 
 def _arguments(schema: ActionSchema, bindings: Bindings, data: Mapping[str, object]) -> dict[str, object]:

@@ -108,5 +108,6 @@ class Ros2Site:
 
 def simulated_robots(problem: Problem, bindings: Bindings, faults: Faults, *, speed: float = 1.0) -> SimulatedRobots:
     """Return robots in a world that starts as the problem says."""
-    world = World(initial_knowledge(problem), dynamic_names(problem))
+    hidden = {fluent[0] for change in faults.changes for fluent in change.changes}
+    world = World(initial_knowledge(problem), dynamic_names(problem) | hidden)
     return SimulatedRobots(world, faults, bindings, problem.timed, speed)

@@ -1,8 +1,9 @@
 """How actions are bound to action servers: which server, which goal fields, which limits.
 
 Without a binding the server has the action's name and its goal fields are filled by name:
-the call's arguments first, then local, then global variables. ``action`` and ``arguments``
-are always there: the action's name and the list of its arguments.
+the call's arguments first, then local, then global variables. ``action``,
+``arguments`` and ``duration`` are always there: the action's name, the list of its arguments, and
+its planned duration in seconds, 0 when it has none.
 """
 
 from __future__ import annotations
@@ -101,6 +102,7 @@ def goal_data(
     own: dict[str, object] = {
         "action": action.name,
         "arguments": list(action.arguments),
+        "duration": action.duration or 0.0,
         **dict(zip(action.parameters, action.arguments, strict=True)),
     }
     needed = binding.goal if binding.goal is not None else dict.fromkeys(fields or ())

@@ -48,6 +48,10 @@ class Executor:
                     self._change_waits = False
                 for command in self.run.handle(event, asyncio.get_running_loop().time()):
                     self._do(command)
+        except BaseException:
+            for request in self.run.open_requests:  # nobody will hear of them any more
+                self._client.cancel(request)
+            raise
         finally:
             stop_listening()
             self._wake_at(None)

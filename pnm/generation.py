@@ -196,7 +196,10 @@ class _Block:
             add(f"{kind.value}{'_early' if kind is OutcomeKind.LOST else ''}", Ends(call, frozenset({kind})), requested, [recover])
         others = _UNSUCCESSFUL - {OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE, OutcomeKind.LOST}
         add("ended_early", Ends(call, others | _SUCCEEDED), requested, [recover])
-        add("unanswered", After(self.binding.accept), requested, [recover], Deed.CANCEL)
+        withdrawing = self.place(phase + "withdrawing")
+        add("unanswered", After(self.binding.accept), requested, [withdrawing], Deed.CANCEL)
+        add("withdrawn", Ends(call, frozenset(OutcomeKind)), withdrawing, [recover])
+        add("unheard", After(self.binding.cancel), withdrawing, failed)
 
         add("abandon", Ending(), recover, failed)
         budget, spent, retries = self.name("budget"), self.name("spent"), self.binding.retries

@@ -27,6 +27,7 @@ _CAUSES: Final = {
     "rejected": "rejected",
     "unavailable": "unavailable",
     "unanswered": "unavailable",
+    "unheard": "unavailable",
     "ended_early": "unavailable",
     "aborted": "aborted",
     "canceled": "canceled",
@@ -72,7 +73,7 @@ class Ledger:
         match transition:
             case "effects_missing":
                 return " ".join(missing), "the action succeeded, but that is not so"
-            case "unanswered":
+            case "unanswered" | "unheard":
                 return "an answer to the goal in time", "none"
             case "expired":
                 return "an end in time", f"none; then {self._messages[call]}"

@@ -141,6 +141,11 @@ class Run:
         """Whether nothing more is started: a failure place is marked, or the run was told to stop."""
         return bool(self._ledger.failures) or self._stop is not None
 
+    @property
+    def open_requests(self) -> tuple[UUID, ...]:
+        """The requests that are not over, as far as is known."""
+        return tuple(self._open)
+
     def result(self) -> RunResult:
         """Return how the run ended."""
         if not self.over:
@@ -324,7 +329,7 @@ class Run:
 
     def _fail(self, call: int, rule: Rule) -> None:
         first = not self.ending
-        failure = self._ledger.failed(call, self._now, self._why(call, rule), unconfirmed=rule.name == "unconfirmed")
+        failure = self._ledger.failed(call, self._now, self._why(call, rule), unconfirmed=rule.name in _GIVEN_UP)
         self._observer.failed(failure, self._now)
         if first:
             self._agenda.extend(self._undecided)
@@ -404,7 +409,7 @@ class Run:
 _BEFORE_ACCEPTANCE: Final = frozenset({OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE, OutcomeKind.LOST})
 """Ends that do not tell whether the goal was accepted before."""
 
-_GIVEN_UP: Final = frozenset({"unanswered", "unconfirmed", "unconfirmed_stop"})
+_GIVEN_UP: Final = frozenset({"unheard", "unconfirmed", "unconfirmed_stop"})
 """The transitions after which a request is no longer waited for."""
 
 

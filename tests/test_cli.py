@@ -164,5 +164,17 @@ def test_the_demo_tells_the_whole_story() -> None:
     assert "is false" not in done.stdout
 
 
+@pytest.mark.parametrize("command", [["run", *DELIVERY], ["plan", *DELIVERY], ["net", *DELIVERY], ["demo"]])
+def test_nobody_has_to_read_to_the_end(command: list[str]) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-m", "planner_bridge", *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
+    ) as process:
+        assert process.stdout
+        assert process.stderr
+        process.stdout.close()
+        assert process.stderr.read() == ""
+        assert process.wait(60) == (0 if command[0] in ("run", "demo") else 1)
+
+
 def test_unsound_is_an_error_with_a_trace() -> None:
     assert Unsound("it ends", ["a", "b"]).trace == ("a", "b")

@@ -275,6 +275,7 @@ def test_the_time_limit_follows_from_the_duration(given: float | None, duration:
 
 # --- goals ------------------------------------------------------------------------------------
 
+EVERYTHING = {"action": "move", "arguments": ["r1", "hall", "lab"], "duration": 12.0, "robot": "r1", "from": "hall", "to": "lab"}
 KNOWN = Layered(
     KnowledgeBase(
         {("x", "lab"): 4.5, ("at", "r1"): True, ("unsure",): UNKNOWN, ("ready", "move"): False},
@@ -295,7 +296,7 @@ Names = tuple[str, ...]
         (None, ("pose", "speed", "nothing"), {"pose": "local", "speed": "global", "nothing": None}, ()),
         (None, ("robot", "frame", "colour"), {"robot": "r1"}, ("frame", "colour")),
         (None, (), {}, ()),
-        (None, None, {"action": "move", "arguments": ["r1", "hall", "lab"], "robot": "r1", "from": "hall", "to": "lab"}, ()),
+        (None, None, EVERYTHING, ()),
         ({}, ("robot", "frame"), {"robot": "r1"}, ()),
         ({"to": "?from"}, ("to", "robot"), {"to": "hall", "robot": "r1"}, ()),
         ({"a": "?to", "b": "$to", "c": "$pose", "d": "$speed"}, (), {"a": "lab", "b": "lab", "c": "local", "d": "global"}, ()),

@@ -113,7 +113,7 @@ def ruled(machine: PetriNetMachine, name: str, **changes: object) -> PetriNetMac
     return replace(machine, rules={**machine.rules, name: replace(machine.rules[name], **changes)})  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("name", ["timed_out", "unconfirmed", "unconfirmed_stop", "unanswered"])
+@pytest.mark.parametrize("name", ["timed_out", "unconfirmed", "unconfirmed_stop", "unanswered", "unheard"])
 def test_a_wait_without_a_limit_is_refuted(name: str) -> None:
     machine = generate(SHAPES["chain"])
     with pytest.raises(Unsound, match="no exit that is sure to open in finite time"):

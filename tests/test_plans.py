@@ -78,6 +78,24 @@ def test_an_end_does_not_come_before_a_start_that_must_precede_it() -> None:
     assert "start of #2 < start of #0 ((p))" in shown(graph)
 
 
+TIMED = """(define (domain d) (:requirements :durative-actions :timed-initial-literals) (:predicates (p) (open) (done) (gone))
+  (:durative-action work :parameters () :duration (= ?duration 5) :condition (at end (open)) :effect (at end (done)))
+  (:durative-action hold :parameters () :duration (= ?duration 10) :condition (over all (p)) :effect (at end (done)))
+  (:durative-action remove :parameters () :duration (= ?duration 1) :condition () :effect (and (at start (not (p))) (at end (gone)))))"""
+
+
+def test_an_end_that_needs_a_timed_fact_is_not_reached_too_early() -> None:
+    problem = parse_problem("(define (problem p) (:domain d) (:init (at 70 (open))) (:goal (done)))", parse_domain(TIMED))
+    plan = Plan((PlanStep("work", (), 70.0, 5.0),), temporal=True)
+    assert plan_graph(problem, plan).calls[0].release == 65.0
+
+
+def test_a_timed_change_does_not_hide_who_reads_the_fact() -> None:
+    problem = parse_problem("(define (problem p) (:domain d) (:init (p) (at 5 (p))) (:goal (and (done) (gone))))", parse_domain(TIMED))
+    plan = Plan((PlanStep("hold", (), 0.0, 10.0), PlanStep("remove", (), 10.001, 1.0)), temporal=True)
+    assert shown(plan_graph(problem, plan)) == ["end of #0 < start of #1 ((p))"]
+
+
 def any_order(graph: PlanGraph, seed: int) -> list[PlanEvent]:
     """A random order of all events that keeps every ordering."""
     chooser = random.Random(seed)

@@ -6,6 +6,7 @@ import asyncio
 
 import pytest
 
+from planner_bridge.forbidding import ForbiddenCall, forbid
 from planner_bridge.model import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline import Stopwatch, pursue
@@ -17,6 +18,8 @@ from pnm.bindings import Binding, Bindings
 from pnm.clock import run_async
 from pnm.conditions import evaluate
 from pnm.knowledge import KnowledgeBase
+from pnm.plan_graph import ActionCall, GroundAction
+from pnm.results import CallResult, Failure
 from tests.domains import ROOMS, matches, rooms
 
 
@@ -145,6 +148,39 @@ def test_an_action_that_may_still_be_going_on_is_not_planned_with() -> None:
     assert result.failures[0].unconfirmed
     assert sum(call.attempts for call in result.calls) == 1
     assert result.reason.startswith("no plan without move(r1, a, b)")
+
+
+def test_a_fact_that_no_action_changes_may_change_all_the_same() -> None:
+    gone = HiddenChange({("way", "b", "c"): False}, at=0.3)
+    result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc ba ad dc"), Faults(changes=(gone,)))
+    assert result.goal_reached
+    assert [failure.cause for failure in result.failures] == ["precondition_false"]
+
+
+def test_a_goal_that_comes_true_in_another_way_is_reached() -> None:
+    helped = HiddenChange({("at", "r1", "b"): False, ("at", "r1", "c"): True}, at=1.6)
+    faults = Faults(aborts("move(r1, b, c)").faults, (helped,))
+    result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc"), faults)
+    assert result.goal_reached
+
+
+def test_an_action_that_has_succeeded_since_is_not_forbidden() -> None:
+    call = ForbiddenCall("move", ("r1", "a", "b"))
+    action = GroundAction("move", ("r1", "a", "b"))
+    failure, success = Failure(ActionCall(0, action), "aborted"), CallResult(ActionCall(0, action), "succeeded")
+    history = History().after((), (failure,))
+    assert history.after((), (failure,)).forbidden(Limits()) == {call}
+    assert history.after((success,), ()).after((), (failure,)).forbidden(Limits()) == frozenset()
+
+
+def test_forbidding_does_not_touch_a_predicate_of_the_domain() -> None:
+    text = ROOMS.replace("(clean ?a - room))", "(clean ?a - room) (forbidden-move))", 1)
+    domain = parse_domain(text)
+    problem = parse_problem("(define (problem p) (:domain rooms) (:objects r1 - robot a - room) (:goal (forbidden-move)))", domain)
+    assert set(forbid(problem, frozenset({ForbiddenCall("move", ("r1", "a", "a"))})).domain.predicates) >= {
+        "forbidden-move",
+        "forbidden-move-",
+    }
 
 
 class LateSite(SimulatedSite):

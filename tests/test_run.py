@@ -72,23 +72,26 @@ def test_reports_about_unknown_or_finished_requests_change_nothing() -> None:
     assert len(log.orphans) == 2
 
 
-def test_a_goal_that_nobody_answers_is_withdrawn_and_tried_again() -> None:
-    bindings = Bindings({"a0": Binding(accept=5.0, retries=1)})
+def test_a_goal_that_nobody_answers_is_withdrawn_and_tried_again_once_that_is_confirmed() -> None:
+    bindings = Bindings({"a0": Binding(accept=5.0, cancel=3.0, retries=1)})
     run, commands = begun(plan(1), bindings)
     assert commands[-1] == Wake(5.0)
     first = sent(commands)[0]
-    commands = run.handle(Tick(), 5.0)
-    assert commands[0] == Cancel(first)
+    assert run.handle(Tick(), 5.0) == [Cancel(first), Wake(8.0)]
+    run.handle(Accepted(first), 6.0)
+    commands = run.handle(Ended(first, Outcome(OutcomeKind.CANCELED)), 6.0)
     assert len(sent(commands)) == 1
     assert sent(commands)[0] != first
 
 
-def test_a_late_acceptance_of_a_withdrawn_goal_is_an_orphan() -> None:
+def test_a_goal_that_is_neither_answered_nor_confirmed_as_withdrawn_is_not_tried_again() -> None:
     log = Log()
-    run, commands = begun(plan(1), Bindings({"a0": Binding(accept=5.0, retries=0)}), log)
+    run, commands = begun(plan(1), Bindings({"a0": Binding(accept=5.0, cancel=3.0, retries=5)}), log)
     run.handle(Tick(), 5.0)
-    run.handle(Accepted(sent(commands)[0]), 6.0)
-    assert run.result().failures[0].cause == "unavailable"
+    assert sent(run.handle(Tick(), 8.0)) == []
+    run.handle(Accepted(sent(commands)[0]), 9.0)
+    failure = run.result().failures[0]
+    assert (failure.cause, failure.unconfirmed) == ("unavailable", True)
     assert log.orphans == [Accepted(sent(commands)[0])]
 
 

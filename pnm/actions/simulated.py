@@ -60,7 +60,7 @@ class SimulatedRobots:
     """How many seconds of the world pass in one second of the clock."""
     _jobs: dict[UUID, _Job] = field(default_factory=dict)
     _lost: set[str] = field(default_factory=set)
-    _seen: dict[Fault, int] = field(default_factory=dict)
+    _seen: dict[int, int] = field(default_factory=dict)
     _begun: bool = False
     _timers: set[asyncio.TimerHandle] = field(default_factory=set)
 
@@ -178,9 +178,9 @@ class SimulatedRobots:
     def _fault(self, action: GroundAction) -> Fault | None:
         """Return the fault that this request meets; every fault counts the requests it is about."""
         chosen = None
-        for fault in self.faults.faults:
+        for position, fault in enumerate(self.faults.faults):
             if fault.concerns(action):
-                seen = self._seen[fault] = self._seen.get(fault, 0) + 1
+                seen = self._seen[position] = self._seen.get(position, 0) + 1
                 if seen > fault.after and (fault.times is None or seen <= fault.after + fault.times):
                     chosen = chosen or fault
         return chosen
