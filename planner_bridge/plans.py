@@ -20,7 +20,7 @@ from planner_bridge.grounding import ground_action
 from planner_bridge.model import Problem
 from planner_bridge.plan import Plan, PlanStep
 from planner_bridge.state import dynamic_names, initial_knowledge
-from pnm.conditions import fluents, names
+from pnm.conditions import conjuncts, fluents, names
 from pnm.effects import Effects, ForEach, Set, When, read, written
 from pnm.expressions import Fluent, State, expression_fluents
 from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
@@ -129,6 +129,8 @@ class _Causes:
     changed_at: dict[Fluent, float] = field(default_factory=dict)
     """When the fluent changed by itself since."""
     readers: dict[Fluent, list[_Reader]] = field(default_factory=dict)
+    watched: list[tuple[int, frozenset[Fluent], float]] = field(default_factory=list)
+    """The parts of over-all conditions: whose, on which fluents, and until when."""
     orderings: dict[tuple[PlanEvent, PlanEvent], list[Fluent]] = field(default_factory=dict)
     releases: dict[int, float] = field(default_factory=dict)
     durations: dict[int, float] = field(default_factory=dict)
@@ -155,6 +157,8 @@ class _Causes:
                 for fluent in self._only(fluents(action.invariant, self.state)):
                     self._after_writer(fluent, start_event)
                     self.readers.setdefault(fluent, []).append(_Reader(call, end_event, end))
+                for part in conjuncts(action.invariant):
+                    self.watched.append((call, frozenset(self._only(fluents(part, self.state))), end))
             case k if k == _END:
                 mine = (fluent for fluent in written(action.start_effects, self.state) if self.writer.get(fluent) == start_event)
                 self.lasting[call] = frozenset(mine)
@@ -165,7 +169,9 @@ class _Causes:
         return sorted(fluent for fluent in found if fluent[0] in self.relevant)
 
     def _point(self, waits: PlanEvent, releases: PlanEvent, reads: frozenset[Fluent], writes: frozenset[Fluent], now: float) -> None:
-        for fluent in self._only(reads):
+        # A write that leaves an over-all condition true may do so only because of what its other fluents are.
+        relied = [group - writes for call, group, until in self.watched if until > now and call != waits.call and group & writes]
+        for fluent in self._only(reads.union(*relied)):
             self._after_writer(fluent, waits)
             self.readers.setdefault(fluent, []).append(_Reader(releases.call, releases, now))
         for fluent in self._only(writes):

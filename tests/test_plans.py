@@ -96,6 +96,16 @@ def test_a_timed_change_does_not_hide_who_reads_the_fact() -> None:
     assert shown(plan_graph(problem, plan)) == ["end of #0 < start of #1 ((p))"]
 
 
+def test_writes_that_keep_an_over_all_condition_true_together_are_ordered() -> None:
+    text = """(define (domain d) (:requirements :durative-actions :disjunctive-preconditions) (:predicates (p) (q) (held) (r))
+      (:durative-action hold :parameters () :duration (= ?duration 10) :condition (over all (or (p) (q))) :effect (at end (held)))
+      (:durative-action add-p :parameters () :duration (= ?duration 3) :condition () :effect (at end (p)))
+      (:durative-action del-q :parameters () :duration (= ?duration 1) :condition () :effect (and (at end (not (q))) (at end (r)))))"""
+    problem = parse_problem("(define (problem p) (:domain d) (:init (q)) (:goal (and (held) (r))))", parse_domain(text))
+    steps = PlanStep("hold", (), 0.0, 10.0), PlanStep("add-p", (), 0.0, 3.0), PlanStep("del-q", (), 8.5, 1.0)
+    assert "end of #1 < end of #2 ((p), (q))" in shown(plan_graph(problem, Plan(steps, temporal=True)))
+
+
 def any_order(graph: PlanGraph, seed: int) -> list[PlanEvent]:
     """A random order of all events that keeps every ordering."""
     chooser = random.Random(seed)
