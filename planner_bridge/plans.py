@@ -130,7 +130,7 @@ class _Causes:
     """When the fluent changed by itself since."""
     readers: dict[Fluent, list[_Reader]] = field(default_factory=dict)
     watched: list[tuple[int, frozenset[Fluent], float]] = field(default_factory=list)
-    """The parts of over-all conditions: whose, on which fluents, and until when."""
+    """The parts of over-all conditions on several fluents: whose, on which, and until when."""
     orderings: dict[tuple[PlanEvent, PlanEvent], list[Fluent]] = field(default_factory=dict)
     releases: dict[int, float] = field(default_factory=dict)
     durations: dict[int, float] = field(default_factory=dict)
@@ -158,7 +158,9 @@ class _Causes:
                     self._after_writer(fluent, start_event)
                     self.readers.setdefault(fluent, []).append(_Reader(call, end_event, end))
                 for part in conjuncts(action.invariant):
-                    self.watched.append((call, frozenset(self._only(fluents(part, self.state))), end))
+                    group = frozenset(self._only(fluents(part, self.state)))
+                    if len(group) > 1:
+                        self.watched.append((call, group, end))
             case k if k == _END:
                 mine = (fluent for fluent in written(action.start_effects, self.state) if self.writer.get(fluent) == start_event)
                 self.lasting[call] = frozenset(mine)

@@ -13,7 +13,7 @@ from typing import Final
 from uuid import UUID
 
 from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
-from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
+from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.actions.world import Activity, World
 from pnm.bindings import Bindings
 from pnm.effects import Changes, TimedChange
@@ -219,6 +219,3 @@ def sense(world: World, knowledge: KnowledgeBase, assumed: Iterable[str] = ()) -
     seen: Changes = world.report(names)
     knowledge.replace(names, seen)
     world.truth.listen(tell)
-
-
-__all__ = ["INSTANTANEOUS", "HiddenChange", "SimulatedRobots", "sense"]
