@@ -9,7 +9,10 @@ from typing import Literal
 
 from pnm.conditions import TRUE, Condition
 from pnm.effects import Effects, TimedChange
+from pnm.errors import Tolerated
 from pnm.expressions import Expression, Fluent, Value, Variable
+from pnm.rules import Rule
+from pnm.trajectory import Constraint
 from pnm.vocabulary import Vocabulary
 
 
@@ -22,6 +25,22 @@ class DurationConstraint:
 
     def __str__(self) -> str:
         return f"({self.operation} ?duration {self.bound})"
+
+
+@dataclass(frozen=True, slots=True)
+class Preference:
+    """What a plan should bring about but need not; a metric counts how often it does not: ``(is-violated name)``.
+
+    With variables there is one instance for every choice of objects, all of the same name.
+    """
+
+    name: str
+    wanted: Condition | Constraint
+    """A condition on the goal state or on the state an action starts in, or a constraint."""
+    variables: tuple[Variable, ...] = ()
+    """Of the quantifiers around it, outermost first."""
+    moment: Literal["at start", "over all", "at end"] | None = None
+    """Of a durative action's condition, when it should hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +62,8 @@ class ActionSchema:
     end_effects: Effects = ()
     duration: tuple[DurationConstraint, ...] | None = None
     """Empty for a durative action of any duration."""
+    preferences: tuple[Preference, ...] = ()
+    """Conditions that should hold besides; a robot acts without them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +72,8 @@ class Declaration:
 
     name: str
     parameters: tuple[Variable, ...] = ()
+    values: tuple[str, ...] = ()
+    """Of a function whose values are objects, their types; empty for predicates and numeric functions."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +88,17 @@ class Domain:
     """For every constant, its types."""
     predicates: Mapping[str, Declaration] = field(default_factory=dict)
     functions: Mapping[str, Declaration] = field(default_factory=dict)
-    """Numeric functions."""
+    """Functions, with numbers or objects for values."""
     actions: Mapping[str, ActionSchema] = field(default_factory=dict)
+    rules: tuple[Rule, ...] = ()
+    """How derived predicates follow from others."""
+    constraints: tuple[Constraint, ...] = ()
+    preferences: tuple[Preference, ...] = ()
+    """Constraints that should be kept but need not."""
+    hierarchy: tuple[str, ...] = ()
+    """Tasks and methods, as their HDDL text: only a hierarchical planner reads them."""
+    warnings: tuple[Tolerated, ...] = field(default=(), compare=False, repr=False)
+    """What in the file was not as it should be."""
 
     @property
     def parameters(self) -> dict[str, tuple[str, ...]]:
@@ -107,6 +139,16 @@ class Problem:
     """Ordered by time."""
     goal: Condition = TRUE
     metric: Metric | None = None
+    constraints: tuple[Constraint, ...] = ()
+    """The problem's own; those of the domain come besides."""
+    preferences: tuple[Preference, ...] = ()
+    """Goals and constraints that should be kept but need not; those of the domain come besides."""
+    network: str = ""
+    """The tasks to be carried out, as their HDDL text: only a hierarchical planner reads it."""
+    requirements: tuple[str, ...] = ()
+    """The problem's own; those of the domain come besides."""
+    warnings: tuple[Tolerated, ...] = field(default=(), compare=False, repr=False)
+    """What in the file, and in that of the domain, was not as it should be."""
 
     @property
     def vocabulary(self) -> Vocabulary:

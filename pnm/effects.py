@@ -57,6 +57,8 @@ class When:
 
     condition: Condition
     effects: Effects
+    early: bool = False
+    """Of an effect at the end of an action: its condition is decided at the start."""
 
     def __str__(self) -> str:
         return f"(when {self.condition} {show_effects(self.effects)})"

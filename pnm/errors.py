@@ -30,6 +30,17 @@ class InputError(PnmError):
         self.position = position
 
 
+@dataclass(frozen=True, slots=True)
+class Tolerated:
+    """Something in a file that is not as it should be but was understood; told as a warning."""
+
+    message: str
+    position: Position
+
+    def __str__(self) -> str:
+        return f"{self.position}: warning: {self.message}"
+
+
 class NotEnabled(PnmError):
     """A transition was fired although its preset is not covered by the marking."""
 
