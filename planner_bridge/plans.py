@@ -11,8 +11,9 @@ nothing changes, and counters that only a metric reads (`total-cost`), order not
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from math import inf
 from typing import Final
 
 from planner_bridge.envelopes import tightened
@@ -20,9 +21,9 @@ from planner_bridge.grounding import ground_action
 from planner_bridge.model import Problem
 from planner_bridge.plan import Plan, PlanStep
 from planner_bridge.state import dynamic_names, initial_knowledge
-from pnm.conditions import conjuncts, fluents, names
+from pnm.conditions import All, Condition, conjuncts, evaluate, fluents, names
 from pnm.effects import Effects, ForEach, Set, When, read, written
-from pnm.expressions import Fluent, State, expression_fluents
+from pnm.expressions import UNKNOWN, Fluent, State, Unknown, Value, expression_fluents
 from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 
 _DIGITS: Final = 5
@@ -34,14 +35,14 @@ _TIMED, _END, _START, _INSTANT_END, _OPEN = range(5)
 
 def plan_graph(problem: Problem, plan: Plan) -> PlanGraph:
     """Return the calls of the plan with the orderings that its causes demand."""
-    ordering = _Causes(initial_knowledge(problem), _relevant(problem))
-    steps = [ground_step(problem, plan, step) for step in plan.steps]
+    causes = _Causes(initial_knowledge(problem), _relevant(problem))
+    calls = [ActionCall(index, ground_step(problem, plan, step), step.start) for index, step in enumerate(plan.steps)]
     for time, _, index, kind in sorted(_happenings(problem, plan)):
         if kind == _TIMED:
-            ordering.timed(time, tuple(problem.timed[index].changes))
+            causes.timed(time, problem.timed[index].changes)
         else:
-            ordering.happen(kind, index, steps[index], round(plan.steps[index].start + plan.steps[index].duration, _DIGITS), time)
-    return tightened(ordering.graph(steps, problem))
+            causes.happen(kind, calls[index], round(plan.steps[index].start + plan.steps[index].duration, _DIGITS), time)
+    return tightened(causes.graph(calls, problem.goal))
 
 
 def in_causal_order(problem: Problem, calls: tuple[ActionCall, ...], order: Iterable[PlanEvent]) -> PlanGraph:
@@ -49,16 +50,14 @@ def in_causal_order(problem: Problem, calls: tuple[ActionCall, ...], order: Iter
     positions = {event: float(position) for position, event in enumerate(order)}
     causes = _Causes(initial_knowledge(problem), _relevant(problem))
     for event, now in positions.items():
-        action = calls[event.call].action
+        call = calls[event.call]
         end = positions[PlanEvent(event.call, Moment.END)]
         if event.moment is Moment.START:
-            causes.happen(_START, event.call, action, end, now)
-            causes.happen(_OPEN, event.call, action, end, now)
+            causes.happen(_START, call, end, now)
+            causes.happen(_OPEN, call, end, now)
         else:
-            causes.happen(_END, event.call, action, end, now)
-    graph = tightened(causes.graph([call.action for call in calls], problem))
-    kept = tuple(replace(call, release=old.release) for call, old in zip(graph.calls, calls, strict=True))
-    return replace(graph, calls=kept)
+            causes.happen(_END, call, end, now)
+    return tightened(causes.graph(calls, problem.goal))
 
 
 def ground_step(problem: Problem, plan: Plan, step: PlanStep) -> GroundAction:
@@ -133,16 +132,24 @@ class _Causes:
     """The parts of over-all conditions on several fluents: whose, on which, and until when."""
     orderings: dict[tuple[PlanEvent, PlanEvent], list[Fluent]] = field(default_factory=dict)
     releases: dict[int, float] = field(default_factory=dict)
-    durations: dict[int, float] = field(default_factory=dict)
+    deadlines: dict[int, float] = field(default_factory=dict)
+    actions: dict[int, GroundAction] = field(default_factory=dict)
     lasting: dict[int, frozenset[Fluent]] = field(default_factory=dict)
 
-    def timed(self, time: float, changed: tuple[Fluent, ...]) -> None:
-        """Note that fluents change by themselves."""
+    def timed(self, time: float, changed: Mapping[Fluent, Value]) -> None:
+        """Note that fluents change by themselves, and which calls that were over by then could not have gone on."""
         self.changed_at.update(dict.fromkeys(changed, time))
+        after = _Only(self.state, changed)
+        for fluent in changed:
+            for reader in self.readers.get(fluent, ()):
+                action = self.actions[reader.call]
+                if action.duration is not None and evaluate(All((action.invariant, action.end_condition)), after) is False:
+                    self.deadlines.setdefault(reader.call, time)
 
-    def happen(self, kind: int, call: int, action: GroundAction, end: float, now: float) -> None:
+    def happen(self, kind: int, called: ActionCall, end: float, now: float) -> None:
         """Note what one happening reads and writes."""
-        self.durations[call] = action.duration or 0.0
+        call, action = called.index, called.action
+        self.actions[call] = action
         start_event, end_event = PlanEvent(call, Moment.START), PlanEvent(call, Moment.END)
         match kind:
             case _ if action.duration is None:
@@ -193,7 +200,7 @@ class _Causes:
         if fluent in self.writer:
             self._order(self.writer[fluent], waits, fluent)
         if fluent in self.changed_at:  # an end comes when its time is up, so its start must not be too early
-            lead = self.durations.get(waits.call, 0.0) if waits.moment is Moment.END else 0.0
+            lead = self.actions[waits.call].duration or 0.0 if waits.moment is Moment.END else 0.0
             self.releases[waits.call] = max(self.changed_at[fluent] - lead, self.releases.get(waits.call, 0.0))
 
     def _order(self, before: PlanEvent, after: PlanEvent, fluent: Fluent) -> None:
@@ -202,13 +209,32 @@ class _Causes:
             if fluent not in protected:
                 protected.append(fluent)
 
-    def graph(self, steps: list[GroundAction], problem: Problem) -> PlanGraph:
+    def graph(self, calls: Iterable[ActionCall], goal: Condition) -> PlanGraph:
         """Return the plan graph; of two orderings between the same calls only the stronger is kept."""
-        calls = tuple(
-            ActionCall(index, action, self.releases.get(index, 0.0), self.lasting.get(index, frozenset()))
-            for index, action in enumerate(steps)
+        told = tuple(
+            replace(
+                call,
+                release=max(call.release, self.releases.get(call.index, 0.0)),
+                deadline=min(call.deadline, self.deadlines.get(call.index, inf)),
+                lasting=self.lasting.get(call.index, frozenset()),
+            )
+            for call in calls
         )
-        return PlanGraph(calls, tuple(_strongest(self.orderings)), problem.goal)
+        return PlanGraph(told, tuple(_strongest(self.orderings)), goal)
+
+
+@dataclass(frozen=True, slots=True)
+class _Only:
+    """A state of which only some values are known; what is not false in it may still be true."""
+
+    whole: State
+    known: Mapping[Fluent, Value]
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        return self.known.get(fluent, UNKNOWN)
+
+    def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
+        return self.whole.objects(types)
 
 
 def _strongest(found: dict[tuple[PlanEvent, PlanEvent], list[Fluent]]) -> list[Ordering]:

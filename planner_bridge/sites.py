@@ -110,4 +110,5 @@ def simulated_robots(problem: Problem, bindings: Bindings, faults: Faults, *, sp
     """Return robots in a world that starts as the problem says."""
     hidden = {fluent[0] for change in faults.changes for fluent in change.changes}
     world = World(initial_knowledge(problem), dynamic_names(problem) | hidden)
-    return SimulatedRobots(world, faults, bindings, problem.timed, speed)
+    untimed = 0.0 if problem.is_timed else 1.0  # beside durative actions, the others take no time at all
+    return SimulatedRobots(world, faults, bindings, problem.timed, untimed, speed)

@@ -27,12 +27,12 @@ from pnm.machine import (
     Always,
     Deed,
     Denied,
+    Due,
     EffectsMissing,
     EffectsSeen,
     Ends,
     Guard,
     Holding,
-    NotBefore,
     OnFailure,
     PetriNetMachine,
 )
@@ -147,8 +147,18 @@ def _check_exits(part: Part) -> None:
                 raise Unsound(f"{place} has no exit for when {guard.condition} does not hold")
             if isinstance(guard, EffectsSeen) and EffectsMissing(guard.call) not in guards:
                 raise Unsound(f"{place} has no exit for when the effects are not seen")
-        if not any(isinstance(guard, _SURE) or (isinstance(guard, After | NotBefore) and isfinite(guard.seconds)) for guard in guards):
+        if not any(isinstance(guard, _SURE) or (_is_timed(guard)) for guard in guards):
             raise Unsound(f"{place} has no exit that is sure to open in finite time")
+
+
+def _is_timed(guard: Guard) -> bool:
+    match guard:
+        case After(seconds):
+            return isfinite(seconds)
+        case Due(seconds, since):
+            return all(map(isfinite, (seconds, *(delay for _, delay in since))))
+        case _:
+            return False
 
 
 _SURE: Final = (Always, Denied, EffectsMissing)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from math import isfinite
 
 from pnm.actions.base import OutcomeKind
 from pnm.bindings import Binding, Bindings
@@ -26,17 +27,18 @@ from pnm.machine import (
     Accepts,
     After,
     AlreadyTrue,
+    Always,
     CancelAsked,
     DataMissing,
     Deed,
     Denied,
+    Due,
     EffectsMissing,
     EffectsSeen,
     Ending,
     Ends,
     Guard,
     Holding,
-    NotBefore,
     OnFailure,
     PetriNetMachine,
     Rule,
@@ -163,15 +165,16 @@ class _Block:
             self.all.initial[self.name("budget")] = self.binding.retries
 
     def _enter(self, ready: str) -> None:
-        """Wait for the orderings into the start, and for the release time if there is one."""
-        waiting = self.all.into[PlanEvent(self.call.index, Moment.START)]
-        if not self.call.release:
-            self.all.transition(self.name("join"), Rule("join", call=self.call.index), waiting, [self.name(ready)])
-            return
-        self.place("early")
-        self.all.transition(self.name("join"), Rule("join", call=self.call.index), waiting, [self.name("early")])
-        self.fire("overtaken", Ending(), "early", ready)
-        self.fire("released", NotBefore(self.call.release), "early", ready)
+        """Wait for the orderings into the start, and for the times that it must not be earlier than."""
+        waiting, ready = self.all.into[PlanEvent(self.call.index, Moment.START)], self.name(ready)
+        delays = tuple((place, self.all.orderings[place].delay) for place in waiting if self._is_delayed(place))
+        join = Due(self.call.release, delays) if self.call.release or delays else Always()
+        if join != Always():
+            self.all.transition(self.name("overtaken"), Rule("overtaken", Ending(), self.call.index), waiting, [ready])
+        self.all.transition(self.name("join"), Rule("join", join, self.call.index), waiting, [ready])
+
+    def _is_delayed(self, place: str) -> bool:
+        return place in self.all.orderings and self.all.orderings[place].delay > 0
 
     def _attempt(self, phase: str, announced: list[str]) -> None:
         """From `ready` to acceptance, and from `recover` back or out."""
@@ -188,6 +191,8 @@ class _Block:
         if not self.all.out_of.get(PlanEvent(call, Moment.START)):
             add("already_true", AlreadyTrue(call), ready, out)
         add("data_missing", DataMissing(call), ready, failed)
+        if isfinite(self.call.deadline):
+            add("too_late", Due(self.call.deadline), ready, failed)
         add("start", Holding(may_start), ready, [requested], Deed.SEND)
         add("precondition_false", Denied(may_start), ready, failed)
 
@@ -223,6 +228,8 @@ class _Block:
         self.fire("stop", CancelAsked(), "running", "stopping", deed=Deed.CANCEL)
         if self.call.action.invariant != TRUE:
             self.fire("invariant_false", Denied(self.call.action.invariant), "running", "stopping", "failed", deed=Deed.CANCEL)
+        if isfinite(self.call.deadline):
+            self.fire("deadline_missed", Due(self.call.deadline), "running", "stopping", "failed", deed=Deed.CANCEL)
         self.fire("timed_out", After(self.all.bindings.timeout(self.call.action)), "running", "overdue", deed=Deed.CANCEL)
 
         self.fire("late_success", Ends(call, _SUCCEEDED), "overdue", returned)

@@ -107,10 +107,12 @@ class After:
 
 
 @dataclass(frozen=True, slots=True)
-class NotBefore:
-    """Open when so many seconds have passed since the origin of the run: the moment it was planned from."""
+class Due:
+    """Open when so many seconds have passed since the origin of the run, the moment it was planned from."""
 
     seconds: float
+    since: tuple[tuple[str, float], ...] = ()
+    """And for each of these places, so many seconds since it was marked."""
 
 
 Guard: TypeAlias = (
@@ -126,7 +128,7 @@ Guard: TypeAlias = (
     | Accepts
     | Ends
     | After
-    | NotBefore
+    | Due
 )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 from graphlib import CycleError, TopologicalSorter
+from math import inf
 
 from pnm.conditions import TRUE, Condition
 from pnm.effects import Effects
@@ -54,8 +55,12 @@ class ActionCall:
 
     index: int
     action: GroundAction
+    planned: float = 0.0
+    """Seconds after the moment the plan starts from at which its planner had the call start."""
     release: float = 0.0
-    """Seconds after the moment the plan starts from before which the call must not start."""
+    """Seconds after that moment before which the call must not start."""
+    deadline: float = inf
+    """Seconds after that moment by which the call must have ended."""
     lasting: frozenset[Fluent] = frozenset()
     """Fluents written at the start that are still the action's own doing when it ends."""
 
@@ -89,10 +94,13 @@ class Ordering:
     after: PlanEvent
     protects: tuple[Fluent, ...] = ()
     """The facts for whose sake the order must be kept."""
+    delay: float = 0.0
+    """Seconds that `after`, which is then a start, must come later than `before`, at least."""
 
     def __str__(self) -> str:
         reason = f" ({', '.join(map(show, self.protects))})" if self.protects else ""
-        return f"{self.before} < {self.after}{reason}"
+        delay = f" + {self.delay:g} s" if self.delay else ""
+        return f"{self.before}{delay} < {self.after}{reason}"
 
 
 @dataclass(frozen=True)
@@ -115,6 +123,8 @@ class PlanGraph:
             for event in (ordering.before, ordering.after):
                 if not 0 <= event.call < len(self.calls):
                     raise PlanGraphError(f"{ordering} names a call that is not in the plan")
+            if ordering.delay and ordering.after.moment is Moment.END:
+                raise PlanGraphError(f"{ordering} would delay an end, which comes when the action's time is up")
         self.in_order()
 
     def in_order(self) -> tuple[PlanEvent, ...]:

@@ -34,12 +34,12 @@ from pnm.machine import (
     DataMissing,
     Deed,
     Denied,
+    Due,
     EffectsMissing,
     EffectsSeen,
     Ending,
     Ends,
     Holding,
-    NotBefore,
     OnFailure,
     PetriNetMachine,
     Rule,
@@ -286,8 +286,9 @@ class Run:
                 return NEVER
             case After(seconds):
                 return self._arrived[place] + seconds
-            case NotBefore(seconds):
-                return (self._origin or 0.0) + seconds
+            case Due(seconds, since):
+                ids = self._engine.compiled.place_id
+                return max([(self._origin or 0.0) + seconds, *(self._arrived[ids[one]] + delay for one, delay in since)])
             case _:
                 assert_never(guard)
 
@@ -341,6 +342,8 @@ class Run:
                 return rule.name, *self._explain(condition)
             case DataMissing():
                 return rule.name, f"values for {', '.join(self._goal(call)[1])}", "no argument, variable or constant of that name"
+            case Due(seconds):
+                return rule.name, f"an end within {seconds:g} s of the plan's start", f"{self._now - (self._origin or 0.0):g} s have passed"
             case _:
                 return None
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import inf
+
 from hypothesis import strategies as st
 
 from pnm.conditions import TRUE, Condition, Holds
@@ -12,7 +14,7 @@ from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent
 _MOMENTS = {"s": Moment.START, "e": Moment.END}
 
 
-def call(index: int, *, invariant: bool = False, release: float = 0.0) -> ActionCall:
+def call(index: int, *, invariant: bool = False, release: float = 0.0, deadline: float = inf) -> ActionCall:
     """An action that makes (done aN) true and, if it has an invariant, needs (ok) all the time."""
     action = GroundAction(
         f"a{index}",
@@ -20,7 +22,7 @@ def call(index: int, *, invariant: bool = False, release: float = 0.0) -> Action
         end_effects=(Set(("done", f"a{index}"), Constant(True)),),
         duration=float(index + 1),
     )
-    return ActionCall(index, action, release)
+    return ActionCall(index, action, release=release, deadline=deadline)
 
 
 def ordering(text: str, protects: tuple[Fluent, ...] = ()) -> Ordering:
@@ -47,5 +49,10 @@ def plans(draw: st.DrawFn, most: int = 4) -> PlanGraph:
             rank[start], rank[end] = rank[end], rank[start]
     pairs = [(one, other) for one in events for other in events if one.call != other.call and rank[one] < rank[other]]
     chosen = draw(st.lists(st.sampled_from(pairs), max_size=5, unique=True)) if pairs else []
-    calls = tuple(call(index, invariant=draw(st.booleans()), release=draw(st.sampled_from((0.0, 0.0, 2.5)))) for index in range(count))
-    return PlanGraph(calls, tuple(Ordering(*pair) for pair in chosen))
+    times = st.sampled_from((0.0, 0.0, 2.5))
+    calls = tuple(
+        call(index, invariant=draw(st.booleans()), release=draw(times), deadline=draw(st.sampled_from((inf, inf, 9.0))))
+        for index in range(count)
+    )
+    delays = [draw(times) if after.moment is Moment.START else 0.0 for _, after in chosen]
+    return PlanGraph(calls, tuple(Ordering(*pair, delay=delay) for pair, delay in zip(chosen, delays, strict=True)))

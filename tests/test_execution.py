@@ -10,7 +10,7 @@ from pnm.conditions import All, Condition, Holds, evaluate
 from pnm.effects import Set
 from pnm.expressions import Constant
 from pnm.machine import OnFailure
-from pnm.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 from tests.machines import ordering
 from tests.robots import Simulation, fault, hidden, move, simulate
 
@@ -178,6 +178,36 @@ def test_a_rejected_start_is_not_announced() -> None:
     plan = graph([move("r1", "hall", "door", 10.0), move("r2", "hall", "door", 4.0)], "0s<1s")
     done = simulate(plan, AT_START, fault("move(r1, hall, door)", FaultKind.REJECT))
     assert done.outcomes() == ["rejected", "skipped"]
+
+
+def test_a_start_keeps_its_distance_from_another() -> None:
+    later = Ordering(PlanEvent(0, Moment.START), PlanEvent(1, Moment.START), delay=7.0)
+    calls = tuple(ActionCall(index, move(f"r{index + 1}", "hall", "door", 20.0)) for index in range(2))
+    done = simulate(PlanGraph(calls, (later,)), AT_START)
+    assert [call.started for call in done.result.calls] == [0.0, 7.0]
+
+
+def test_a_delay_is_overtaken_when_the_run_ends() -> None:
+    later = Ordering(PlanEvent(0, Moment.END), PlanEvent(1, Moment.START), delay=100.0)
+    calls = tuple(ActionCall(index, move(f"r{index + 1}", "hall", "door", 2.0)) for index in range(2))
+    done = simulate(PlanGraph(calls, (later,)), AT_START, fault("move(r1, hall, door)", FaultKind.ABORT))
+    assert done.outcomes() == ["aborted", "skipped"]
+    assert done.log.fired_at[-1][0] < 10.0
+
+
+def test_a_call_that_is_not_over_by_its_deadline_is_cancelled() -> None:
+    done = simulate(PlanGraph((ActionCall(0, move("r1", "hall", "door", 20.0), deadline=15.0),)), AT_START)
+    assert done.causes() == ["deadline_missed"]
+    assert done.log.times("deadline_missed") == [15.0]
+    assert done.result.failures[0].expected == "an end within 15 s of the plan's start"
+    assert_true_to_the_world(done)
+
+
+def test_a_call_is_not_started_after_its_deadline() -> None:
+    calls = ActionCall(0, move("r1", "hall", "door", 20.0)), ActionCall(1, move("r2", "hall", "door"), deadline=15.0)
+    done = simulate(PlanGraph(calls, (ordering("0e<1s"),)), AT_START)
+    assert done.causes() == ["too_late"]
+    assert done.attempts() == [1, 0]
 
 
 def test_a_call_waits_for_its_release() -> None:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
+from math import inf
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner_bridge.model import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.pipeline import achieve
 from planner_bridge.plan import Plan, PlanStep
 from planner_bridge.planning import solve, validate
 from planner_bridge.plans import plan_graph
@@ -51,17 +55,47 @@ def test_a_call_inside_another_starts_after_its_start_and_ends_before_its_end() 
     assert shown(plan_graph(problem, plan)) == ["start of #0 < start of #1 ((light m0))", "end of #1 < end of #0 ((light m0))"]
 
 
-def test_an_enveloping_call_waits_for_what_its_insides_wait_for() -> None:
-    problem = matches(2)
+TWO_MATCHES = (
+    PlanStep("strike", ("m0",), 0.0, 8.0),
+    PlanStep("mend", ("f0", "m0"), 0.0, 5.0),
+    PlanStep("strike", ("m1",), 3.0, 8.0),
+    PlanStep("mend", ("f1", "m1"), 5.0, 5.0),
+)
+
+
+def test_an_enveloping_call_keeps_the_plans_distance_from_what_its_insides_wait_for() -> None:
+    graph = plan_graph(matches(2), Plan(TWO_MATCHES, temporal=True))
+    assert "start of #1 + 3.16 s < start of #2 ((light m1))" in shown(graph)  # 2 % of its 8 s later than the plan
+
+
+def test_an_enveloping_call_waits_for_what_the_plan_had_happen_before_its_start() -> None:
+    late = (*TWO_MATCHES[:2], replace(TWO_MATCHES[2], start=6.0), replace(TWO_MATCHES[3], start=6.0))
+    graph = plan_graph(matches(2), Plan(late, temporal=True))
+    assert "end of #1 < start of #2 ((light m1))" in shown(graph)
+
+
+@pytest.mark.parametrize("fuses", [1, 2, 4])
+def test_calls_inside_others_end_when_the_plan_says(fuses: int) -> None:
+    problem = matches(fuses)
     found = solve(problem).plan
     assert found
-    graph = plan_graph(problem, found)
-    strikes = {call.action.arguments[0]: call.index for call in graph.calls if call.action.name == "strike"}
-    mends = sorted((call for call in graph.calls if call.action.name == "mend"), key=lambda call: found.steps[call.index].start)
-    second = strikes[mends[1].action.arguments[1]]
-    assert any(
-        one.before == PlanEvent(mends[0].index, Moment.END) and one.after == PlanEvent(second, Moment.START) for one in graph.orderings
-    )
+    result = achieve(None, problem)
+    assert result.goal_reached
+    assert result.replans == 0
+    assert max(call.ended or 0.0 for call in result.calls) - result.began == pytest.approx(found.makespan, rel=0.05)
+
+
+def test_an_enveloping_call_is_not_earlier_than_what_its_insides_are_released_for() -> None:
+    text = """(define (domain d) (:requirements :durative-actions :timed-initial-literals) (:predicates (on) (open) (done))
+      (:durative-action light :parameters () :duration (= ?duration 8) :condition ()
+        :effect (and (at start (on)) (at end (not (on)))))
+      (:durative-action pass :parameters () :duration (= ?duration 2)
+        :condition (and (at start (open)) (over all (on))) :effect (at end (done))))"""
+    problem = parse_problem("(define (problem p) (:domain d) (:init (at 70 (open))) (:goal (done)))", parse_domain(text))
+    steps = PlanStep("light", (), 65.0, 8.0), PlanStep("pass", (), 70.0, 2.0)
+    graph = plan_graph(problem, Plan(steps, temporal=True))
+    assert [call.release for call in graph.calls] == [65.16, 70.0]
+    assert achieve(None, problem).replans == 0
 
 
 def test_an_end_does_not_come_before_a_start_that_must_precede_it() -> None:
@@ -75,7 +109,8 @@ def test_an_end_does_not_come_before_a_start_that_must_precede_it() -> None:
     )
     plan = Plan((PlanStep("a", (), 0.0, 8.0), PlanStep("make-w", (), 0.0, 5.0), PlanStep("b", (), 5.001, 1.0)), temporal=True)
     graph = plan_graph(problem, plan)
-    assert "start of #2 < start of #0 ((p))" in shown(graph)
+    assert "start of #1 + 0.16 s < start of #0 ((p))" in shown(graph)
+    assert "start of #2 < end of #0 ((p))" in shown(graph)
 
 
 TIMED = """(define (domain d) (:requirements :durative-actions :timed-initial-literals) (:predicates (p) (open) (done) (gone))
@@ -88,6 +123,18 @@ def test_an_end_that_needs_a_timed_fact_is_not_reached_too_early() -> None:
     problem = parse_problem("(define (problem p) (:domain d) (:init (at 70 (open))) (:goal (done)))", parse_domain(TIMED))
     plan = Plan((PlanStep("work", (), 70.0, 5.0),), temporal=True)
     assert plan_graph(problem, plan).calls[0].release == 65.0
+
+
+def test_what_a_timed_change_would_break_must_end_before() -> None:
+    problem = parse_problem("(define (problem p) (:domain d) (:init (p) (at 12 (not (p)))) (:goal (done)))", parse_domain(TIMED))
+    plan = Plan((PlanStep("hold", (), 0.0, 10.0),), temporal=True)
+    assert plan_graph(problem, plan).calls[0].deadline == 12.0
+
+
+def test_a_timed_change_that_leaves_a_condition_true_is_no_deadline() -> None:
+    problem = parse_problem("(define (problem p) (:domain d) (:init (p) (at 12 (p))) (:goal (done)))", parse_domain(TIMED))
+    plan = Plan((PlanStep("hold", (), 0.0, 10.0),), temporal=True)
+    assert plan_graph(problem, plan).calls[0].deadline == inf
 
 
 def test_a_timed_change_does_not_hide_who_reads_the_fact() -> None:

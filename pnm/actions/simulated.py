@@ -21,8 +21,6 @@ from pnm.expressions import Fluent, Unknown, Value
 from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import GroundAction
 
-INSTANTANEOUS: Final = 1.0
-"""Seconds that an action without a planned duration takes."""
 LAG: Final = 0.01
 """Seconds within which everything that happens at one moment has been reported."""
 SLOWNESS: Final = 10.0
@@ -56,6 +54,8 @@ class SimulatedRobots:
     faults: Faults = NO_FAULTS
     bindings: Bindings = field(default_factory=Bindings)
     scheduled: tuple[TimedChange, ...] = ()
+    untimed: float = 1.0
+    """Seconds that an action without a planned duration takes."""
     speed: float = 1.0
     """How many seconds of the world pass in one second of the clock."""
     _jobs: dict[UUID, _Job] = field(default_factory=dict)
@@ -124,7 +124,7 @@ class SimulatedRobots:
         self._schedule(job)
 
     def _schedule(self, job: _Job) -> None:
-        duration = INSTANTANEOUS if job.request.action.duration is None else job.request.action.duration
+        duration = self.untimed if job.request.action.duration is None else job.request.action.duration
         kind = job.fault.kind if job.fault else None
         if kind is FaultKind.HANG:
             return
