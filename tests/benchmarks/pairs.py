@@ -1,0 +1,94 @@
+"""Which PDDL problems are read, planned, translated and executed to the goal in simulation: a table in Markdown.
+
+usage: python tests/benchmarks/pairs.py [FOLDER ...] [--write]      (--write puts it in docs/pairs.md)
+
+A folder has a manifest.json with the names of its pairs, each a folder with domain.pddl and problem.pddl. Every pair
+has a process of its own and 60 seconds for everything. Times in the table are the plan's and the simulation's, in seconds.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT))
+
+LIMIT = 60.0
+KNOWN = ROOT.parent / "shared" / "pddl"
+HEAD = "| problem | read | planner | calls | planned | executed | goal |\n|---|---|---|---:|---:|---:|---|\n"
+
+
+def one(folder: Path) -> dict[str, Any]:
+    """Do everything with one pair, in this process."""
+    from planner_bridge import TaskObserver, achieve, load
+    from planner_bridge.plan import Plan, PlanningResult
+    from pnm.errors import InputError
+
+    class Watch(TaskObserver):
+        def planned(self, plan: Plan) -> None:
+            found.setdefault("planner", "solved")
+            found.setdefault("planned", round(plan.makespan, 2) if plan.temporal else None)
+
+        def unplanned(self, result: PlanningResult) -> None:
+            found["planner"] = result.status.value
+
+    found: dict[str, Any] = {}
+    try:
+        problem = load(folder / "domain.pddl", folder / "problem.pddl")
+    except InputError as error:
+        where = f"{Path(error.position.file).name}:{error.position.line}:{error.position.column}: " if error.position else ""
+        return {"read": f"refused: {where}{error.message}"}
+    found["read"] = f"{len(problem.warnings)} warnings" if problem.warnings else "yes"
+    result = achieve(None, problem, observer=Watch())
+    found["calls"] = len(result.calls)
+    if problem.is_timed and result.calls:
+        found["executed"] = round(max(call.ended or 0.0 for call in result.calls) - result.began, 2)
+    found["goal"] = "holds" if result.goal_reached else result.reason.splitlines()[0]
+    return found
+
+
+def tried(folder: Path) -> dict[str, Any]:
+    """Do everything with one pair, in a process that is stopped when its time is up."""
+    command = [sys.executable, __file__, "--one", str(folder)]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT)
+    except subprocess.TimeoutExpired:
+        return {"goal": f"nothing within {LIMIT:g} s"}
+    return json.loads(done.stdout) if done.returncode == 0 else {"goal": f"crashed: {done.stderr.splitlines()[-1]}"}  # type: ignore[no-any-return]
+
+
+def table(folder: Path) -> str:
+    """The table for one folder, and how many of its pairs reach the goal."""
+    pairs = json.loads((folder / "manifest.json").read_text())
+    found = {pair["name"]: tried(folder / pair["name"]) for pair in pairs}
+    keys = ("read", "planner", "calls", "planned", "executed", "goal")
+    rows = [f"| {name} | {' | '.join(_cell(row.get(key)) for key in keys)} |\n" for name, row in found.items()]
+    read = sum(not str(row.get("read", "refused")).startswith("refused") for row in found.values())
+    holds = sum(row.get("goal") == "holds" for row in found.values())
+    return f"## {folder.name}: {read} of {len(found)} read, {holds} executed to the goal\n\n{HEAD}{''.join(rows)}\n"
+
+
+def _cell(value: object) -> str:
+    return "" if value is None else str(value).replace("|", "\\|")[:160]
+
+
+def main() -> None:
+    arguments = [one for one in sys.argv[1:] if not one.startswith("--")]
+    if "--one" in sys.argv:
+        print(json.dumps(one(Path(arguments[0]))))
+        return
+    folders = [Path(name) for name in arguments] or [KNOWN / "robots", KNOWN / "ipc"]
+    text = "# Which problems work\n\nMade by `python tests/benchmarks/pairs.py --write`. Every pair has a process of its own, and 60\n"
+    text += "seconds for reading, planning, proving and executing. Times are the plan's and the simulation's, in seconds.\n\n"
+    text += "\n".join(map(table, folders))
+    if "--write" in sys.argv:
+        (ROOT / "docs" / "pairs.md").write_text(text.rstrip("\n") + "\n", encoding="utf-8")
+    print(text)
+
+
+if __name__ == "__main__":
+    main()
