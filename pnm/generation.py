@@ -188,7 +188,8 @@ class _Block:
             self.all.transition(self.name(phase + name), Rule(name, guard, call, deed), [source], outputs)
 
         add("skip", Ending(), ready, out)
-        if not self.all.out_of.get(PlanEvent(call, Moment.START)):
+        if not self.awaited and not self.all.out_of.get(PlanEvent(call, Moment.START)):
+            # what comes while it runs relies on its start, or may still undo what seems to be done
             add("already_true", AlreadyTrue(call), ready, out)
         add("data_missing", DataMissing(call), ready, failed)
         if isfinite(self.call.deadline):

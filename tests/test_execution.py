@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from pnm.actions.faults import FaultKind
@@ -109,6 +111,14 @@ def test_effects_that_hold_already_are_skipped() -> None:
     assert done.result.goal
     assert done.outcomes() == ["already true"]
     assert done.attempts() == [0]
+
+
+def test_effects_that_something_still_to_come_will_undo_are_not_skipped() -> None:
+    leave = replace(move("r1", "door", "yard", 7.0), start_effects=(), end_effects=(Set(("at", "r1", "door"), Constant(False)),))
+    back = replace(move("r1", "hall", "door", 8.0), precondition=All(), start_effects=())
+    done = simulate(graph([leave, back], "0e<1e", goal=Holds(("at", "r1", "door"))), {("at", "r1", "door"): True})
+    assert done.outcomes() == ["succeeded", "succeeded"]
+    assert done.result.goal
 
 
 HOLD = GroundAction(
