@@ -17,7 +17,7 @@ from typing import Final
 from pnm.expressions import Fluent
 from pnm.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
 
-SLACK: Final = 0.02
+SLACK: Final = 0.01
 """How much later than planned an enveloping call starts, as a share of its duration."""
 
 
