@@ -122,7 +122,7 @@ def _constraint(result: ConstraintResult) -> str:
 
 def _preference(result: PreferenceResult) -> str:
     times = f" {_count(result.violated, 'time')}" if result.violated else ""
-    return f"preference {result.name} is {result.status}{times}"
+    return f"preference {result.name or '(without a name)'} is {result.status}{times}"
 
 
 def _count(number: int, word: str) -> str:

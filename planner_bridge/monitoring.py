@@ -12,10 +12,9 @@ from math import inf
 from typing import Final, Literal, TypeAlias
 
 from planner_bridge.model import Preference, Problem
-from pnm.conditions import TRUE, Any, Condition
 from pnm.expressions import NOTHING, Environment, choices
 from pnm.knowledge import Layered
-from pnm.trajectory import IMPOSSIBLE, Constraint, Watch, instances, is_fulfilled, names_in, seen_of, shifted
+from pnm.trajectory import Constraint, Watch, instances, is_fulfilled, names_in, seen_of, shifted
 
 SETTLING: Final = 0.01
 """Seconds within which everything that happens at one moment is known, even what nothing reports."""
@@ -90,8 +89,9 @@ class Monitor:
 
     def _instances(self, preference: Preference) -> list[list[_Watched]]:
         wanted = preference.wanted
-        constraint = wanted if isinstance(wanted, Constraint) else Constraint("at end", (wanted,))
-        return [self._instance(constraint, env) for env in choices(preference.variables, self._knowledge, NOTHING)]
+        constraints = wanted if isinstance(wanted, tuple) else (Constraint("at end", (wanted,)),)
+        chosen = choices(preference.variables, self._knowledge, NOTHING)
+        return [[watched for one in constraints for watched in self._instance(one, env)] for env in chosen]
 
     def _hard(self) -> Iterator[_Watched]:
         return (watched for _, instance in self._constraints for watched in instance)
@@ -155,15 +155,12 @@ class Monitor:
             return (shifted(constraint, now),)
         return _left(instance, now)
 
-    def _preference_left(self, preference: Preference, instances: list[list[_Watched]], now: float) -> Iterator[Preference]:
-        if not isinstance(preference.wanted, Constraint):
-            yield preference
-        elif all(one.untouched for instance in instances for one in instance):
-            yield replace(preference, wanted=shifted(preference.wanted, now))
-        else:
-            for instance in instances:  # a metric may ask for the name, so what is decided stays, too
-                for wanted in _as_wish(_left(instance, now)):
-                    yield Preference(preference.name, wanted)
+    def _preference_left(self, preference: Preference, instances: list[list[_Watched]], now: float) -> Iterable[Preference]:
+        if not isinstance(preference.wanted, tuple):
+            return (preference,)
+        if all(one.untouched for instance in instances for one in instance):
+            return (replace(preference, wanted=tuple(shifted(one, now) for one in preference.wanted)),)
+        return [Preference(preference.name, _left(instance, now)) for instance in instances]  # fulfilled ones too: metrics name them
 
     # --- at its end ----------------------------------------------------------------------------
 
@@ -201,7 +198,3 @@ class Monitor:
 
 def _left(instance: list[_Watched], now: float) -> tuple[Constraint, ...]:
     return tuple(shifted(left, now) for one in instance for left in one.watch.rest)
-
-
-def _as_wish(left: tuple[Constraint, ...]) -> tuple[Condition | Constraint, ...]:
-    return (Any(),) if IMPOSSIBLE in left else left or (TRUE,)

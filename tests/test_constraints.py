@@ -20,10 +20,10 @@ from planner_bridge.tasks import Settings, TaskObserver, TaskResult
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.bindings import Bindings
 from pnm.clock import run_async
-from pnm.conditions import TRUE, Any, Condition, Exists, Holds, Not
+from pnm.conditions import Condition, Exists, Holds, Not
 from pnm.expressions import Variable
 from pnm.knowledge import KnowledgeBase, Layered
-from pnm.trajectory import Constraint
+from pnm.trajectory import IMPOSSIBLE, Constraint
 from tests.domains import rooms
 
 TO_C = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc")
@@ -213,11 +213,11 @@ def test_preferences_are_counted_and_never_enforced() -> None:
     problem = wished(
         Preference("tidy", Holds(("clean", "?a")), (ROOM,)),
         Preference("there", Holds(("at", "r1", "c"))),
-        Preference("quiet", always(Not(Holds(("clean", "?a")))), (ROOM,)),
-        Preference("all-quiet", always(Not(Holds(("clean", "?a"))), ROOM)),
-        Preference("soon", within(0.5, C)),
-        Preference("soon", within(1.5, B)),
-        Preference("over", sometime(Holds(("at", "r1", "b")))),
+        Preference("quiet", (always(Not(Holds(("clean", "?a")))),), (ROOM,)),
+        Preference("all-quiet", (always(Not(Holds(("clean", "?a"))), ROOM),)),
+        Preference("soon", (within(0.5, C), within(0.7, C))),
+        Preference("soon", (within(1.5, B),)),
+        Preference("", (sometime(Holds(("at", "r1", "b"))),)),
     )
     done = pursued(problem, changes((0.5, "a"), (1.0, "b")))
     assert done.result.goal_reached
@@ -228,7 +228,7 @@ def test_preferences_are_counted_and_never_enforced() -> None:
         ("quiet", "violated", 2),
         ("all-quiet", "violated", 1),
         ("soon", "violated", 1),
-        ("over", "fulfilled", 0),
+        ("", "fulfilled", 0),
     ]
     assert done.log.told == []
 
@@ -256,7 +256,7 @@ def monitor(problem: Problem, *seen: tuple[float, dict[str, bool]]) -> tuple[Mon
 
 def test_as_long_as_nothing_has_happened_everything_is_left_as_it_was_written() -> None:
     lifted = Constraint("at-most-once", (Holds(("clean", "?a")),), (), (ROOM,))
-    problem = replace(wished(Preference("p", sometime(A), (ROOM,)), Preference("q", B)), constraints=(lifted, within(9.0, B)))
+    problem = replace(wished(Preference("p", (sometime(A),), (ROOM,)), Preference("q", B)), constraints=(lifted, within(9.0, B)))
     _, left = monitor(problem, (0.0, {"d": True}))
     assert left.constraints == problem.constraints
     assert left.preferences == problem.preferences
@@ -280,16 +280,20 @@ def test_what_is_left_is_handed_to_the_planner_with_times_from_now_on() -> None:
     assert (left.domain.constraints, left.domain.preferences, left.preferences) == ((), (), (Preference("p", B),))
 
 
-def test_of_preferences_that_are_decided_the_verdict_is_left() -> None:
+def test_of_preferences_every_instance_is_left_as_the_metric_names_them() -> None:
     problem = wished(
-        Preference("p", sometime(Holds(("clean", "?a"))), (ROOM,)), Preference("q", always(Not(A))), Preference("r", sometime(B))
+        Preference("p", (sometime(Holds(("clean", "?a"))),), (ROOM,)),
+        Preference("q", (always(Not(A)), sometime(D))),
+        Preference("r", (Constraint("sometime-after", (A, D)), within(9.0, B))),
+        Preference("s", (sometime(B),)),
     )
     _, left = monitor(problem, (0.0, {}), (3.0, {"a": True}))
     assert left.preferences == (
-        Preference("p", TRUE),
-        *(Preference("p", sometime(room)) for room in (B, C, D)),
-        Preference("q", Any()),
-        Preference("r", sometime(B)),
+        Preference("p", ()),
+        *(Preference("p", (sometime(room),)) for room in (B, C, D)),
+        Preference("q", (IMPOSSIBLE, sometime(D))),
+        Preference("r", (Constraint("sometime-after", (A, D)), sometime(D), within(6.0, B))),
+        Preference("s", (sometime(B),)),
     )
 
 
