@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from rich.console import Console
 from rich.markup import escape
 
+from planner_bridge.monitoring import ConstraintResult, PreferenceResult, Violation
 from planner_bridge.plan import Plan, PlanningResult
 from planner_bridge.replanning import PlanAgain, Resume
 from planner_bridge.tasks import TaskObserver, TaskResult
@@ -86,6 +87,10 @@ class ConsoleObserver(TaskObserver):
                 text = f"a new plan is needed: {why}{without}"
         self._console.print(f"[bold yellow]replan[/]   {escape(text)}", highlight=False, soft_wrap=True)
 
+    def violated(self, violation: Violation, now: float) -> None:
+        """Print that a constraint is violated."""
+        self._line(now, "[bold red]broken[/]", f"{violation.constraint}; observed {violation.observed}")
+
     def _line(self, now: float, word: str, text: str) -> None:
         if self._began is None:
             self._began = now
@@ -104,6 +109,20 @@ def print_result(console: Console, result: TaskResult) -> None:
         for number, word in ((result.plans, "plan"), (result.replans, "replan"), (sent, "request"), (len(result.failures), "failure"))
     )
     console.print(f"         {counts}{told}", highlight=False, soft_wrap=True)
+    for line in (*map(_constraint, result.constraints), *map(_preference, result.preferences)):
+        console.print(f"         {escape(line)}", highlight=False, soft_wrap=True)
+
+
+def _constraint(result: ConstraintResult) -> str:
+    if not result.violations:
+        return f"constraint {result.constraint} is {result.status}"
+    more = len(result.violations) - 1
+    return f"constraint {result.violations[0]}{f', and for {more} more choices of objects' if more else ''}"
+
+
+def _preference(result: PreferenceResult) -> str:
+    times = f" {_count(result.violated, 'time')}" if result.violated else ""
+    return f"preference {result.name or '(without a name)'} is {result.status}{times}"
 
 
 def _count(number: int, word: str) -> str:

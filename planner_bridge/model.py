@@ -35,8 +35,9 @@ class Preference:
     """
 
     name: str
-    wanted: Condition | Constraint
-    """A condition on the goal state or on the state an action starts in, or a constraint."""
+    """Empty when it has none, and then no metric counts it."""
+    wanted: Condition | tuple[Constraint, ...]
+    """A condition on the goal state or on the state an action is in, or constraints that should all be kept."""
     variables: tuple[Variable, ...] = ()
     """Of the quantifiers around it, outermost first."""
     moment: Literal["at start", "over all", "at end"] | None = None

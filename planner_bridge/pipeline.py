@@ -6,9 +6,10 @@ import asyncio
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
+from math import inf
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, cast
 from uuid import uuid4
@@ -16,6 +17,7 @@ from uuid import uuid4
 from planner_bridge.forbidding import ForbiddenCall, forbid
 from planner_bridge.loading import load
 from planner_bridge.model import Domain, Problem
+from planner_bridge.monitoring import Monitor, Violation
 from planner_bridge.plan import PlanningResult, PlanningStatus
 from planner_bridge.planning import solve
 from planner_bridge.plans import plan_graph
@@ -100,7 +102,7 @@ class Stopwatch:
 
 @dataclass
 class _Task:
-    """A goal with its episodes. The mutable state is what has a default."""
+    """A goal with its episodes. The mutable state is the monitor and what has a default."""
 
     problem: Problem
     site: Site
@@ -112,52 +114,89 @@ class _Task:
     history: History = field(default_factory=History)
     plans: int = 0
     began: float = 0.0
-    timers: list[asyncio.TimerHandle] = field(default_factory=list)
+    executor: Executor | None = None
+    """What executes the current machine."""
+    violation: Violation | None = None
+    """The constraint that was violated first: nothing makes that good, so the task is over."""
+    is_over: asyncio.Event = field(default_factory=asyncio.Event)
+    """Nothing needs to be waited for any more."""
+    no_plan_needed: threading.Event = field(default_factory=threading.Event)
+    next_look: asyncio.TimerHandle | None = None
+
+    def __post_init__(self) -> None:
+        self.monitor = Monitor(self.problem, self.knowledge)
 
     async def pursue(self) -> TaskResult:
-        try:
-            await self.site.open(self.knowledge.world)
-            self._watch_the_clock()
-            return await self._pursue()
-        except asyncio.CancelledError:  # while no run was there to be stopped
-            cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
-            return self._ended(False, "cancelled")
-        except (PlanGraphError, Unsound) as error:  # a plan that is valid, but not by causes alone
-            return self._ended(False, f"the plan cannot be executed: {error}")
-        finally:
-            for timer in self.timers:
-                timer.cancel()
+        with ExitStack() as at_the_end:
+            try:
+                await self.site.open(self.knowledge.world)
+                self._watch_the_clock(at_the_end)
+                self._watch_the_constraints(at_the_end)
+                return await self._pursue()
+            except asyncio.CancelledError:  # while no run was there to be stopped
+                cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
+                return self._ended(False, "cancelled")
+            except (PlanGraphError, Unsound) as error:  # a plan that is valid, but not by causes alone
+                return self._ended(False, f"the plan cannot be executed: {error}")
 
-    def _watch_the_clock(self) -> None:
+    def _watch_the_clock(self, at_the_end: ExitStack) -> None:
         """Begin; let those timed facts come true by themselves that nobody reports."""
         self.began = asyncio.get_running_loop().time()
         world = self.knowledge.world
         for change in self.problem.timed:
             assumed = {fluent: value for fluent, value in change.changes.items() if not world.is_sensed(fluent)}
-            self.timers.append(asyncio.get_running_loop().call_at(self.began + change.time, world.update, assumed))
+            at_the_end.callback(asyncio.get_running_loop().call_at(self.began + change.time, world.update, assumed).cancel)
+
+    def _watch_the_constraints(self, at_the_end: ExitStack) -> None:
+        """Look at the initial state, and from now on whenever something changes or a moment comes that matters."""
+        at_the_end.callback(self._look_again_at, inf)
+        at_the_end.callback(self.knowledge.world.listen(self._look))
+        self._look()
+
+    def _look(self, _changes: object = None) -> None:
+        now = self._elapsed()
+        for violation in self.monitor.look(now):
+            self.observer.violated(violation, asyncio.get_running_loop().time())
+            if self.violation is None:
+                self._stop(violation)
+        self._look_again_at(self.monitor.next_look(now))
+
+    def _look_again_at(self, time: float) -> None:
+        if self.next_look:
+            self.next_look.cancel()
+        self.next_look = None if time == inf else asyncio.get_running_loop().call_at(self.began + time, self._look)
+
+    def _stop(self, violation: Violation) -> None:
+        """End whatever is going on."""
+        self.violation = violation
+        self.is_over.set()
+        self.no_plan_needed.set()
+        if self.executor:
+            self.executor.stop(reason=str(violation))
 
     async def _pursue(self) -> TaskResult:
         forbidden: frozenset[ForbiddenCall] = frozenset()
         graph: PlanGraph | None = None
         origin = self.began
+        await self._settle()
         while True:
+            if self.violation:
+                return self._ended(False, str(self.violation))
             if graph is None:
                 origin = asyncio.get_running_loop().time()
                 now = self._now()
                 found = await self._plan(forbid(now, forbidden))
                 if found.plan is None:
-                    return self._ended(False, _no_plan(found, forbidden) + self._last_failure())
+                    return self._ended(False, str(self.violation or _no_plan(found, forbidden) + self._last_failure()))
                 with self.seconds.of("translate"):
                     graph = plan_graph(now, found.plan)
             machine, result = await self._run(graph, origin)
-            if not result.goal:  # reports about what has just happened may still be under way
+            if not result.goal or not self.monitor.idle:  # reports about what has just happened may still be under way
                 await asyncio.sleep(self.knowledge.world.longest_lag)
-            if evaluate(self.problem.goal, self.knowledge) is True:
+            await self._settle()
+            if verdict := self._verdict(result):
                 self.episodes.append(Episode(machine, result))
-                return self._ended(True, "the goal holds")
-            if result.stopped:
-                self.episodes.append(Episode(machine, result))
-                return self._ended(False, result.reason)
+                return self._ended(*verdict)
             decision = self._decide(graph, result)
             self.episodes.append(Episode(machine, result, decision))
             match decision:
@@ -168,14 +207,40 @@ class _Task:
                 case PlanAgain():
                     graph, forbidden = None, decision.forbidden
             self.observer.replanning(decision, result)
-            await asyncio.sleep(self.history.pause(self.settings.limits))
+            await self._wait(self.history.pause(self.settings.limits))
+
+    def _verdict(self, result: RunResult) -> tuple[bool, str] | None:
+        """Return whether the goal is reached, and why the task ends with this run; None if it does not."""
+        if self.violation:
+            return False, str(self.violation)
+        carried_out = result.goal or not self.problem.network  # a network is more than its goal
+        if carried_out and evaluate(self.problem.goal, self.knowledge) is True and not self.monitor.missing(self._elapsed()):
+            return True, "the goal holds"
+        return (False, result.reason) if result.stopped else None
+
+    async def _settle(self) -> None:
+        """Wait until it is known whether that is violated which looks violated now."""
+        doubtful = self.monitor.doubtful_until() - self._elapsed()
+        if doubtful > 0:
+            await self._wait(doubtful)
+            self._look()
+
+    async def _wait(self, seconds: float) -> None:
+        with suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                await self.is_over.wait()
 
     def _now(self) -> Problem:
-        return problem_now(self.problem, self.knowledge.world, asyncio.get_running_loop().time() - self.began)
+        elapsed = self._elapsed()
+        return self.monitor.rest_of(problem_now(self.problem, self.knowledge.world, elapsed), elapsed)
+
+    def _elapsed(self) -> float:
+        """Return how many seconds the task has taken so far."""
+        return asyncio.get_running_loop().time() - self.began
 
     def _left(self) -> float:
         """Return how many seconds the task may still take."""
-        return max(0.0, self.began + self.settings.limits.seconds - asyncio.get_running_loop().time())
+        return max(0.0, self.settings.limits.seconds - self._elapsed())
 
     def _decide(self, graph: PlanGraph, result: RunResult) -> Decision:
         """Decide from the world as it is now known to be."""
@@ -196,12 +261,11 @@ class _Task:
         return found
 
     async def _solve(self, problem: Problem) -> PlanningResult:
-        cancel = threading.Event()
         timeout = max(0.01, min(self.settings.planner_timeout, self._left()))
         try:
-            return await asyncio.to_thread(solve, problem, planner=self.settings.planner, timeout=timeout, cancel=cancel)
+            return await asyncio.to_thread(solve, problem, planner=self.settings.planner, timeout=timeout, cancel=self.no_plan_needed)
         except asyncio.CancelledError:
-            cancel.set()
+            self.no_plan_needed.set()
             raise
         except InputError as error:
             if not self.episodes:
@@ -224,20 +288,38 @@ class _Task:
             observer=self.observer,
             origin=origin,
         )
-        executor = Executor(run, self.site.client)
-        over = partial(executor.stop, reason=f"the limit of {self.settings.limits.seconds:g} s is reached")
+        self.executor = Executor(run, self.site.client)
+        if self.violation:  # while the machine was being prepared
+            self._stop(self.violation)
+        over = partial(self.executor.stop, reason=f"the limit of {self.settings.limits.seconds:g} s is reached")
         timer = asyncio.get_running_loop().call_at(self.began + self.settings.limits.seconds, over)
         try:
             with self.seconds.of("execute"):
-                return machine, await executor.execute()
+                return machine, await self.executor.execute()
         finally:
             timer.cancel()
+            self.executor = None
 
     def _last_failure(self) -> str:
-        return f"; last failure: {self.episodes[-1].result.reason}" if self.episodes else ""
+        if not self.episodes:
+            return ""
+        result, missing = self.episodes[-1].result, self.monitor.missing(self._elapsed())
+        failure = "" if result.goal else f"; last failure: {result.reason}"
+        more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
+        return failure + (f"; not fulfilled: {', '.join(map(str, missing[:3]))}{more}" if missing else "")
 
     def _ended(self, goal_reached: bool, reason: str) -> TaskResult:
-        return TaskResult(goal_reached, reason, self.plans, tuple(self.episodes), self.seconds.seconds, self.began)
+        now = self._elapsed()
+        return TaskResult(
+            goal_reached,
+            reason,
+            self.plans,
+            tuple(self.episodes),
+            self.seconds.seconds,
+            self.began,
+            self.monitor.constraint_results(now),
+            self.monitor.preference_results(now),
+        )
 
 
 def _no_plan(found: PlanningResult, forbidden: frozenset[ForbiddenCall]) -> str:

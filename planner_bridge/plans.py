@@ -7,6 +7,10 @@ may be executed in any order that keeps them, as soon as they allow.
 
 An over-all condition is read from just after the start until just before the end. Fluents that
 nothing changes, and counters that only a metric reads (`total-cost`), order nothing.
+
+A constraint over the course of states is kept by the order in which its fluents change, and a
+network of tasks by the order of everything. So all that has to do with one of these keeps the
+order it has in the plan; and its time, if the constraint says more of times than how late is too late.
 """
 
 from __future__ import annotations
@@ -25,6 +29,7 @@ from pnm.conditions import All, Condition, conjuncts, evaluate, fluents, names
 from pnm.effects import Effects, ForEach, Set, When, read, written
 from pnm.expressions import UNKNOWN, Fluent, State, Unknown, Value, expression_fluents
 from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.trajectory import instances, names_in
 
 _DIGITS: Final = 5
 """Times are compared at this many decimals: planners separate events by 0.001 and compute in floats."""
@@ -32,10 +37,13 @@ _DIGITS: Final = 5
 _TIMED, _END, _START, _INSTANT_END, _OPEN = range(5)
 """The order of what happens at one time."""
 
+_NETWORK: Final[Fluent] = ("order of tasks",)
+"""Stands for a fluent that everything changes."""
+
 
 def plan_graph(problem: Problem, plan: Plan) -> PlanGraph:
     """Return the calls of the plan with the orderings that its causes demand."""
-    causes = _Causes(initial_knowledge(problem), _relevant(problem))
+    causes = _causes(problem)
     calls = [ActionCall(index, ground_step(problem, plan, step), step.start) for index, step in enumerate(plan.steps)]
     for time, _, index, kind in sorted(_happenings(problem, plan)):
         if kind == _TIMED:
@@ -48,7 +56,7 @@ def plan_graph(problem: Problem, plan: Plan) -> PlanGraph:
 def in_causal_order(problem: Problem, calls: tuple[ActionCall, ...], order: Iterable[PlanEvent]) -> PlanGraph:
     """Return the calls with the orderings that their causes demand, given one order of their events that works."""
     positions = {event: float(position) for position, event in enumerate(order)}
-    causes = _Causes(initial_knowledge(problem), _relevant(problem))
+    causes = _causes(problem)
     for event, now in positions.items():
         call = calls[event.call]
         end = positions[PlanEvent(event.call, Moment.END)]
@@ -79,9 +87,21 @@ def _happenings(problem: Problem, plan: Plan) -> list[tuple[float, int, int, int
     return found
 
 
+def _causes(problem: Problem) -> _Causes:
+    state, relevant = initial_knowledge(problem), _relevant(problem)
+    kept = [_Kept(_NETWORK)] if problem.network else []
+    for constraint in (*problem.domain.constraints, *problem.constraints):
+        for one in instances(constraint, state):
+            mentioned = frozenset().union(*(fluents(condition, state) for condition in one.conditions))
+            changing = frozenset(fluent for fluent in mentioned if fluent[0] in relevant)
+            kept.append(_Kept((str(one)[1:-1],), changing, problem.is_timed and bool(one.times) and one.operator != "within"))
+    return _Causes(state, relevant, tuple(kept))
+
+
 def _relevant(problem: Problem) -> frozenset[str]:
     """Return the names that can change and that something besides the metric reads."""
     asked = set(names(problem.goal)) | {fluent[0] for change in problem.timed for fluent in change.changes}
+    asked = asked.union(*map(names_in, (*problem.domain.constraints, *problem.constraints)))
     for schema in problem.domain.actions.values():
         for condition in (schema.precondition, schema.invariant, schema.end_condition):
             asked |= names(condition)
@@ -117,12 +137,25 @@ class _Reader:
     until: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """What besides its causes depends on the order of a plan: a constraint, or a network of tasks."""
+
+    stand_in: Fluent
+    """Stands for a fluent that changes with each of the others, which gives them an order."""
+    changing: frozenset[Fluent] | None = None
+    """None for whatever happens."""
+    timed: bool = False
+    """It also depends on the times."""
+
+
 @dataclass
 class _Causes:
     """Last writers, readers since, and the orderings found so far."""
 
     state: State
     relevant: frozenset[str]
+    kept: tuple[_Kept, ...] = ()
     writer: dict[Fluent, PlanEvent] = field(default_factory=dict)
     """The event that wrote the fluent last."""
     changed_at: dict[Fluent, float] = field(default_factory=dict)
@@ -135,6 +168,8 @@ class _Causes:
     deadlines: dict[int, float] = field(default_factory=dict)
     actions: dict[int, GroundAction] = field(default_factory=dict)
     lasting: dict[int, frozenset[Fluent]] = field(default_factory=dict)
+    by_the_clock: set[int] = field(default_factory=set)
+    """The calls that must not start before their planned time."""
 
     def timed(self, time: float, changed: Mapping[Fluent, Value]) -> None:
         """Note that fluents change by themselves, and which calls that were over by then could not have gone on."""
@@ -177,13 +212,20 @@ class _Causes:
     def _only(self, found: frozenset[Fluent]) -> list[Fluent]:
         return sorted(fluent for fluent in found if fluent[0] in self.relevant)
 
+    def _touched(self, call: int, writes: frozenset[Fluent]) -> list[Fluent]:
+        """Return what stands for the constraints that are concerned."""
+        touched = [one for one in self.kept if one.changing is None or one.changing & writes]
+        if any(one.timed for one in touched):
+            self.by_the_clock.add(call)
+        return [one.stand_in for one in touched]
+
     def _point(self, waits: PlanEvent, releases: PlanEvent, reads: frozenset[Fluent], writes: frozenset[Fluent], now: float) -> None:
         # A write that leaves an over-all condition true may do so only because of what its other fluents are.
         relied = [group - writes for call, group, until in self.watched if until > now and call != waits.call and group & writes]
         for fluent in self._only(reads.union(*relied)):
             self._after_writer(fluent, waits)
             self.readers.setdefault(fluent, []).append(_Reader(releases.call, releases, now))
-        for fluent in self._only(writes):
+        for fluent in (*self._only(writes), *self._touched(waits.call, writes)):
             self._after_writer(fluent, waits)
             still = []
             for reader in self.readers.get(fluent, ()):
@@ -214,7 +256,7 @@ class _Causes:
         told = tuple(
             replace(
                 call,
-                release=max(call.release, self.releases.get(call.index, 0.0)),
+                release=max(call.release, self.releases.get(call.index, 0.0), call.planned if call.index in self.by_the_clock else 0.0),
                 deadline=min(call.deadline, self.deadlines.get(call.index, inf)),
                 lasting=self.lasting.get(call.index, frozenset()),
             )

@@ -17,6 +17,7 @@ from pnm.knowledge import KnowledgeBase
 from pnm.ledger import UNCONFIRMED
 from pnm.plan_graph import GroundAction, Moment, PlanEvent, PlanGraph
 from pnm.results import CallResult, Failure
+from pnm.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
 
 _FINISHED = frozenset({"succeeded", "already true"})
 _WORLD = frozenset({"precondition_false", "invariant_false"})
@@ -120,11 +121,15 @@ def decide(
     if history.replans > limits.replans:
         return GiveUp(f"the limit of {limits.replans} replans is reached")
     forbidden = history.forbidden(limits)
+    constraints = (*now.domain.constraints, *now.constraints)
+    whole = "; the whole network of tasks is planned for once more" if now.network else ""
     if now.timed:  # only a planner knows what the delay means
-        return PlanAgain(forbidden, "facts will change by themselves, so the times of the plan matter")
+        return PlanAgain(forbidden, f"facts will change by themselves, so the times of the plan matter{whole}")
+    if timed := [str(one) for one in constraints if one.times]:
+        return PlanAgain(forbidden, f"the times of the plan matter to {', '.join(timed)}{whole}")
     rest = rest_of(now, plan, calls)
-    obstacle = why_not(rest, knowledge, forbidden)
-    return PlanAgain(forbidden, obstacle) if obstacle else Resume(rest)
+    obstacle = why_not(rest, knowledge, forbidden, constraints)
+    return PlanAgain(forbidden, obstacle + whole) if obstacle else Resume(rest)
 
 
 def rest_of(now: Problem, plan: PlanGraph, calls: tuple[CallResult, ...]) -> PlanGraph:
@@ -136,15 +141,22 @@ def rest_of(now: Problem, plan: PlanGraph, calls: tuple[CallResult, ...]) -> Pla
     return in_causal_order(now, renumbered, order)
 
 
-def why_not(plan: PlanGraph, knowledge: KnowledgeBase, forbidden: frozenset[ForbiddenCall] = frozenset()) -> str:
+def why_not(
+    plan: PlanGraph,
+    knowledge: KnowledgeBase,
+    forbidden: frozenset[ForbiddenCall] = frozenset(),
+    constraints: tuple[Constraint, ...] = (),
+) -> str:
     """Return why the plan does not lead from what is known to its goal; empty when it does.
 
-    Walks through the events in an order that the plan allows and applies them to a copy of the state.
+    Walks through the events in an order that the plan allows and applies them to a copy of the state,
+    through which the constraints, none of which may speak of times, are progressed.
     """
     for call in plan.calls:
         if ForbiddenCall.of(call.action) in forbidden:
             return f"{call.action} has failed too often, or its server may still be at work"
     state = KnowledgeBase(knowledge.facts(), objects=knowledge.objects_by_type())
+    left = {one: progressed((one,), state) for constraint in constraints for one in instances(constraint, state)}
     running: dict[int, GroundAction] = {}
     for event in plan.in_order():
         action = plan.calls[event.call].action
@@ -159,7 +171,14 @@ def why_not(plan: PlanGraph, knowledge: KnowledgeBase, forbidden: frozenset[Forb
         for other in running.values():
             if evaluate(other.invariant, state) is not True:
                 return f"{other} would go on although {_denied(other.invariant, state)}"
-    return "" if evaluate(plan.goal, state) is True else f"the rest of the plan would leave {_denied(plan.goal, state)}"
+        left = {constraint: progressed(rest, state) for constraint, rest in left.items()}
+        for constraint, rest in left.items():
+            if IMPOSSIBLE in rest:
+                return f"the {event.moment.value} of {action} would violate {constraint}"
+    if evaluate(plan.goal, state) is not True:
+        return f"the rest of the plan would leave {_denied(plan.goal, state)}"
+    missing = [str(constraint) for constraint, rest in left.items() if not is_fulfilled(rest, state)]
+    return f"the rest of the plan would leave {', '.join(missing)} unfulfilled" if missing else ""
 
 
 def _denied(condition: Condition, state: KnowledgeBase) -> str:

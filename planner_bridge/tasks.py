@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from planner_bridge.monitoring import ConstraintResult, PreferenceResult, Violation
 from planner_bridge.plan import Plan, PlanningResult
 from planner_bridge.planning import DEFAULT_PLANNER
 from planner_bridge.replanning import Decision, GiveUp, Limits, PlanAgain, Resume
@@ -32,6 +33,9 @@ class TaskObserver(Observer):
 
     def replanning(self, decision: Resume | PlanAgain, result: RunResult) -> None:
         """Note that a run failed and what follows."""
+
+    def violated(self, violation: Violation, now: float) -> None:
+        """Note that a constraint is violated; the task will not go on."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,10 @@ class TaskResult:
     """Where the time went: parse, plan, translate, verify, execute."""
     began: float = 0.0
     """When the task began, on the clock of its calls."""
+    constraints: tuple[ConstraintResult, ...] = ()
+    """What became of the constraints of domain and problem."""
+    preferences: tuple[PreferenceResult, ...] = ()
+    """What became of the preferences, name by name."""
 
     @property
     def calls(self) -> tuple[CallResult, ...]:
@@ -95,6 +103,8 @@ class TaskResult:
                 {"call": str(one.call), "cause": one.cause, "expected": one.expected, "observed": one.observed} for one in self.failures
             ],
             "decisions": [_decision_as_json(episode.decision) for episode in self.episodes if episode.decision],
+            "constraints": [_constraint_as_json(one) for one in self.constraints],
+            "preferences": [{"name": one.name, "status": one.status, "violated": one.violated} for one in self.preferences],
             "seconds": {name: round(seconds, 6) for name, seconds in self.seconds.items()},
         }
 
@@ -109,6 +119,11 @@ def _call_as_json(result: CallResult, began: float) -> dict[str, Any]:
         "ended": None if result.ended is None else round(result.ended - began, 4),
         "assumed": result.assumed,
     }
+
+
+def _constraint_as_json(result: ConstraintResult) -> dict[str, Any]:
+    violations = [{"constraint": str(one.constraint), "time": round(one.time, 4), "observed": one.observed} for one in result.violations]
+    return {"constraint": str(result.constraint), "status": result.status, "violations": violations}
 
 
 def _decision_as_json(decision: Decision) -> dict[str, Any]:

@@ -18,7 +18,9 @@ from planner_bridge.planning import solve, validate
 from planner_bridge.plans import plan_graph
 from planner_bridge.replanning import why_not
 from planner_bridge.state import initial_knowledge
+from pnm.conditions import All, Holds, Not
 from pnm.plan_graph import Moment, PlanEvent, PlanGraph
+from pnm.trajectory import Constraint
 from tests.domains import matches, rooms
 
 
@@ -47,6 +49,35 @@ def test_a_reader_comes_before_the_next_writer() -> None:
 def test_a_counter_that_only_a_metric_reads_orders_nothing() -> None:
     graph = plan_graph(rooms(), sequence(*(f"move {robot} a b" for robot in ("r1", "r2"))))
     assert graph.orderings == ()
+
+
+def never_both(room: str) -> Constraint:
+    return Constraint("always", (Not(All((Holds(("at", "r1", room)), Holds(("at", "r2", room))))),))
+
+
+def test_what_a_constraint_speaks_of_changes_in_the_order_of_the_plan() -> None:
+    two = sequence("move r1 a b", "move r2 a b")
+    constrained = replace(rooms(), constraints=(never_both("b"),))
+    assert shown(plan_graph(constrained, two)) == ["end of #0 < start of #1 ((always (not (and (at r1 b) (at r2 b)))))"]
+    elsewhere = replace(rooms(), domain=replace(rooms().domain, constraints=(never_both("d"),)))
+    assert shown(plan_graph(elsewhere, two)) == []
+
+
+def test_a_network_of_tasks_keeps_the_order_of_the_plan() -> None:
+    network = replace(rooms(), network="(:htn)")
+    assert shown(plan_graph(network, sequence("move r1 a b", "move r2 a d", "sweep r1 b"))) == [
+        "end of #0 < start of #1 ((order of tasks))",
+        "end of #0 < start of #2 ((at r1 b))",
+        "end of #1 < start of #2 ((order of tasks))",
+    ]
+
+
+def test_what_a_constraint_with_times_speaks_of_does_not_change_before_its_time() -> None:
+    plan = Plan((PlanStep("strike", ("m0",), 6.0, 8.0), PlanStep("strike", ("m1",), 7.0, 8.0)), temporal=True)
+    dark = Constraint("hold-during", (Not(Holds(("light", "m0"))),), (0.0, 5.0))
+    soon = Constraint("within", (Holds(("light", "m1")),), (9.0,))
+    graph = plan_graph(replace(matches(2), constraints=(dark, soon)), plan)
+    assert [call.release for call in graph.calls] == [6.0, 0.0]
 
 
 def test_a_call_inside_another_starts_after_its_start_and_ends_before_its_end() -> None:

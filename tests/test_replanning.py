@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 
 import pytest
 
@@ -10,16 +11,20 @@ from planner_bridge.forbidding import ForbiddenCall, forbid
 from planner_bridge.model import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline import Stopwatch, pursue
-from planner_bridge.replanning import GiveUp, History, Limits, PlanAgain, Resume
+from planner_bridge.plan import Plan, PlanStep
+from planner_bridge.plans import plan_graph
+from planner_bridge.replanning import Decision, GiveUp, History, Limits, PlanAgain, Resume, decide
 from planner_bridge.sites import SimulatedSite
 from planner_bridge.tasks import Settings, TaskObserver, TaskResult
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.bindings import Binding, Bindings
 from pnm.clock import run_async
-from pnm.conditions import evaluate
+from pnm.conditions import Holds, Not, evaluate
+from pnm.expressions import Variable
 from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import ActionCall, GroundAction
 from pnm.results import CallResult, Failure
+from pnm.trajectory import Constraint
 from tests.domains import ROOMS, matches, rooms
 
 
@@ -181,6 +186,69 @@ def test_forbidding_does_not_touch_a_predicate_of_the_domain() -> None:
         "forbidden-move",
         "forbidden-move-",
     }
+
+
+OVER_B = [("move", "r1", "a", "b"), ("move", "r1", "b", "c")]
+
+
+def decided(problem: Problem, steps: list[tuple[str, ...]], done: int = 0) -> Decision:
+    """What follows a run of these steps, the first of which are done, if the world now is as the problem says."""
+    graph = plan_graph(problem, Plan(tuple(PlanStep(step[0], step[1:], float(number)) for number, step in enumerate(steps))))
+    calls = tuple(CallResult(call, "succeeded" if call.index < done else "waiting") for call in graph.calls)
+    return decide(problem, graph, calls, KnowledgeBase(problem.init, objects=problem.objects_by_type), History(), Limits())
+
+
+def clean(room: str) -> Holds:
+    return Holds(("clean", room))
+
+
+IN_B = Holds(("at", "r1", "b"))
+KEPT = [
+    Constraint("always", (Not(clean("?x")),), (), (Variable("?x", ("room",)),)),
+    Constraint("sometime", (IN_B,)),
+    Constraint("sometime-after", (IN_B, Holds(("at", "r1", "c")))),
+    Constraint("sometime-before", (Holds(("at", "r1", "c")), IN_B)),
+    Constraint("at-most-once", (Holds(("at", "r1", "a")),)),
+    Constraint("at end", (Not(IN_B),)),
+]
+BROKEN = [
+    (Constraint("always", (Not(IN_B),)), "the end of move(r1, a, b) would violate (always (not (at r1 b)))"),
+    (Constraint("sometime-before", (IN_B, clean("a"))), "the end of move(r1, a, b) would violate (sometime-before (at r1 b) (clean a))"),
+    (Constraint("sometime", (clean("d"),)), "the rest of the plan would leave (sometime (clean d)) unfulfilled"),
+    (Constraint("sometime-after", (IN_B, clean("d"))), "the rest of the plan would leave (sometime-after (at r1 b) (clean d)) unfulfilled"),
+    (Constraint("at end", (IN_B,)), "the rest of the plan would leave (at end (at r1 b)) unfulfilled"),
+    (Constraint("within", (IN_B,), (90.0,)), "the times of the plan matter to (within 90 (at r1 b))"),
+]
+
+
+@pytest.mark.parametrize("constraint", KEPT, ids=str)
+def test_the_rest_of_a_plan_that_keeps_the_constraints_is_used(constraint: Constraint) -> None:
+    problem = replace(rooms(init="(at r1 a)", goal="(at r1 c)"), constraints=(constraint,))
+    assert isinstance(decided(problem, OVER_B), Resume)
+
+
+@pytest.mark.parametrize(("constraint", "why"), BROKEN, ids=lambda value: str(value) if isinstance(value, Constraint) else "")
+def test_the_rest_of_a_plan_that_breaks_a_constraint_is_not_used(constraint: Constraint, why: str) -> None:
+    problem = rooms(init="(at r1 a)", goal="(at r1 c)")
+    assert decided(replace(problem, constraints=(constraint,)), OVER_B) == PlanAgain(frozenset(), why)
+    problem = replace(problem, domain=replace(problem.domain, constraints=(constraint,)))
+    assert decided(problem, OVER_B) == PlanAgain(frozenset(), why)
+
+
+def test_a_goal_that_holds_is_planned_for_again_as_long_as_something_is_missing() -> None:
+    problem = replace(rooms(init="(at r1 c)", goal="(at r1 c)"), constraints=(Constraint("sometime", (clean("d"),)),))
+    assert decided(problem, OVER_B, done=2) == PlanAgain(frozenset(), "the rest of the plan would leave (sometime (clean d)) unfulfilled")
+
+
+def test_the_rest_of_a_network_of_tasks_is_used_and_otherwise_the_whole_network_is_planned_for() -> None:
+    network = replace(rooms(init="(at r1 b)", goal="(at r1 c)"), network="(:htn)")
+    rest = decided(network, OVER_B, done=1)
+    assert isinstance(rest, Resume)
+    assert [str(call) for call in rest.rest.calls] == ["move(r1, b, c)#0"]
+    elsewhere = replace(rooms(init="(at r1 d)", goal="(at r1 c)"), network="(:htn)")
+    assert decided(elsewhere, OVER_B, done=1) == PlanAgain(
+        frozenset(), "move(r1, b, c) would start although (at r1 b) is false; the whole network of tasks is planned for once more"
+    )
 
 
 class LateSite(SimulatedSite):

@@ -1,0 +1,200 @@
+"""Watches the constraints and preferences of a problem while its goal is pursued, and says what became of them.
+
+Has no clock: whoever asks says how many seconds after the start of the task it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import chain
+from math import inf
+from typing import Final, Literal, TypeAlias
+
+from planner_bridge.model import Preference, Problem
+from pnm.expressions import NOTHING, Environment, choices
+from pnm.knowledge import Layered
+from pnm.trajectory import Constraint, Watch, instances, is_fulfilled, names_in, seen_of, shifted
+
+SETTLING: Final = 0.01
+"""Seconds within which everything that happens at one moment is known, even what nothing reports."""
+
+Status: TypeAlias = Literal["fulfilled", "violated", "not monitored"]
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """A ground constraint that is not kept."""
+
+    constraint: Constraint
+    time: float
+    """Seconds after the start of the task."""
+    observed: str
+
+    def __str__(self) -> str:
+        return f"{self.constraint} is violated after {self.time:.2f} s: {self.observed}"
+
+
+@dataclass(frozen=True, slots=True)
+class ConstraintResult:
+    """What became of a constraint of the domain or the problem."""
+
+    constraint: Constraint
+    status: Status
+    violations: tuple[Violation, ...] = ()
+    """One for every choice of objects for which it was not kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class PreferenceResult:
+    """What became of the preferences of one name."""
+
+    name: str
+    status: Status
+    violated: int | None = None
+    """How many of their instances, which is what ``(is-violated name)`` counts; None when they are not monitored."""
+
+
+@dataclass(slots=True)
+class _Watched:
+    """A ground constraint; what is known of it changes."""
+
+    constraint: Constraint
+    watch: Watch
+    violation: Violation | None = None
+
+    @property
+    def untouched(self) -> bool:
+        """Whether all of it is left. (Whether its one time has begun, the present state says as well.)"""
+        return tuple(replace(one, begun=False) for one in self.watch.rest) == (self.constraint,)
+
+
+class Monitor:
+    """Watches over every choice of objects for the variables of constraints and preferences.
+
+    A preference has an instance for every choice for its own variables, with all the ground constraints
+    it then stands for; a wish for the goal is one for what holds at the end. The mutable state is what
+    is known of the ground constraints, and whether there was a look yet.
+    """
+
+    def __init__(self, problem: Problem, knowledge: Layered) -> None:
+        self._problem = problem
+        self._knowledge = knowledge
+        self._constraints = [(one, self._instance(one)) for one in (*problem.domain.constraints, *problem.constraints)]
+        self._preferences = [(one, self._instances(one)) for one in (*problem.domain.preferences, *problem.preferences)]
+        self._looked = False
+
+    def _instance(self, constraint: Constraint, env: Environment = NOTHING) -> list[_Watched]:
+        return [_Watched(one, Watch((one,))) for one in instances(constraint, self._knowledge, env)]
+
+    def _instances(self, preference: Preference) -> list[list[_Watched]]:
+        wanted = preference.wanted
+        constraints = wanted if isinstance(wanted, tuple) else (Constraint("at end", (wanted,)),)
+        chosen = choices(preference.variables, self._knowledge, NOTHING)
+        return [[watched for one in constraints for watched in self._instance(one, env)] for env in chosen]
+
+    def _hard(self) -> Iterator[_Watched]:
+        return (watched for _, instance in self._constraints for watched in instance)
+
+    def _soft(self) -> Iterator[_Watched]:
+        return (watched for _, instances in self._preferences for instance in instances for watched in instance)
+
+    def _all(self) -> Iterator[_Watched]:
+        return chain(self._hard(), self._soft())
+
+    @property
+    def idle(self) -> bool:
+        """Whether there is nothing to watch."""
+        return not (self._constraints or self._preferences)
+
+    # --- while the task goes on ----------------------------------------------------------------
+
+    def look(self, now: float) -> tuple[Violation, ...]:
+        """Look at what is known now; return the constraints that turn out to be violated, preferences left out."""
+        self._looked = True
+        for watched in self._soft():
+            self._see(watched, now)
+        return tuple(violation for watched in self._hard() if (violation := self._see(watched, now)))
+
+    def _see(self, watched: _Watched, now: float) -> Violation | None:
+        """Return the violation if this look finds it."""
+        before = watched.watch
+        watched.watch = before.seen(self._knowledge, now, self._lag(watched))
+        if before.violated or not watched.watch.violated:
+            return None
+        time = now if before.doubtful_since is None else before.doubtful_since
+        watched.violation = Violation(watched.constraint, time, seen_of(watched.constraint, self._knowledge))
+        return watched.violation
+
+    def _lag(self, watched: _Watched) -> float:
+        return max(SETTLING, self._knowledge.world.lag(names_in(watched.constraint)))
+
+    def next_look(self, now: float) -> float:
+        """Return when to look again even if nothing changes; infinity if that is not needed."""
+        return min((one.watch.next_look(now, self._lag(one)) for one in self._all()), default=inf)
+
+    def doubtful_until(self) -> float:
+        """Return when, at the latest, it will be known of everything that looks violated now whether it is; 0 if nothing does."""
+        return max((one.watch.doubtful_since + self._lag(one) for one in self._all() if one.watch.doubtful_since is not None), default=0.0)
+
+    def missing(self, now: float) -> tuple[Constraint, ...]:
+        """Return the ground constraints that would not be kept if the task ended now."""
+        return tuple(one.constraint for one in self._hard() if not is_fulfilled(one.watch.rest, self._knowledge, now))
+
+    def rest_of(self, problem: Problem, now: float) -> Problem:
+        """Return the problem from the world as it is with those constraints and preferences that are left."""
+        if self.idle:
+            return problem
+        constraints = [left for one in self._constraints for left in self._constraint_left(*one, now)]
+        preferences = [left for one in self._preferences for left in self._preference_left(*one, now)]
+        domain = replace(problem.domain, constraints=(), preferences=())
+        return replace(problem, domain=domain, constraints=tuple(constraints), preferences=tuple(preferences))
+
+    def _constraint_left(self, constraint: Constraint, instance: list[_Watched], now: float) -> Iterable[Constraint]:
+        if all(one.untouched for one in instance):
+            return (shifted(constraint, now),)
+        return _left(instance, now)
+
+    def _preference_left(self, preference: Preference, instances: list[list[_Watched]], now: float) -> Iterable[Preference]:
+        if not isinstance(preference.wanted, tuple):
+            return (preference,)
+        if all(one.untouched for instance in instances for one in instance):
+            return (replace(preference, wanted=tuple(shifted(one, now) for one in preference.wanted)),)
+        return [Preference(preference.name, _left(instance, now)) for instance in instances]  # fulfilled ones too: metrics name them
+
+    # --- at its end ----------------------------------------------------------------------------
+
+    def constraint_results(self, now: float) -> tuple[ConstraintResult, ...]:
+        """Return what became of every constraint if the task ends now."""
+        return tuple(self._constraint_result(*one, now) for one in self._constraints)
+
+    def _constraint_result(self, constraint: Constraint, instance: list[_Watched], now: float) -> ConstraintResult:
+        if not self._looked:
+            return ConstraintResult(constraint, "not monitored")
+        found = tuple(violation for one in instance if (violation := self._violation(one, now)))
+        return ConstraintResult(constraint, "violated" if found else "fulfilled", found)
+
+    def _violation(self, watched: _Watched, now: float) -> Violation | None:
+        if watched.violation or is_fulfilled(watched.watch.rest, self._knowledge, now):
+            return watched.violation
+        return Violation(watched.constraint, now, seen_of(watched.constraint, self._knowledge))
+
+    def preference_results(self, now: float) -> tuple[PreferenceResult, ...]:
+        """Return what became of the preferences of every name if the task ends now; those of actions are not monitored."""
+        names = dict.fromkeys(preference.name for preference, _ in self._preferences)
+        of_actions = dict.fromkeys(one.name for schema in self._problem.domain.actions.values() for one in schema.preferences)
+        if not self._looked:
+            return tuple(PreferenceResult(name, "not monitored") for name in names | of_actions)
+        return (
+            *(self._preference_result(name, now) for name in names),
+            *(PreferenceResult(name, "not monitored") for name in of_actions),
+        )
+
+    def _preference_result(self, name: str, now: float) -> PreferenceResult:
+        found = (instance for preference, instances in self._preferences if preference.name == name for instance in instances)
+        violated = sum(any(self._violation(one, now) for one in instance) for instance in found)
+        return PreferenceResult(name, "violated" if violated else "fulfilled", violated)
+
+
+def _left(instance: list[_Watched], now: float) -> tuple[Constraint, ...]:
+    return tuple(shifted(left, now) for one in instance for left in one.watch.rest)
