@@ -199,7 +199,9 @@ class _Task:
         cancel = threading.Event()
         timeout = max(0.01, min(self.settings.planner_timeout, self._left()))
         try:
-            return await asyncio.to_thread(solve, problem, planner=self.settings.planner, timeout=timeout, cancel=cancel)
+            return await asyncio.to_thread(
+                solve, problem, planner=self.settings.planner, timeout=timeout, cancel=cancel, executor=self.settings.executor
+            )
         except asyncio.CancelledError:
             cancel.set()
             raise
