@@ -26,3 +26,8 @@ def until(happens: Callable[[], object], seconds: float = 60.0) -> None:
     while not happens():
         assert time.monotonic() < deadline, "it did not happen"
         time.sleep(0.01)
+
+
+def parent(process: int) -> int:
+    """The process that has started this one."""
+    return int(Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[1])
