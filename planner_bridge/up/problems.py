@@ -116,8 +116,9 @@ class Translation:
         match bounds["="], bounds[">="], bounds["<="]:
             case [exactly], [], []:
                 action.set_fixed_duration(self._expression(exactly, terms))
-            case [], [*least], [most] if len(least) <= 1:
-                action.set_closed_duration_interval(*(self._expression(one, terms) for one in (*least, Constant(0), most)[-2:]))
+            case [], [] | [_] as least, [most]:
+                lower = least[0] if least else Constant(0)
+                action.set_closed_duration_interval(self._expression(lower, terms), self._expression(most, terms))
             case _:
                 raise InputError(f"the duration of {schema.name}, which has not one upper and at most one lower bound")
 
