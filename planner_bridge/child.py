@@ -1,7 +1,9 @@
 """Runs another planner in a child process with its own folder and its own process group.
 
-An engine of `unified-planning` may write files where it stands, ignore its time limit, print
-what it likes and leave children behind; here it can do all that without harm.
+An engine of unified-planning may write files where it stands, ignore its time limit, print
+what it likes and leave children behind, also such that have left the process group; here it
+can do all that without harm. What it starts has our folder for its temporary files, and that
+is how everything is found again that has to end.
 """
 
 from __future__ import annotations
@@ -15,98 +17,129 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
+from planner_bridge.engines import require
 from planner_bridge.model import Problem
 from planner_bridge.pddl.writer import write_domain, write_problem
-from planner_bridge.plan import Plan, PlanningResult, PlanningStatus, PlanStep
+from planner_bridge.plan import Plan, PlanningResult, PlanningStatus, PlanStep, Stop
 from pnm.errors import InputError
 
-GRACE: Final = 5.0
-"""Seconds that a child may take besides its limit: it imports unified-planning first."""
-_POLL: Final = 0.05
+START: Final = 20.0
+"""Seconds that a child may take to begin: it loads unified-planning first."""
+GRACE: Final = 1.0
+"""Seconds that an engine gets to say itself that its time is over."""
+BEGAN: Final = "began"
+ANSWER: Final = "answer.json"
+_POLL: Final = 0.02
+_FOLDER: Final = "TMPDIR"
 
 
-def solve_in_child(problem: Problem, engine: str, timeout: float, cancel: threading.Event) -> PlanningResult:
-    """Search with an engine of unified-planning, at most `timeout` seconds and the time to start it.
+def solve_in_child(problem: Problem, engine: str, timeout: float, cancel: Stop) -> PlanningResult:
+    """Search with an engine of unified-planning, at most `timeout` seconds besides the time to load it.
 
     Raises:
-        InputError: there is no engine of that name.
+        InputError: there is no engine of that name, or something has to be installed first.
     """
-    with tempfile.TemporaryDirectory(prefix="pnm-") as name:
-        folder = Path(name)
+    require(engine)
+    with tempfile.TemporaryDirectory(prefix="pnm-", ignore_cleanup_errors=True) as name:
+        folder = Path(name).resolve()
         (folder / "domain.pddl").write_text(write_domain(problem.domain))
         (folder / "problem.pddl").write_text(write_problem(problem))
-        command = [sys.executable, "-m", "planner_bridge.up", engine, str(timeout)]
-        with _group(command, folder) as child:
-            ended = _wait(child, time.monotonic() + timeout + GRACE, cancel)
-        if not ended:
-            return PlanningResult(PlanningStatus.TIMED_OUT, message=f"{engine} was stopped after {timeout:g} s")
-        answer = folder / "answer.json"
-        if not answer.exists():
-            words = " ".join((folder / "output.txt").read_text(errors="replace").split())
-            return PlanningResult(PlanningStatus.CRASHED, message=f"{engine}: {words[-300:] or f'exit status {child.returncode}'}")
-        return _read(json.loads(answer.read_text()), problem)
+        with _group([sys.executable, "-m", "planner_bridge.up", engine, str(timeout)], folder) as child:
+            _wait(child, folder, timeout, cancel)
+            status = child.poll()
+        if (folder / ANSWER).exists():
+            return _read(json.loads((folder / ANSWER).read_text()), problem)
+        if cancel.is_set():
+            return PlanningResult(PlanningStatus.CANCELLED)
+        if status is None:
+            late = f"was stopped after {timeout:g} s" if (folder / BEGAN).exists() else f"did not begin within {START:g} s"
+            return PlanningResult(PlanningStatus.TIMED_OUT, message=f"{engine} {late}")
+        if status == -signal.SIGKILL:
+            return PlanningResult(PlanningStatus.OUT_OF_MEMORY, message=f"the system killed {engine}, which it does for want of memory")
+        words = " ".join((folder / "output.txt").read_text(errors="replace").split())
+        return PlanningResult(PlanningStatus.CRASHED, message=f"{engine}: {words[-300:] or f'exit status {status}'}")
 
 
 @contextmanager
 def _group(command: list[str], folder: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """Start the command as the leader of a process group, and end the whole group afterwards."""
+    """Start the command as the leader of a process group, and end whatever came of it afterwards."""
     path = os.pathsep.join(filter(None, (str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH"))))
     with (folder / "output.txt").open("wb") as output:
         child = subprocess.Popen(
             command,
             cwd=folder,
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,  # closes when we end, however we end: see `die_with_parent`
             stdout=output,
             stderr=output,
             start_new_session=True,
-            env={**os.environ, "PYTHONPATH": path},
+            env={**os.environ, "PYTHONPATH": path, _FOLDER: str(folder), "no_grpc_proxy": "127.0.0.1"},
         )
         try:
             yield child
         finally:
-            _end(child)
+            _end(child, folder)
 
 
-def _end(child: subprocess.Popen[bytes]) -> None:
-    for number in (signal.SIGTERM, signal.SIGKILL):
-        try:
-            os.killpg(child.pid, number)
-        except ProcessLookupError:
-            break
-        try:
-            child.wait(timeout=1.0)
-        except subprocess.TimeoutExpired:
-            continue
-    child.wait()
-
-
-def _wait(child: subprocess.Popen[bytes], deadline: float, cancel: threading.Event) -> bool:
-    """Wait for the child to end; tell whether it did before the deadline and before being cancelled."""
-    while time.monotonic() < deadline and not cancel.is_set():
-        try:
+def _wait(child: subprocess.Popen[bytes], folder: Path, timeout: float, cancel: Stop) -> None:
+    """Wait until the child has answered or ended, its time is over, or nobody wants the answer any more."""
+    deadline, began = time.monotonic() + START, False
+    while time.monotonic() < deadline and not cancel.is_set() and not (folder / ANSWER).exists():
+        if not began and (folder / BEGAN).exists():
+            deadline, began = time.monotonic() + timeout + GRACE, True
+        with suppress(subprocess.TimeoutExpired):
             child.wait(timeout=_POLL)
-        except subprocess.TimeoutExpired:
-            continue
-        return True
-    return False
+            return
 
 
-def _read(answer: dict[str, object], problem: Problem) -> PlanningResult:
-    status = str(answer["status"])
-    if status == "unknown engine":
-        raise InputError(str(answer["message"]))
-    steps = answer.get("steps")
-    if not isinstance(steps, list):
-        known = PlanningStatus.__members__
-        return PlanningResult(known.get(status, PlanningStatus.CRASHED), message=str(answer.get("message", "")))
+def _end(child: subprocess.Popen[bytes], folder: Path) -> None:
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        _signal(number, child.pid, folder)
+        with suppress(subprocess.TimeoutExpired):
+            child.wait(timeout=1.0)
+    child.communicate()
+
+
+def _signal(number: signal.Signals, group: int, folder: Path) -> None:
+    """Send a signal to the group, and to those that have left it but still have the folder for their temporary files."""
+    mark = f"{_FOLDER}={folder}".encode()
+    for environment in Path("/proc").glob("[0-9]*/environ"):
+        pid = int(environment.parent.name)
+        with suppress(OSError):
+            if pid != os.getpid() and mark in environment.read_bytes().split(b"\0"):
+                os.kill(pid, number)
+    with suppress(ProcessLookupError):
+        os.killpg(group, number)
+
+
+def die_with_parent() -> None:
+    """In the child: end everything as soon as the process that started us is gone; to be called once, at the beginning."""
+    line = os.dup(0)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+
+    def wait() -> None:
+        os.read(line, 1)
+        _signal(signal.SIGKILL, os.getpgrp(), Path(os.environ[_FOLDER]))
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+# --- the answer ----------------------------------------------------------------------------
+
+
+def _read(answer: dict[str, Any], problem: Problem) -> PlanningResult:
+    if "unknown" in answer:
+        raise InputError(answer["unknown"])
+    status, message = PlanningStatus[answer["status"]], answer["message"]
+    if status is not PlanningStatus.SOLVED:
+        return PlanningResult(status, message=message)
     try:
-        return PlanningResult(PlanningStatus.SOLVED, _plan(steps, problem))
+        return PlanningResult(PlanningStatus.SOLVED, _plan(answer["steps"], problem), message)
     except (KeyError, TypeError, ValueError) as error:
-        return PlanningResult(PlanningStatus.CRASHED, message=f"the plan makes no sense: {error}")
+        return PlanningResult(PlanningStatus.CRASHED, message=f"the plan makes no sense: {error!r}")
 
 
 def _plan(steps: list[Any], problem: Problem) -> Plan:

@@ -87,7 +87,7 @@ def _options(*options: Decorator) -> Decorator:
 
 files = _options(click.argument("domain", type=_FILE), click.argument("problem", type=_FILE))
 planning = _options(
-    click.option("--planner", default="kairos", show_default=True, help="kairos, or any engine of unified-planning"),
+    click.option("--planner", default="kairos", show_default=True, help="kairos, any engine of unified-planning, race, or race:NAME,NAME"),
     click.option("--timeout", type=Seconds(0.01), default=30.0, show_default=True, help="seconds the planner may take"),
 )
 as_json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object as the last line, and nothing else")
@@ -117,9 +117,10 @@ def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: boo
             {"action": step.action, "arguments": list(step.arguments), "start": step.start, "duration": step.duration}
             for step in (found.plan.steps if found.plan else ())
         ]
-        print(json.dumps({"status": found.status.value, "message": found.message, "steps": steps if found.plan else None}))
+        told = {"status": found.status.value, "message": found.message, "planner": found.planner}
+        print(json.dumps({**told, "steps": steps if found.plan else None}))
     elif found.plan:
-        print(f"plan     {found.plan}")
+        print(f"plan     {found.plan}" + (f"\nplanner  {found.planner}" if found.planner != planner else ""))
     else:
         print(f"no plan: {found.reason}")
     return 0 if found.plan else 1

@@ -263,7 +263,9 @@ class _Task:
     async def _solve(self, problem: Problem) -> PlanningResult:
         timeout = max(0.01, min(self.settings.planner_timeout, self._left()))
         try:
-            return await asyncio.to_thread(solve, problem, planner=self.settings.planner, timeout=timeout, cancel=self.no_plan_needed)
+            return await asyncio.to_thread(
+                solve, problem, planner=self.settings.planner, timeout=timeout, cancel=self.no_plan_needed, executor=self.settings.executor
+            )
         except asyncio.CancelledError:
             self.no_plan_needed.set()
             raise

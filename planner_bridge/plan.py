@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Protocol
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +50,14 @@ class PlanningStatus(Enum):
     SOLVED = "solved"
     UNSOLVABLE = "proved unsolvable"
     NO_PLAN = "no plan found"
-    TIMED_OUT = "planner time-out"
+    TIMED_OUT = "time-out"
+    CANCELLED = "cancelled"
     OUT_OF_MEMORY = "out of memory"
-    UNSUPPORTED = "not supported by the planner"
-    INVALID = "refused by the planner"
+    UNSUPPORTED = "unsupported"
+    INVALID = "invalid input"
     CRASHED = "planner crashed"
+    INVALID_PLAN = "plan not valid"
+    DISAGREEMENT = "validators disagree"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +67,17 @@ class PlanningResult:
     status: PlanningStatus
     plan: Plan | None = None
     message: str = ""
+    planner: str = ""
+    """Which found the plan, or did not; several that raced, joined by commas."""
 
     @property
     def reason(self) -> str:
         """The status, and what the planner said about it."""
         return f"{self.status.value}{f': {self.message}' if self.message else ''}"
+
+
+class Stop(Protocol):
+    """Tells a search when nobody wants its plan any more; a `threading.Event` does."""
+
+    def is_set(self) -> bool:
+        """Tell whether to stop."""

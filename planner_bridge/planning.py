@@ -1,23 +1,28 @@
-"""Problem → Plan: Kairos in this process by default, any other engine in a child process.
+"""Problem → Plan: Kairos in this process by default, any other engine in a child process, or several at once.
 
-Every plan is validated before it is returned, by Kairos' validator. A limit in seconds bounds
-every search, and a search can be cancelled from another thread.
+Every plan is validated before it is returned. A limit in seconds bounds every search, and a
+search can be cancelled from another thread.
 """
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Iterable, Mapping
-from typing import Final
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
 
 import kairos
 
 from planner_bridge.model import Domain, Problem
 from planner_bridge.pddl.writer import write_domain, write_problem
-from planner_bridge.plan import Plan, PlanningResult, PlanningStatus, PlanStep
+from planner_bridge.plan import Plan, PlanningResult, PlanningStatus, PlanStep, Stop
 from pnm.errors import InputError
 
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
 DEFAULT_PLANNER: Final = "kairos"
+RACE: Final = "race"
 _POLL: Final = 0.05
 _THREADS: Final = 1
 """Phases of the search that run at once; one, so that the same problem always gets the same plan."""
@@ -31,31 +36,72 @@ _STATUS: Final[Mapping[kairos.Status, PlanningStatus]] = {
     kairos.Status.GROUNDING_TOO_LARGE: PlanningStatus.OUT_OF_MEMORY,
     kairos.Status.UNSUPPORTED: PlanningStatus.UNSUPPORTED,
     kairos.Status.INVALID_INPUT: PlanningStatus.INVALID,
-    kairos.Status.CANCELLED: PlanningStatus.TIMED_OUT,
+    kairos.Status.CANCELLED: PlanningStatus.CANCELLED,
     kairos.Status.INTERNAL_ERROR: PlanningStatus.CRASHED,
 }
 
 
 def solve(
-    problem: Problem, *, planner: str = DEFAULT_PLANNER, timeout: float = 30.0, cancel: threading.Event | None = None
+    problem: Problem,
+    *,
+    planner: str = DEFAULT_PLANNER,
+    timeout: float = 30.0,
+    cancel: Stop | None = None,
+    executor: Executor | None = None,
 ) -> PlanningResult:
-    """Search for a plan with the named planner, at most `timeout` seconds, and validate it."""
+    """Search for a plan, at most `timeout` seconds, and validate it.
+
+    Args:
+        problem: what is to be solved.
+        planner: kairos, an engine of unified-planning, ``race`` for several at once, or ``race:kairos,aries`` for these.
+        timeout: seconds that the search may take, besides the time to load a planner.
+        cancel: set from elsewhere when nobody wants the plan any more.
+        executor: runs the planners of a race; a process pool by default.
+
+    Raises:
+        InputError: the planner refuses the problem, is not known, or is not installed.
+    """
     stop = cancel or threading.Event()
+    if planner == RACE or planner.startswith(f"{RACE}:"):
+        from planner_bridge.race import race  # here, because most searches are no races
+
+        named = tuple(planner.removeprefix(RACE).removeprefix(":").split(",")) if planner != RACE else None
+        return race(problem, planners=named, timeout=timeout, executor=executor, cancel=stop)
+    return validated(problem, search(problem, planner, timeout, stop))
+
+
+def search(problem: Problem, planner: str, timeout: float, cancel: Stop) -> PlanningResult:
+    """Search with one planner; its plan is still to be validated.
+
+    Raises:
+        InputError: as `solve`.
+    """
     if planner == DEFAULT_PLANNER:
-        return _solve_with_kairos(problem, timeout, stop)
+        return replace(_solve_with_kairos(problem, timeout, cancel), planner=planner)
     from planner_bridge.child import solve_in_child  # here, because Kairos needs no child
 
-    result = solve_in_child(problem, planner, timeout, stop)
-    if result.plan is None:
-        return result
-    refusal = validate(problem, result.plan)
-    return PlanningResult(PlanningStatus.CRASHED, message=f"{planner} returned a plan that is not valid: {refusal}") if refusal else result
+    return replace(solve_in_child(problem, planner, timeout, cancel), planner=planner)
+
+
+# --- validation ----------------------------------------------------------------------------
+
+
+def validated(problem: Problem, found: PlanningResult) -> PlanningResult:
+    """Return what was found if there is no plan or all validators accept it; every plan goes through here."""
+    if found.plan is None:
+        return found
+    verdicts = {"Kairos' validator": validate(problem, found.plan)}
+    if not any(verdicts.values()):
+        return found
+    status = PlanningStatus.INVALID_PLAN if all(verdicts.values()) else PlanningStatus.DISAGREEMENT
+    said = "; ".join(f"{validator} says: {why or 'valid'}" for validator, why in verdicts.items())
+    return PlanningResult(status, message=f"{said}; the plan was {plan_text(found.plan)}", planner=found.planner)
 
 
 def validate(problem: Problem, plan: Plan) -> str:
     """Return why the plan does not solve the problem by Kairos' validator; empty when it does."""
     try:
-        report = kairos.validate(_load(problem), kairos.parse_plan(plan_text(plan)))
+        report = kairos.validate(_load(_without_tasks(problem)), kairos.parse_plan(plan_text(plan)))
     except kairos.PddlError as error:
         return str(error)
     return "" if report.valid else _told(report.diagnostics) or str(report.status)
@@ -68,21 +114,31 @@ def plan_text(plan: Plan) -> str:
     return "".join(f"{step.start:.6f}: ({' '.join((step.action, *step.arguments))}) [{step.duration:.6f}]\n" for step in plan.steps)
 
 
+# --- Kairos --------------------------------------------------------------------------------
+
+
 def _load(problem: Problem) -> kairos.Problem:
     """Hand the problem to Kairos as PDDL text.
 
     Raises:
-        InputError: Kairos does not accept what our reader accepted.
+        kairos.PddlError: Kairos does not accept what our reader accepted.
     """
+    domain = kairos.parse_domain(write_domain(problem.domain), f"{problem.domain.name}.pddl")
+    return kairos.parse_problem(write_problem(problem), domain, f"{problem.name}.pddl")
+
+
+def _without_tasks(problem: Problem) -> Problem:
+    """Return the problem as it is for a plan that has been found: how the steps came about does not matter any more."""
+    return replace(problem, domain=replace(problem.domain, hierarchy=()), network="")
+
+
+def _solve_with_kairos(problem: Problem, timeout: float, cancel: Stop) -> PlanningResult:
+    if problem.network or problem.domain.hierarchy:
+        return PlanningResult(PlanningStatus.UNSUPPORTED, message="task networks, which aries plans for (--planner aries)")
     try:
-        domain = kairos.parse_domain(write_domain(problem.domain), f"{problem.domain.name}.pddl")
-        return kairos.parse_problem(write_problem(problem), domain, f"{problem.name}.pddl")
+        loaded = _load(problem)
     except kairos.PddlError as error:
         raise InputError(f"the planner refuses the problem: {error}") from error
-
-
-def _solve_with_kairos(problem: Problem, timeout: float, cancel: threading.Event) -> PlanningResult:
-    loaded = _load(problem)
     search = kairos.Planner().start(  # type: ignore[no-untyped-call]
         loaded, timeout=timeout, anytime=False, threads=_THREADS
     )
@@ -93,9 +149,6 @@ def _solve_with_kairos(problem: Problem, timeout: float, cancel: threading.Event
     status, message = _STATUS[result.status], _told(result.diagnostics)
     if result.plan is None:
         return PlanningResult(PlanningStatus.NO_PLAN if status is PlanningStatus.SOLVED else status, message=message)
-    report = kairos.validate(loaded, result.plan)
-    if not report.valid:
-        return PlanningResult(PlanningStatus.CRASHED, message=f"the plan is not valid: {_told(report.diagnostics)}")
     return PlanningResult(PlanningStatus.SOLVED, _plan(result.plan, problem))
 
 

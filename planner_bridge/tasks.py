@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from planner_bridge.monitoring import ConstraintResult, PreferenceResult, Violation
 from planner_bridge.plan import Plan, PlanningResult
@@ -14,6 +14,9 @@ from pnm.bindings import Bindings
 from pnm.machine import OnFailure, PetriNetMachine
 from pnm.observer import Observer
 from pnm.results import CallResult, Failure, RunResult
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
 
 
 class TaskObserver(Observer):
@@ -47,6 +50,8 @@ class Settings:
     bindings: Bindings = field(default_factory=Bindings)
     limits: Limits = field(default_factory=Limits)
     on_failure: OnFailure = OnFailure.DRAIN
+    executor: Executor | None = None
+    """Runs the planners when they race; a process for each by default."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A tiny PDDL world for tests: robots on a ring of rooms with a door, and a lamp that needs holding."""
+"""Small PDDL worlds for tests: robots in rooms, fuses by the light of matches, tanks, and pigeons for whom there are not enough holes."""
 
 from __future__ import annotations
 
@@ -32,6 +32,18 @@ MATCHES = """
     :effect (and (at start (not (free))) (at end (mended ?f)) (at end (free)))))
 """
 
+TANKS = """
+(define (domain tanks)
+  (:requirements :typing :numeric-fluents)
+  (:types tank)
+  (:predicates (open ?t - tank))
+  (:functions (level ?t - tank))
+  (:action pour :parameters (?from ?to - tank)
+    :precondition (and (open ?to) (>= (level ?from) 2) (not (= ?from ?to)))
+    :effect (and (decrease (level ?from) 2) (increase (level ?to) 2)))
+  (:action unlock :parameters (?t - tank) :effect (open ?t)))
+"""
+
 
 def rooms(init: str = "(at r1 a) (at r2 a)", goal: str = "(and (at r1 c) (at r2 c))", ways: str = "ab bc ad dc") -> Problem:
     """Rooms a, b, c, d; by default two ways from a to c, over b and over d."""
@@ -49,3 +61,20 @@ def matches(fuses: int = 2) -> Problem:
     return parse_problem(
         f"(define (problem p) (:domain matches) (:objects {things}) (:init {init}) (:goal (and {goal})))", parse_domain(MATCHES)
     )
+
+
+def tanks(level: str = "4") -> Problem:
+    """Two pours of two from one tank into another."""
+    text = f"""(define (problem p) (:domain tanks) (:objects a b - tank)
+        (:init (= (level a) {level}) (= (level b) 0)) (:goal (>= (level b) 4)))"""
+    return parse_problem(text, parse_domain(TANKS))
+
+
+def hard(holes: int = 30) -> Problem:
+    """One pigeon more than holes: there is no plan, but no planner can see that soon."""
+    domain = """(define (domain d) (:requirements :typing) (:types pigeon hole) (:predicates (sits ?p - pigeon) (free ?h - hole))
+        (:action sit :parameters (?p - pigeon ?h - hole) :precondition (free ?h) :effect (and (sits ?p) (not (free ?h))))
+        (:action swap :parameters (?p ?q - pigeon) :precondition (sits ?p) :effect (and (not (sits ?p)) (sits ?q))))"""
+    things = f"{' '.join(f'p{n}' for n in range(holes + 1))} - pigeon {' '.join(f'h{n}' for n in range(holes))} - hole"
+    init, goal = (" ".join(f"({fact}{n})" for n in range(count)) for fact, count in (("free h", holes), ("sits p", holes + 1)))
+    return parse_problem(f"(define (problem p) (:domain d) (:objects {things}) (:init {init}) (:goal (and {goal})))", parse_domain(domain))

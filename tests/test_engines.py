@@ -3,66 +3,176 @@
 from __future__ import annotations
 
 import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
 import threading
-import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import unified_planning.shortcuts as up
 
-from planner_bridge.model import Problem
-from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.engines import require
+from planner_bridge.model import Metric, Problem
 from planner_bridge.pipeline import achieve
-from planner_bridge.plan import PlanningStatus
+from planner_bridge.plan import PlanningResult, PlanningStatus
 from planner_bridge.planning import solve, validate
 from pnm.errors import InputError
-from tests.domains import ROOMS, rooms
+from pnm.expressions import ValueOf
+from tests.domains import hard, matches, rooms, tanks
+from tests.processes import until, working_in
+
+needs_java = pytest.mark.skipif(shutil.which("java") is None, reason="enhsp runs in a Java machine, and there is none")
+FAST_DOWNWARD, ARIES, ENHSP = "fast-downward", "aries", pytest.param("enhsp", marks=needs_java)
+WORKS = {"fast-downward": "downward/builds", "aries": "up-aries_", "enhsp": "java"}
+"""For every engine, what is in the command line of the program that searches."""
 
 
-def plain() -> Problem:
-    """Rooms without numbers, which Aries does not take."""
-    text = ROOMS.replace("(:functions (total-cost) (energy ?r - robot))", "").replace("(increase (total-cost) 1)", "")
-    things = "(:objects r1 - robot a b c - room) (:init (at r1 a) (way a b) (way b c))"
-    return parse_problem(f"(define (problem p) (:domain rooms) {things} (:goal (at r1 c)))", parse_domain(text))
+# --- what they find ------------------------------------------------------------------------
 
 
-def test_another_engine_finds_a_valid_plan() -> None:
-    problem = plain()
-    found = solve(problem, planner="aries", timeout=30)
+@pytest.mark.parametrize(
+    ("engine", "problem"),
+    [
+        pytest.param(FAST_DOWNWARD, rooms(), id="fast-downward-facts"),
+        pytest.param(ARIES, rooms(), id="aries-facts"),
+        pytest.param("enhsp", rooms(), marks=needs_java, id="enhsp-facts"),
+        pytest.param(ARIES, tanks(), id="aries-whole-numbers"),
+        pytest.param("enhsp", tanks("4.5"), marks=needs_java, id="enhsp-numbers"),
+        pytest.param(ARIES, matches(2), id="aries-time"),
+    ],
+)
+def test_an_engine_finds_a_valid_plan(engine: str, problem: Problem) -> None:
+    found = solve(problem, planner=engine, timeout=60)
     assert found.plan is not None, found.reason
+    assert found.planner == engine
     assert validate(problem, found.plan) == ""
 
 
-def test_what_an_engine_cannot_do_is_told_in_its_words() -> None:
-    found = solve(rooms(goal="(at r1 c)"), planner="aries", timeout=30)
-    assert found.plan is None
-    assert "real" in found.reason.lower()
+def test_fast_downward_proves_that_there_is_no_plan() -> None:
+    assert solve(rooms(ways="ba"), planner="fast-downward").status is PlanningStatus.UNSOLVABLE
+
+
+@needs_java
+def test_what_enhsp_says_is_no_proof() -> None:
+    assert solve(rooms(ways="ba"), planner="enhsp").status is PlanningStatus.NO_PLAN
+
+
+def test_what_an_engine_cannot_do_is_named() -> None:
+    found = solve(matches(), planner="fast-downward")
+    assert found.status is PlanningStatus.UNSUPPORTED
+    assert "continuous time" in found.message
+
+
+def test_a_metric_that_an_engine_cannot_consider_is_left_out_and_that_is_said() -> None:
+    problem = replace(rooms(), metric=Metric("minimize", ValueOf(("energy", "r1"))))
+    found = solve(problem, planner="fast-downward")
+    assert found.status is PlanningStatus.SOLVED, found.reason
+    assert "without the metric" in found.message
+
+
+def test_two_at_once_do_not_disturb_each_other() -> None:
+    problems = [rooms(goal="(at r1 b)"), rooms()] * 2
+    with ThreadPoolExecutor(len(problems)) as pool:
+        found = list(pool.map(lambda problem: solve(problem, planner="fast-downward", timeout=60), problems))
+    assert [len(one.plan.steps) if one.plan else one.reason for one in found] == [1, 4, 1, 4]
+
+
+# --- what they need ------------------------------------------------------------------------
 
 
 def test_an_unknown_engine_is_an_input_error() -> None:
-    with pytest.raises(InputError, match=r"there is no planner 'nobody'; installed: .*aries"):
+    with pytest.raises(InputError, match=r"there is no planner 'nobody'; installed: kairos, .*aries.*fast-downward"):
         solve(rooms(), planner="nobody")
 
 
-def test_an_engine_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    solve(plain(), planner="aries", timeout=30)
-    assert os.listdir(tmp_path) == []
+def test_a_package_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", [])
+    with pytest.raises(InputError, match=r"aries is not installed: pip install up-aries, or 'petri-net-machines\[planners\]'"):
+        require("aries")
 
 
-def test_a_search_in_a_child_can_be_cancelled() -> None:
-    cancel = threading.Event()
-    cancel.set()
-    began = time.monotonic()
-    found = solve(rooms(), planner="aries", timeout=60, cancel=cancel)
+def test_a_program_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(InputError, match="enhsp needs java, which is not installed"):
+        solve(rooms(), planner="enhsp")
+
+
+# --- how they are stopped ------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where children get their folders."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return tmp_path
+
+
+def started(folder: Path, engine: str, cancel: threading.Event | None = None, timeout: float = 60) -> Future[PlanningResult]:
+    """Start on a hard problem, and wait until the engine itself is at work."""
+    pool = ThreadPoolExecutor(1)
+    found = pool.submit(solve, hard(), planner=engine, timeout=timeout, cancel=cancel)
+    pool.shutdown(wait=False)
+    until(lambda: working_in(folder, WORKS[engine]) or found.done())
+    assert not found.done(), found.result().reason
+    return found
+
+
+def test_an_engine_leaves_nothing_behind(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    solve(rooms(), planner="aries", timeout=60)
+    assert os.listdir(folder) == []
+
+
+@pytest.mark.parametrize("engine", [FAST_DOWNWARD, ENHSP])
+def test_at_its_limit_an_engine_is_stopped(folder: Path, engine: str) -> None:
+    found = started(folder, engine, timeout=1.0).result(timeout=60)
     assert found.status is PlanningStatus.TIMED_OUT
-    assert time.monotonic() - began < 30
+    assert not working_in(folder)
+    assert os.listdir(folder) == []
+
+
+@pytest.mark.parametrize("engine", [FAST_DOWNWARD, ENHSP])
+def test_a_search_that_is_cancelled_ends_at_once(folder: Path, engine: str) -> None:
+    cancel = threading.Event()
+    searching = started(folder, engine, cancel)
+    cancel.set()
+    assert searching.result(timeout=10).status is PlanningStatus.CANCELLED
+    assert not working_in(folder)
+
+
+def test_an_engine_that_the_system_kills_was_out_of_memory(folder: Path) -> None:
+    searching = started(folder, "aries")
+    (child,) = working_in(folder, "planner_bridge.up")
+    os.kill(child, signal.SIGKILL)
+    assert searching.result(timeout=10).status is PlanningStatus.OUT_OF_MEMORY
+    assert not working_in(folder)
+
+
+@needs_java
+def test_an_engine_that_runs_out_of_memory_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("JAVA_TOOL_OPTIONS", "-Xmx4m")
+    assert solve(hard(), planner="enhsp", timeout=60).status is PlanningStatus.OUT_OF_MEMORY
+
+
+@pytest.mark.parametrize("engine", [FAST_DOWNWARD, ENHSP])
+def test_when_we_are_killed_the_engine_goes_with_us(folder: Path, engine: str, root: Path) -> None:
+    code = f"from planner_bridge.planning import solve; from tests.domains import hard; solve(hard(), planner={engine!r}, timeout=600)"
+    us = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(folder)}, cwd=root)
+    until(lambda: working_in(folder, WORKS[engine]))
+    us.kill()
+    us.wait()
+    until(lambda: not working_in(folder), 10)
 
 
 def test_kairos_can_be_cancelled() -> None:
     cancel = threading.Event()
     cancel.set()
-    assert solve(rooms(), cancel=cancel).status in (PlanningStatus.TIMED_OUT, PlanningStatus.SOLVED)
+    assert solve(hard(), cancel=cancel).status is PlanningStatus.CANCELLED
 
 
 def test_a_problem_of_unified_planning_is_accepted_wherever_files_are() -> None:

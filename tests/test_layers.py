@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ONLY = {
     "rclpy": "pnm/ros/",
-    "unified_planning": "planner_bridge/up.py",
+    "unified_planning": "planner_bridge/up/",
     "kairos": "planner_bridge/planning.py",
     "click": "planner_bridge/cli.py",
 }
