@@ -108,10 +108,9 @@ def app() -> None:
 @_command
 def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: bool) -> int:
     """Find and print a plan."""
-    from planner_bridge.loading import load
     from planner_bridge.planning import solve
 
-    found = solve(load(domain, problem), planner=planner, timeout=timeout)
+    found = solve(_load(domain, problem), planner=planner, timeout=timeout)
     if as_json:
         steps = [
             {"action": step.action, "arguments": list(step.arguments), "start": step.start, "duration": step.duration}
@@ -135,14 +134,13 @@ def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: boo
 @_command
 def net(domain: Path, problem: Path, written_as: str, output: Path | None, bindings: Path | None, planner: str, timeout: float) -> int:
     """Plan, and write the machine."""
-    from planner_bridge.loading import load
     from planner_bridge.planning import solve
     from planner_bridge.plans import plan_graph
     from pnm.export.dot import to_dot
     from pnm.export.json import to_json
     from pnm.generation import generate
 
-    loaded = load(domain, problem)
+    loaded = _load(domain, problem)
     chosen = _bindings(bindings, domain, loaded)
     found = solve(loaded, planner=planner, timeout=timeout)
     if found.plan is None:
@@ -190,7 +188,6 @@ def run(
 ) -> int:
     """Plan, execute, and replan until the goal holds."""
     from planner_bridge.console import ConsoleObserver, Terminal, print_result
-    from planner_bridge.loading import load
     from planner_bridge.pipeline import Stopwatch, achieve
     from planner_bridge.replanning import Limits
     from planner_bridge.tasks import Settings, TaskObserver
@@ -200,7 +197,7 @@ def run(
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
     stopwatch = Stopwatch()
     with stopwatch.of("parse"):
-        loaded = load(domain, problem)
+        loaded = _load(domain, problem)
         chosen = _bindings(bindings, domain, loaded)
     limits = Limits(replans=replans, seconds=seconds)
     console = Terminal()
@@ -229,10 +226,9 @@ def run(
 @_command
 def simulate(domain: Path, problem: Path, bindings: Path | None, faults: Path | None, speed: float | None, log: Path | None) -> int:
     """Play the robots: offer a ROS 2 action server per action, and publish what sensors see."""
-    from planner_bridge.loading import load
     from planner_bridge.simulate import play
 
-    loaded = load(domain, problem)
+    loaded = _load(domain, problem)
     return play(loaded, _bindings(bindings, domain, loaded), _faults(faults, loaded), speed or (1.0 if loaded.timed else 20.0), log)
 
 
@@ -244,6 +240,16 @@ def demo() -> int:
     from planner_bridge.demo import show
 
     return show(Terminal())
+
+
+def _load(domain: Path, problem: Path) -> Problem:
+    """Read the problem, and say on stderr what in its files was not as it should be."""
+    from planner_bridge.loading import load, told
+
+    loaded = load(domain, problem)
+    for line in told(loaded.warnings):
+        print(line, file=sys.stderr)
+    return loaded
 
 
 def _faults(file: Path | None, problem: Problem) -> Faults:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from planner_bridge.model import Domain, Problem
 from planner_bridge.pddl import read_domain, read_problem
+from pnm.errors import Tolerated
+
+_SHOWN: Final = 20
+"""So many warnings about a file at most are told."""
 
 
 def load(domain: Path | str | Domain | None, problem: Path | str | Problem | Any) -> Problem:
@@ -20,3 +26,12 @@ def load(domain: Path | str | Domain | None, problem: Path | str | Problem | Any
     if domain is None:
         raise TypeError("a problem file needs a domain")
     return read_problem(Path(problem), domain if isinstance(domain, Domain) else read_domain(Path(domain)))
+
+
+def told(warnings: Iterable[Tolerated]) -> Iterator[str]:
+    """Yield a line for each warning, and for each file with many of them how many more there are."""
+    for file, group in groupby(warnings, key=lambda warning: warning.position.file):
+        found = list(group)
+        yield from map(str, found[:_SHOWN])
+        if len(found) > _SHOWN:
+            yield f"{file}: {len(found) - _SHOWN} more warnings"

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Final, Literal
 
 from pnm.conditions import TRUE, Condition
 from pnm.effects import Effects, TimedChange
-from pnm.errors import Tolerated
+from pnm.errors import Position, Tolerated
 from pnm.expressions import Expression, Fluent, Value, Variable
 from pnm.rules import Rule
 from pnm.trajectory import Constraint
 from pnm.vocabulary import Vocabulary
+
+UNDEFINED: Final[Fluent] = ("undefined",)
+"""Stands for no value where an effect takes the value of a function away; nothing is ever recorded about it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +79,18 @@ class Declaration:
     values: tuple[str, ...] = ()
     """Of a function whose values are objects, their types; empty for predicates and numeric functions."""
 
+    def __str__(self) -> str:
+        return f"({' '.join((self.name, *map(str, self.parameters)))})"
+
+
+@dataclass(frozen=True, slots=True)
+class Borrowed:
+    """An object that a domain names without declaring it: every problem has to."""
+
+    types: tuple[str, ...]
+    """What it is where it is named first."""
+    position: Position = field(compare=False)
+
 
 @dataclass(frozen=True)
 class Domain:
@@ -98,6 +113,7 @@ class Domain:
     """Constraints that should be kept but need not."""
     hierarchy: tuple[str, ...] = ()
     """Tasks and methods, as their HDDL text: only a hierarchical planner reads them."""
+    borrowed: Mapping[str, Borrowed] = field(default_factory=dict)
     warnings: tuple[Tolerated, ...] = field(default=(), compare=False, repr=False)
     """What in the file was not as it should be."""
 

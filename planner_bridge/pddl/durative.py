@@ -2,86 +2,145 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Final, Literal, TypeAlias, TypeVar, get_args
 
-from planner_bridge.model import DurationConstraint
-from planner_bridge.pddl.conditions import Reader, conjunction, operands
-from planner_bridge.pddl.names import unsupported
-from planner_bridge.pddl.sexpr import Atom, Group, Node, wrong
+from planner_bridge.model import DurationConstraint, Preference
+from planner_bridge.pddl.conditions import condition, conjunction
+from planner_bridge.pddl.effects import effects
+from planner_bridge.pddl.preferences import is_preference, preference, told_apart, under
+from planner_bridge.pddl.scope import Scope
+from planner_bridge.pddl.sexpr import Atom, Group, Node, tolerate, wrong
+from planner_bridge.pddl.words import operands, unsupported
 from pnm.conditions import TRUE, Condition, ForAll
 from pnm.effects import OPERATIONS, Effect, Effects, ForEach, When
+from pnm.expressions import Arithmetic, Expression, ValueOf
 
 Moment: TypeAlias = Literal["at start", "over all", "at end"]
 MOMENTS: Final[tuple[Moment, ...]] = get_args(Moment)
 T = TypeVar("T")
 Timed: TypeAlias = dict[Moment, list[T]]
 
+_INSIDE: Final = ("or", "not", "imply", "exists")
+"""What belongs inside a moment, not around it."""
 
-def timed_conditions(node: Node, reader: Reader) -> dict[Moment, Condition]:
-    """Return one condition for each moment."""
-    found = _conditions(node, reader)
-    return {moment: conjunction(found.get(moment, ())) for moment in MOMENTS}
+# --- conditions ----------------------------------------------------------------------------
 
 
-def _conditions(node: Node, reader: Reader) -> Timed[Condition]:
+def timed_conditions(node: Node, scope: Scope) -> tuple[dict[Moment, Condition], tuple[Preference, ...]]:
+    """Return one condition for each moment, and what should hold besides."""
+    hard, soft = _conditions(node, scope)
+    return {moment: conjunction(hard.get(moment, ())) for moment in MOMENTS}, tuple(soft)
+
+
+def _conditions(node: Node, scope: Scope) -> tuple[Timed[Condition], list[Preference]]:
     match node:
         case Group() if node.head == "and" or not node.items:
-            return _merged([_conditions(part, reader) for part in node.rest])
+            both = [_conditions(part, scope) for part in node.rest]
+            return _merged(hard for hard, _ in both), [one for _, soft in both for one in soft]
         case Group() if node.head == "forall":
-            variables, body = reader.quantified(node)
-            inner = _conditions(body, reader.inside(variables))
-            return {moment: [ForAll(variables, conjunction(parts))] for moment, parts in inner.items()}
-        case Group() if node.head == "preference":
-            reader.condition(node)  # which refuses it
+            scope.names.requirements.need(node, ":universal-preconditions")
+            variables, body = scope.quantified(node)
+            hard, soft = _conditions(body, scope.inside(variables))
+            return {moment: [ForAll(variables, conjunction(parts))] for moment, parts in hard.items()}, under(variables, soft)
+        case Group() if is_preference(node, scope):
+            name, (moment, wanted) = preference(node, scope, lambda body: _wanted(body, scope))
+            return {}, [Preference(name, wanted, moment=moment)]
+        case Group() if node.head in _INSIDE and len(moments := _moments(node)) == 1 and "over all" not in moments:
+            (moment,) = moments
+            tolerate(node, f"{node} is expected inside ({moment} ...)")
+            return {moment: [condition(_untimed(node), scope)]}, []
     moment, body = _timed(node, MOMENTS, "and or forall")
-    return {moment: [reader.condition(body)]}
+    wanted, preferred = told_apart(body, scope, moment)
+    return ({} if wanted == TRUE and preferred else {moment: [wanted]}), list(preferred)
 
 
-def timed_effects(node: Node, reader: Reader) -> dict[Moment, Effects]:
+def _moments(node: Group) -> set[Moment]:
+    """Return the moments that are named inside a condition."""
+    moment = _moment(node)
+    return {moment} if moment else set().union(*[_moments(part) for part in node.rest if isinstance(part, Group)])
+
+
+def _untimed(node: Node) -> Node:
+    """Return the condition without the moments named inside it."""
+    if not isinstance(node, Group):
+        return node
+    return node.items[2] if _moment(node) else Group(tuple([_untimed(part) for part in node.items]), node.offset, node.source)
+
+
+def _wanted(node: Node, scope: Scope) -> tuple[Moment, Condition]:
+    moment, body = _timed(node, MOMENTS, "one of them")
+    wanted, preferred = told_apart(body, scope)
+    if preferred:
+        raise wrong(node, "a preference cannot stand inside another")
+    return moment, wanted
+
+
+# --- effects -------------------------------------------------------------------------------
+
+
+def timed_effects(node: Node, scope: Scope) -> dict[Moment, Effects]:
     """Return the effects at the start and at the end."""
-    found = _effects(node, reader)
+    found = _effects(node, scope)
     return {moment: tuple(found.get(moment, ())) for moment in MOMENTS}
 
 
-def _effects(node: Node, reader: Reader) -> Timed[Effect]:
+def _effects(node: Node, scope: Scope) -> Timed[Effect]:
     match node:
         case Group() if node.head == "and" or not node.items:
-            return _merged([_effects(part, reader) for part in node.rest])
+            return _merged(_effects(part, scope) for part in node.rest)
         case Group() if node.head == "forall":
-            variables, body = reader.quantified(node)
-            inner = _effects(body, reader.inside(variables))
+            scope.names.requirements.need(node, ":conditional-effects")
+            variables, body = scope.quantified(node)
+            inner = _effects(body, scope.inside(variables))
             return {moment: [ForEach(variables, tuple(parts))] for moment, parts in inner.items()}
         case Group() if node.head == "when":
-            return _conditional(node, reader)
+            scope.names.requirements.need(node, ":conditional-effects")
+            return _conditional(node, scope)
         case Group() if node.head in OPERATIONS:
-            reader.effects(node)  # which refuses a continuous one
+            effects(node, scope)  # which refuses a continuous one
     moment, body = _timed(node, ("at start", "at end"), "and, forall or when")
-    return {moment: list(reader.effects(body))}
+    return {moment: list(effects(body, scope))}
 
 
-def _conditional(node: Group, reader: Reader) -> Timed[Effect]:
-    condition, effect = operands(node, 2)
-    conditions = {moment: part for moment, part in timed_conditions(condition, reader).items() if part != TRUE}
-    effects = _effects(effect, reader)
-    for moment in conditions:
-        if set(effects) - {moment}:
-            what = f"conditional effects '{', '.join(effects)}' on a condition '{moment}'"
-            raise unsupported(node, what, "a memory of the condition until the effect")
-    return {moment: [When(conditions.get(moment, TRUE), tuple(parts))] for moment, parts in effects.items()}
+def _conditional(node: Group, scope: Scope) -> Timed[Effect]:
+    first, second = operands(node, 2)
+    conditions, preferred = timed_conditions(first, scope)
+    if preferred:
+        raise wrong(first, "a preference cannot stand in the condition of an effect")
+    if conditions["over all"] != TRUE:
+        raise unsupported(first, "conditional effects on a condition 'over all'", "a watch over what is not required")
+    return {moment: [_when(conditions, moment, tuple(parts), node)] for moment, parts in _effects(second, scope).items()}
+
+
+def _when(conditions: Mapping[Moment, Condition], moment: Moment, parts: Effects, node: Node) -> Effect:
+    early, late = conditions["at start"], conditions["at end"]
+    if moment == "at start":
+        if late != TRUE:
+            raise wrong(node, "an effect 'at start' cannot depend on a condition 'at end'; expected one 'at start'")
+        return When(early, parts)
+    if early == TRUE:
+        return When(late, parts)
+    return When(early, (When(late, parts),) if late != TRUE else parts, early=True)
 
 
 def _timed(node: Node, moments: tuple[Moment, ...], others: str) -> tuple[Moment, Node]:
-    if isinstance(node, Group) and len(node.items) == 3:
-        first, second, body = node.items
-        for moment in moments:
-            if isinstance(first, Atom) and isinstance(second, Atom) and f"{first.key} {second.key}" == moment:
-                return moment, body
+    moment = _moment(node) if isinstance(node, Group) else None
+    if isinstance(node, Group) and moment in moments:
+        return moment, node.items[2]
     expected = ", ".join(f"({moment} ...)" for moment in moments)
     raise wrong(node, f"expected {expected}, {others}; found {node}")
 
 
-def _merged(parts: list[Timed[T]]) -> Timed[T]:
+def _moment(node: Group) -> Moment | None:
+    match node.items:
+        case (Atom() as first, Atom() as second, _):
+            return next((moment for moment in MOMENTS if moment == f"{first.key} {second.key}"), None)
+        case _:
+            return None
+
+
+def _merged(parts: Iterable[Timed[T]]) -> Timed[T]:
     result: Timed[T] = {}
     for part in parts:
         for moment, found in part.items():
@@ -92,23 +151,45 @@ def _merged(parts: list[Timed[T]]) -> Timed[T]:
 # --- duration ------------------------------------------------------------------------------
 
 _FORMS: Final[Mapping[str, Literal["=", "<=", ">="]]] = {"=": "=", "<=": "<=", ">=": ">="}
+_TURNED: Final[Mapping[Literal["=", "<=", ">="], Literal["=", "<=", ">="]]] = {"=": "=", "<=": ">=", ">=": "<="}
 
 
-def duration(node: Node, reader: Reader) -> tuple[DurationConstraint, ...]:
+def duration(node: Node, scope: Scope) -> tuple[DurationConstraint, ...]:
     """Read the constraints on ``?duration``; ``()`` leaves it free."""
     match node:
         case Group(items=()):
             return ()
         case Group() if node.head == "and":
-            return tuple([constraint for part in node.rest for constraint in duration(part, reader)])
+            return tuple([constraint for part in node.rest for constraint in duration(part, scope)])
         case Group(items=(Atom() as at, Atom() as moment, body)) if (at.key, moment.key) == ("at", "start"):
-            return duration(body, reader)
+            return duration(body, scope)
         case Group(items=(Atom() as at, Atom() as moment, _)) if (at.key, moment.key) == ("at", "end"):
             raise unsupported(node, "durations that are decided at the end", "a bound that is only known when the action ends")
         case Group() if node.head in _FORMS:
-            subject, bound = operands(node, 2)
-            if not isinstance(subject, Atom) or subject.key != "?duration":
-                raise wrong(subject, f"expected ?duration, found {subject}")
-            return (DurationConstraint(_FORMS[node.head], reader.expression(bound)),)
+            return (_bound(node, scope),)
         case _:
             raise wrong(node, f"expected (= ?duration ...), <=, >= or and of these; found {node}")
+
+
+def _bound(node: Group, scope: Scope) -> DurationConstraint:
+    left, right = operands(node, 2)
+    operation = _FORMS[node.head]
+    if _is_duration(right) and not _is_duration(left):
+        tolerate(node, "?duration is expected first")
+        left, right, operation = right, left, _TURNED[operation]
+    if not _is_duration(left):
+        raise wrong(left, f"expected ?duration, found {left}")
+    if operation != "=":
+        scope.names.requirements.need(node, ":duration-inequalities")
+    bound = scope.expression(right)
+    if _has_fluents(bound):
+        scope.names.requirements.need(node, ":numeric-fluents")
+    return DurationConstraint(operation, bound)
+
+
+def _is_duration(node: Node) -> bool:
+    return isinstance(node, Atom) and node.key == "?duration"
+
+
+def _has_fluents(expression: Expression) -> bool:
+    return isinstance(expression, ValueOf) or (isinstance(expression, Arithmetic) and any(map(_has_fluents, expression.operands)))

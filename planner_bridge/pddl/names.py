@@ -2,199 +2,101 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from difflib import get_close_matches
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final
 
-from planner_bridge.model import Declaration, Domain
-from planner_bridge.pddl.sexpr import Atom, Group, Node, wrong
-from pnm.effects import OPERATIONS
-from pnm.errors import InputError
+from planner_bridge.model import Borrowed, Declaration, Domain
+from planner_bridge.pddl.requirements import Requirements
+from planner_bridge.pddl.sexpr import Atom, Group, Node, tolerate, where, wrong
+from planner_bridge.pddl.words import CONNECTIVES, CONTINGENT, NAME, Types, is_number, nearest, one, runs, type_words, unknown, unsupported
 from pnm.expressions import Variable
 
-Types = tuple[str, ...]
+TOTAL_COST: Final = "total-cost"
+"""The one function that is used undeclared."""
+CONSTRAINTS: Final[Mapping[str, tuple[int, int]]] = {
+    "always": (0, 1),
+    "sometime": (0, 1),
+    "at-most-once": (0, 1),
+    "sometime-after": (0, 2),
+    "sometime-before": (0, 2),
+    "within": (1, 1),
+    "always-within": (1, 2),
+    "hold-during": (2, 1),
+    "hold-after": (1, 1),
+}
+"""For every operator of a trajectory constraint, how many times and how many conditions it takes."""
 
-CONNECTIVES: Final = frozenset(("and", "or", "not", "imply", "forall", "exists", "when", *OPERATIONS))
-"""Words that begin a condition or an effect, so that no predicate or function can be called so."""
-
-_NAME: Final = re.compile(r"[A-Za-z0-9_@.][A-Za-z0-9_@.-]*")
-_NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
-_SHOWN: Final = 8
-"""So many names at most are listed in an error."""
-
-_FOREIGN: Final = {
-    "preference": ("preferences", "a planner that weighs which goals to give up"),
-    "oneof": ("uncertain facts (oneof)", "a contingent planner"),
-    "unknown": ("uncertain facts (unknown)", "a contingent planner"),
+_UNCERTAIN: Final[Mapping[str, tuple[str, str]]] = {
+    "oneof": ("uncertain facts (oneof)", CONTINGENT),
+    "unknown": ("uncertain facts (unknown)", CONTINGENT),
     "probabilistic": ("probabilistic effects", "a probabilistic planner"),
-    "is-violated": ("preferences (is-violated)", "a planner that weighs which goals to give up"),
-    **dict.fromkeys(
-        (
-            *("always", "sometime", "within", "at-most-once", "sometime-after", "sometime-before"),
-            *("always-within", "hold-during", "hold-after"),
-        ),
-        ("trajectory constraints", "checks over a whole run"),
-    ),
+}
+_PLACES: Final[Mapping[str, str]] = {
+    "preference": "in a goal, a precondition or :constraints, and there only inside and, forall",
+    "is-violated": "in :metric",
+    **dict.fromkeys(CONSTRAINTS, "in :constraints"),
 }
 
 
-# --- errors --------------------------------------------------------------------------------
-
-
-def unsupported(node: Node, what: str, needed: str) -> InputError:
-    """Return the error for a construct of PDDL that is not read."""
-    return wrong(node, f"{what} are not supported yet; {needed} would be needed")
-
-
-def unknown(kind: str, atom: Atom, known: Collection[str]) -> InputError:
-    """Return the error for a name that nobody declared, with the nearest that somebody did."""
-    spelled = {name.lower(): name for name in known}
-    near = get_close_matches(atom.key, spelled, 1)
-    if near:
-        hint = f"did you mean {spelled[near[0]]!r}?"
-    elif known:
-        hint = f"expected one of {', '.join(list(known)[:_SHOWN])}{', ...' if len(known) > _SHOWN else ''}"
-    else:
-        hint = "none is declared"
-    return wrong(atom, f"unknown {kind} {atom}; {hint}")
-
-
-# --- words and typed lists -----------------------------------------------------------------
-
-
-def is_number(node: Node) -> bool:
-    """Tell whether the part is written as a number."""
-    return isinstance(node, Atom) and _NUMBER.fullmatch(node.text) is not None
-
-
-def number(node: Node) -> float:
-    """Return the number, which must be finite."""
-    if not isinstance(node, Atom) or not is_number(node):
-        raise wrong(node, f"expected a number, found {node}")
-    value = float(node.text)
-    if value in (float("inf"), float("-inf")):
-        raise wrong(node, f"the number {node.text} is too large")
-    return value
-
-
-def new_name(node: Node, kind: str, forbidden: Collection[str] = ()) -> str:
-    """Return a name that is being declared, spelled as it stands."""
-    match node:
-        case Atom() if node.key in forbidden:
-            raise wrong(node, f"{node} is a word of PDDL and cannot name {_one(kind)}")
-        case Atom(text) if _NAME.fullmatch(text) and not is_number(node):
-            return text
-        case Atom(text) if text[0] != "?" and text[0] != ":" and not is_number(node):
-            raise wrong(node, f"{node} cannot name {_one(kind)}; expected letters, digits and _ - . @")
-        case _:
-            raise wrong(node, f"expected the name of {_one(kind)}, found {node}")
-
-
-def _one(kind: str) -> str:
-    return f"an {kind}" if kind[0] in "aeiou" else f"a {kind}"
-
-
-def runs(items: Sequence[Node]) -> Iterator[tuple[list[Node], Node | None]]:
-    """Split ``a b - t c`` into ``([a, b], t)`` and ``([c], None)``; ``-t`` without a space is read too."""
-    names: list[Node] = []
-    rest = iter(items)
-    for item in rest:
-        match item:
-            case Atom("-"):
-                kind = next(rest, None)
-                if kind is None:
-                    raise wrong(item, "expected a type after '-', found nothing")
-            case Atom(text, offset, source) if text[0] == "-":
-                kind = Atom(text[1:], offset + 1, source)
-            case _:
-                names.append(item)
-                continue
-        if not names:
-            raise wrong(item, "expected a name before '-', found nothing")
-        yield names, kind
-        names = []
-    if names:
-        yield names, None
-
-
-def type_words(node: Node) -> tuple[Atom, ...]:
-    """Return the words of ``t`` or ``(either t u)``."""
-    words = node.rest if isinstance(node, Group) and node.head == "either" and node.rest else (node,)
-    found = tuple(word for word in words if isinstance(word, Atom))
-    if len(found) < len(words):
-        raise wrong(node, f"expected a type or (either TYPE ...), found {node}")
-    return found
-
-
-def show_types(types: Types) -> str:
-    """Write the types of a term for a person."""
-    return " or ".join(types)
-
-
-# --- look-up -------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
+@dataclass
 class Names:
-    """Everything declared so far: what a domain declares, and the objects."""
+    """Everything declared so far: what a domain declares, and the objects.
+
+    The mutable state is what is used without having been declared.
+    """
 
     domain: Domain
     objects: Mapping[str, Types]
+    requirements: Requirements
+    lenient: bool = False
+    """In a domain: actions may name objects of the problems to come, and ask for facts that no action brings about."""
+    derived: frozenset[str] = frozenset()
+    """Predicates that follow from others."""
+    costs: Declaration | None = None
+    """Of the total cost, when it is used undeclared."""
+    borrowed: dict[str, Borrowed] = field(default_factory=dict)
+    """Objects that only problems declare."""
+    wishes: dict[str, str] = field(default_factory=dict)
+    """Names of preferences, by lower case."""
+    _strays: dict[str, bool] = field(default_factory=dict)
+    """Answers of `is_stray`, by lower case."""
+
+    # --- types ---
 
     def types(self, node: Node | None) -> Types:
         """Return the types a typed list gives; ``object`` when it gives none."""
         if node is None:
             return ("object",)
+        self.requirements.need(node, ":typing")
         words = type_words(node)
         for word in words:
             if word.key not in self._types:
                 raise unknown("type", word, self._types.values())
         return tuple(dict.fromkeys(self._types[word.key] for word in words))
 
-    def variables(self, items: Sequence[Node], *, distinct: bool = True) -> tuple[Variable, ...]:
-        """Read typed variables; only a declaration may repeat a name."""
+    def variables(self, items: Sequence[Node], *, declaring: bool = False, types: Sequence[Types] = ()) -> tuple[Variable, ...]:
+        """Read typed variables; only a declaration may repeat a name. One without a type has that of its place, if given."""
         found: list[Variable] = []
         seen: set[str] = set()
         for names, kind in runs(items):
-            types = self.types(kind)
+            given = self.types(kind)
             for name in names:
-                if not isinstance(name, Atom) or name.text[0] != "?" or not _NAME.fullmatch(name.text[1:]):
+                if not isinstance(name, Atom) or name.text[0] != "?" or not NAME.fullmatch(name.text[1:]):
                     raise wrong(name, f"expected a variable such as ?x, found {name}")
-                if distinct and name.key in seen:
-                    raise wrong(name, f"the variable {name} is there twice")
+                if name.key in seen:
+                    if not declaring:
+                        raise wrong(name, f"the variable {name} is there twice")
+                    tolerate(name, f"the variable {name} is there twice")
                 seen.add(name.key)
-                found.append(Variable(name.text, types))
+                found.append(Variable(name.text, types[len(found)] if kind is None and len(found) < len(types) else given))
         return tuple(found)
 
-    def predicate(self, node: Group) -> Declaration:
-        """Return the declaration of the predicate the list begins with."""
-        return self._declared(node, "predicate", self._predicates, "function", self._functions)
-
-    def function(self, node: Node) -> Declaration:
-        """Return the declaration of the function the list begins with; without arguments, the word alone will do."""
-        return self._declared(node, "function", self._functions, "predicate", self._predicates)
-
-    def is_function(self, word: Atom) -> bool:
-        """Tell whether a function has this name."""
-        return word.key in self._functions
-
-    def has_predicate(self, key: str) -> bool:
-        """Tell whether a predicate has this name, in lower case."""
-        return key in self._predicates
-
-    def object(self, word: Atom) -> tuple[str, Types]:
-        """Return the object's name as declared, and its types."""
-        found = self.find_object(word.text)
-        if found is None:
-            raise unknown("object", word, self.objects)
-        return found
-
-    def find_object(self, name: str) -> tuple[str, Types] | None:
-        """Return an object's name as declared and its types, or None when there is no such object."""
-        return self._objects.get(name.lower())
+    def joined(self, *types: Types) -> Types:
+        """Return the types of something that is of all of these, without those that follow from another."""
+        every = tuple(dict.fromkeys(kind for some in types for kind in some))
+        return tuple(kind for kind in every if not any(kind in self._supertypes[other] for other in every if other != kind))
 
     def matches(self, given: Types, needed: Types) -> bool:
         """Tell whether an object of these types can stand where the others are needed."""
@@ -207,18 +109,102 @@ class Names:
         below = [self._subtypes[one] for one in needed]
         return any(not self._subtypes[one].isdisjoint(other) for one in given for other in below)
 
+    # --- objects ---
+
+    def object(self, word: Atom, needed: Types) -> tuple[str, Types]:
+        """Return the object's name as declared, and its types; a problem may still have to declare it, as what is needed."""
+        found = self.find_object(word.text)
+        if found is None:
+            return self._borrow(word, needed)
+        return found
+
+    def find_object(self, name: str) -> tuple[str, Types] | None:
+        """Return an object's name as declared and its types, or None when there is no such object."""
+        return self._objects.get(name.lower())
+
+    def _borrow(self, word: Atom, needed: Types) -> tuple[str, Types]:
+        if not self.lenient or not NAME.fullmatch(word.text) or is_number(word) or nearest(word, self.objects):
+            raise unknown("object", word, self.objects)
+        tolerate(word, f"the object {word} is not among the :constants; every problem has to declare it")
+        self.borrowed[word.text] = Borrowed(needed, where(word))
+        self._objects[word.key] = (word.text, needed)
+        return self._objects[word.key]
+
+    # --- predicates and functions ---
+
+    def predicate(self, node: Node) -> Declaration:
+        """Return the declaration of the predicate the list begins with."""
+        return self._declared(node, "predicate", self._predicates, "function", self._functions)
+
+    def function(self, node: Node) -> Declaration:
+        """Return the declaration of the function the list begins with; without arguments, the word alone will do."""
+        return self._declared(node, "function", self._functions, "predicate", self._predicates)
+
+    def find_function(self, node: Node) -> Declaration | None:
+        """Return the declaration of the function that the word, or the list, begins with, if it is one."""
+        word = node.items[0] if isinstance(node, Group) and node.items else node
+        return self._functions.get(word.key) if isinstance(word, Atom) else None
+
+    def has_predicate(self, key: str) -> bool:
+        """Tell whether a predicate has this name, in lower case."""
+        return key in self._predicates
+
+    def is_stray(self, node: Node) -> bool:
+        """Tell whether the list begins with a name that nothing has, nor anything alike: no slip of the pen."""
+        word = node.items[0] if isinstance(node, Group) and node.items else node
+        if not isinstance(word, Atom) or word.key in self._predicates or word.key in self._functions:
+            return False
+        if isinstance(node, Group) and any(isinstance(part, Group) for part in node.rest):
+            return False
+        if word.key not in self._strays:
+            self._strays[word.key] = (
+                word.key not in (*_PLACES, *_UNCERTAIN, *CONNECTIVES, TOTAL_COST)
+                and NAME.fullmatch(word.text) is not None
+                and not is_number(word)
+                and nearest(word, [*self._predicates, *self._functions]) is None
+            )
+        return self._strays[word.key]
+
+    @cached_property
+    def has_object_functions(self) -> bool:
+        """Whether some function has objects for values."""
+        return any(declared.values for declared in self._functions.values())
+
     def _declared(
         self, node: Node, kind: str, known: Mapping[str, Declaration], other_kind: str, other: Mapping[str, Declaration]
     ) -> Declaration:
         word = node.items[0] if isinstance(node, Group) and node.items else node
         if not isinstance(word, Atom):
-            raise wrong(word, f"expected the name of {_one(kind)}, found {word}")
+            raise wrong(word, f"expected the name of {one(kind)}, found {word}")
         if word.key in known:
             return known[word.key]
+        return (
+            self._alike(word, kind, known) or self._undeclared_cost(word, kind) or self._refuse(node, word, kind, known, other_kind, other)
+        )
+
+    def _alike(self, word: Atom, kind: str, known: Mapping[str, Declaration]) -> Declaration | None:
+        for key, declared in known.items():
+            if key.replace("_", "-") == word.key.replace("_", "-"):
+                tolerate(word, f"the {kind} {word} is read as {declared.name!r}")
+                return declared
+        return None
+
+    def _undeclared_cost(self, word: Atom, kind: str) -> Declaration | None:
+        if kind != "function" or word.key != TOTAL_COST:
+            return None
+        tolerate(word, f"the function {word} is not declared; it is read as (total-cost) - number")
+        self.costs = self._functions[TOTAL_COST] = Declaration(TOTAL_COST)
+        return self.costs
+
+    def _refuse(
+        self, node: Node, word: Atom, kind: str, known: Mapping[str, Declaration], other_kind: str, other: Mapping[str, Declaration]
+    ) -> Declaration:
         if word.key in other:
             raise wrong(word, f"{word} is a {other_kind}; expected a {kind}")
-        if word.key in _FOREIGN:
-            raise unsupported(node, *_FOREIGN[word.key])
+        if word.key in _UNCERTAIN:
+            raise unsupported(node, *_UNCERTAIN[word.key])
+        if word.key in _PLACES:
+            raise wrong(word, f"{word} cannot stand here; expected it {_PLACES[word.key]}")
         if word.key in CONNECTIVES:
             raise wrong(word, f"{word} cannot stand here; expected a {kind}")
         raise unknown(kind, word, [declared.name for declared in known.values()])

@@ -2,38 +2,47 @@
 
 Sections may stand in any order, so a file is first cut into its sections and these are then
 interpreted in the order in which they need each other: types, constants, predicates and
-functions, actions. Every error is an `InputError` with file, line and column.
+functions, rules, constraints, actions. Every error is an `InputError` with file, line and
+column; what is not as it should be but can be understood becomes a warning of the model.
 
 Names are compared without case and spelled as first declared, in a problem as in its domain.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Literal, TypeAlias
+from typing import Final, Literal
 
-from planner_bridge.model import Declaration, Domain, Metric, Problem
+from planner_bridge.model import Domain, Metric, Preference, Problem
 from planner_bridge.pddl import declarations
 from planner_bridge.pddl.actions import DURATIVE, INSTANTANEOUS, actions
-from planner_bridge.pddl.conditions import Reader, operands
-from planner_bridge.pddl.names import Names, is_number, number, unsupported
+from planner_bridge.pddl.constraints import constraints
+from planner_bridge.pddl.initial import initial
+from planner_bridge.pddl.names import TOTAL_COST, Names
+from planner_bridge.pddl.preferences import told_apart
+from planner_bridge.pddl.requirements import Requirements, requirements
+from planner_bridge.pddl.rules import DERIVED, heads, rules
+from planner_bridge.pddl.scope import Scope
 from planner_bridge.pddl.sections import Definition, define
-from planner_bridge.pddl.sexpr import Atom, Group, Node, wrong
-from pnm.conditions import Condition
-from pnm.effects import TimedChange
-from pnm.expressions import Fluent, Value, show
-from pnm.text_files import read_text
+from planner_bridge.pddl.sexpr import Atom, Group, text_of, tolerate, wrong
+from pnm.conditions import TRUE, Condition
+from pnm.errors import Tolerated
+from pnm.text_files import read_any_text
 
 MAX_BYTES: Final = 50_000_000
 
-_DOMAIN_SECTIONS: Final = (":requirements", ":predicates", ":types", ":constants", ":functions", INSTANTANEOUS, DURATIVE)
-_PROBLEM_SECTIONS: Final = (":domain", ":init", ":goal", ":objects", ":metric", ":requirements", ":length")
+_HIERARCHY: Final = (":task", ":method")
+_NETWORK: Final = (":htn", ":tasks")
+_DOMAIN_SECTIONS: Final = (
+    *(":requirements", ":predicates", ":types", ":constants", ":functions", INSTANTANEOUS, DURATIVE, DERIVED, ":constraints"),
+    *_HIERARCHY,
+)
+_PROBLEM_SECTIONS: Final = (
+    *(":domain", ":init", ":goal", ":objects", ":metric", ":constraints", ":requirements", ":length"),
+    *_NETWORK,
+)
 _DIRECTIONS: Final[dict[str, Literal["minimize", "maximize"]]] = {"minimize": "minimize", "maximize": "maximize"}
-_CONTINGENT: Final = ("or", "oneof", "unknown")
-
-_Change: TypeAlias = tuple[Fluent, Value]
 
 
 def read_domain(path: Path) -> Domain:
@@ -42,16 +51,18 @@ def read_domain(path: Path) -> Domain:
     Raises:
         InputError: the file cannot be read, is not a domain, or uses PDDL that is not supported.
     """
-    return parse_domain(read_text(path, MAX_BYTES), str(path))
+    text, warnings = read_any_text(path, MAX_BYTES)
+    return _domain(text, str(path), warnings)
 
 
 def read_problem(path: Path, domain: Domain) -> Problem:
-    """Read a PDDL problem for a domain; the name it gives the domain is not compared.
+    """Read a PDDL problem for a domain.
 
     Raises:
         InputError: the file cannot be read, is not a problem for this domain, or uses PDDL that is not supported.
     """
-    return parse_problem(read_text(path, MAX_BYTES), domain, str(path))
+    text, warnings = read_any_text(path, MAX_BYTES)
+    return _problem(text, domain, str(path), warnings)
 
 
 def parse_domain(text: str, file: str = "domain.pddl") -> Domain:
@@ -63,21 +74,7 @@ def parse_domain(text: str, file: str = "domain.pddl") -> Domain:
     Raises:
         InputError: the text is not a domain, or uses PDDL that is not supported.
     """
-    definition = define(text, file, "domain", _DOMAIN_SECTIONS)
-    domain = Domain(
-        definition.name,
-        declarations.requirements(definition.parts(":requirements")),
-        declarations.types(definition.parts(":types")),
-    )
-    names = Names(domain, {})
-    facts = declarations.predicates(definition.parts(":predicates"), names)
-    domain = replace(
-        domain,
-        constants=declarations.objects(definition.parts(":constants"), names),
-        predicates=facts,
-        functions=declarations.functions(definition.parts(":functions"), names, facts),
-    )
-    return replace(domain, actions=actions(definition.every(INSTANTANEOUS, DURATIVE), Names(domain, domain.constants)))
+    return _domain(text, file, ())
 
 
 def parse_problem(text: str, domain: Domain, file: str = "problem.pddl") -> Problem:
@@ -86,79 +83,123 @@ def parse_problem(text: str, domain: Domain, file: str = "problem.pddl") -> Prob
     Raises:
         InputError: the text is not a problem for this domain, or uses PDDL that is not supported.
     """
+    return _problem(text, domain, file, ())
+
+
+# --- domains -------------------------------------------------------------------------------
+
+
+def _domain(text: str, file: str, warnings: tuple[Tolerated, ...]) -> Domain:
+    definition = define(text, file, "domain", _DOMAIN_SECTIONS)
+    words = requirements(definition.parts(":requirements"))
+    needed = Requirements(words)
+    domain = Domain(definition.name, words, declarations.types(definition.lists(":types"), needed))
+    names = Names(domain, {}, needed)
+    sections = definition.every(DERIVED)
+    facts = declarations.predicates(definition.parts(":predicates"), names)
+    domain = replace(
+        domain,
+        constants=declarations.objects(definition.lists(":constants"), names),
+        predicates=facts,
+        functions=declarations.functions(definition.lists(":functions"), names, facts),
+    )
+    derived = heads(sections, Names(domain, domain.constants, needed))
+    domain = replace(domain, predicates={**domain.predicates, **derived})
+    names = Names(domain, domain.constants, needed, lenient=True, derived=frozenset(derived))
+    found = rules(sections, names)
+    hard, soft = constraints(definition.parts(":constraints"), Scope(names))
+    schemas = actions(definition.every(INSTANTANEOUS, DURATIVE), names)
+    return replace(
+        domain,
+        functions={**domain.functions, **({TOTAL_COST: names.costs} if names.costs else {})},
+        borrowed=names.borrowed,
+        actions=schemas,
+        rules=found,
+        constraints=hard,
+        preferences=soft,
+        hierarchy=_kept(definition, _HIERARCHY, needed),
+        warnings=(*warnings, *definition.whole.source.tolerated),
+    )
+
+
+def _kept(definition: Definition, keys: tuple[str, ...], needed: Requirements) -> tuple[str, ...]:
+    sections = definition.every(*keys)
+    for section in sections:
+        needed.need(section, ":hierarchy", ":htn")
+    return tuple(map(text_of, sections))
+
+
+# --- problems ------------------------------------------------------------------------------
+
+
+def _problem(text: str, domain: Domain, file: str, warnings: tuple[Tolerated, ...]) -> Problem:
     definition = define(text, file, "problem", _PROBLEM_SECTIONS)
-    own = declarations.objects(definition.parts(":objects"), Names(domain, domain.constants))
-    names = Names(domain, {**domain.constants, **own})
-    init, timed = _initial(definition.parts(":init"), Reader(names))
-    return Problem(definition.name, domain, own, init, timed, _goal(definition, Reader(names)), _metric(definition, names))
+    _belongs(definition, domain)
+    words = requirements(definition.parts(":requirements"))
+    needed = Requirements((*domain.requirements, *words, ":typing"))
+    shared = Names(domain, domain.constants, needed)
+    own = declarations.borrow(declarations.objects(definition.lists(":objects"), shared), shared, definition.whole)
+    names = Names(
+        domain, {**domain.constants, **own}, needed, derived=frozenset(rule.name for rule in domain.rules), wishes=_wishes(domain)
+    )
+    network = "\n".join(_kept(definition, _NETWORK, needed))
+    init, timed = initial(definition.parts(":init"), Scope(names))
+    goal, goals = _goal(definition, Scope(names), TRUE if network else None)
+    hard, soft = constraints(definition.parts(":constraints"), Scope(names))
+    metric = _metric(definition, Scope(names, metric=True))
+    return Problem(
+        definition.name,
+        replace(domain, functions={**domain.functions, TOTAL_COST: names.costs}) if names.costs else domain,
+        own,
+        init,
+        timed,
+        goal,
+        metric,
+        hard,
+        (*goals, *soft),
+        network,
+        words,
+        (*domain.warnings, *warnings, *definition.whole.source.tolerated),
+    )
 
 
-# --- initial state -------------------------------------------------------------------------
-
-
-def _initial(parts: Iterable[Node], reader: Reader) -> tuple[dict[Fluent, Value], tuple[TimedChange, ...]]:
-    init: dict[Fluent, Value] = {}
-    timed: dict[float, dict[Fluent, Value]] = {}
-    for part in parts:
-        match part:
-            # `at` may also be a predicate; only a timed literal has a number before a list
-            case Group(items=(Atom(), Atom() as time, Group() as change)) if part.head == "at" and is_number(time):
-                _put(timed.setdefault(_time(time), {}), _change(change, reader), part)
-            case _:
-                _put(init, _change(part, reader), part)
-    true = {fluent: value for fluent, value in init.items() if value is not False}
-    return true, tuple([TimedChange(time, timed[time]) for time in sorted(timed)])
-
-
-def _time(node: Node) -> float:
-    time = number(node)
-    if time < 0:
-        raise wrong(node, f"expected a time of at least 0, found {node}")
-    return time
-
-
-def _change(node: Node, reader: Reader) -> _Change:
-    match node:
-        case Group() if node.head == "=":
-            function, value = operands(node, 2)
-            return reader.function(function), number(value)
-        case Group() if node.head == "not":
-            return reader.fact(operands(node, 1)[0]), False
-        case Group() if node.head in _CONTINGENT and not reader.names.has_predicate(node.head):
-            raise unsupported(node, f"uncertain initial states ({node.head} in :init)", "a contingent planner")
-        case Group():
-            return reader.fact(node), True
+def _belongs(definition: Definition, domain: Domain) -> None:
+    section = definition.one(":domain")
+    match section:
+        case Group(items=(_, Atom() as name)):
+            if name.key != domain.name.lower():
+                tolerate(name, f"the problem is for a domain {name}; this one is {domain.name!r}")
+        case None:
+            tolerate(definition.whole, f"the problem does not name its domain; expected (:domain {domain.name})")
         case _:
-            raise wrong(node, f"expected a fact, (= FUNCTION NUMBER) or (at TIME ...), found {node}")
+            raise wrong(section, f"expected (:domain {domain.name})")
+    length = definition.one(":length")
+    if length is not None:
+        tolerate(length, "':length' is ignored")
 
 
-def _put(found: dict[Fluent, Value], change: _Change, node: Node) -> None:
-    fluent, value = change
-    if found.setdefault(fluent, value) != value:
-        raise wrong(node, f"{show(fluent)} has another value before; expected one value")
+def _wishes(domain: Domain) -> dict[str, str]:
+    every = (*domain.preferences, *(one for action in domain.actions.values() for one in action.preferences))
+    return {one.name.lower(): one.name for one in every if one.name}
 
 
-# --- goal and metric -----------------------------------------------------------------------
-
-
-def _goal(definition: Definition, reader: Reader) -> Condition:
+def _goal(definition: Definition, scope: Scope, default: Condition | None) -> tuple[Condition, tuple[Preference, ...]]:
     section = definition.one(":goal")
     if section is None:
-        raise wrong(definition.whole, "there is no :goal; expected (:goal CONDITION)")
+        if default is None:
+            raise wrong(definition.whole, "there is no :goal; expected (:goal CONDITION)")
+        return default, ()
     if len(section.rest) != 1:
         raise wrong(section, f"expected (:goal CONDITION), found {len(section.rest)} conditions")
-    return reader.condition(section.rest[0])
+    return told_apart(section.rest[0], scope)
 
 
-def _metric(definition: Definition, names: Names) -> Metric | None:
+def _metric(definition: Definition, scope: Scope) -> Metric | None:
     section = definition.one(":metric")
     if section is None:
         return None
-    # total-time is the one function that is there undeclared, and only here
-    functions = {**names.domain.functions, "total-time": Declaration("total-time")}
-    reader = Reader(Names(replace(names.domain, functions=functions), names.objects))
     match section.rest:
         case (Atom() as direction, expression) if direction.key in _DIRECTIONS:
-            return Metric(_DIRECTIONS[direction.key], reader.expression(expression))
+            return Metric(_DIRECTIONS[direction.key], scope.expression(expression))
         case _:
             raise wrong(section, "expected (:metric minimize EXPRESSION) or (:metric maximize EXPRESSION)")

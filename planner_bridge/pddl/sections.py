@@ -7,19 +7,17 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Final, Literal
 
-from planner_bridge.pddl.names import new_name, unsupported
-from planner_bridge.pddl.sexpr import Atom, Group, Node, parse, where, wrong
+from planner_bridge.pddl.sexpr import Atom, Group, Node, parse, plain, tolerate, where, wrong
+from planner_bridge.pddl.words import CONTINGENT, new_name, unsupported
 from pnm.errors import InputError, Position
 
-_TASKS: Final = ("task networks (HDDL)", "a hierarchical planner")
 _UNSUPPORTED: Final[Mapping[str, tuple[str, str]]] = {
-    ":derived": ("derived predicates (:derived)", "rules that are applied after every change"),
-    ":constraints": ("trajectory constraints (:constraints)", "checks over a whole run"),
     ":process": ("processes (:process)", "a simulation of change over time"),
     ":event": ("events (:event)", "changes that happen without an action"),
-    ":observe": ("sensing actions (:observe)", "a contingent planner"),
-    **dict.fromkeys((":task", ":method", ":htn", ":tasks", ":subtasks", ":ordered-subtasks"), _TASKS),
+    ":observe": ("sensing actions (:observe)", CONTINGENT),
 }
+_SEVERAL: Final = (":action", ":durative-action", ":derived", ":task", ":method")
+"""Sections of which a file has as many as it likes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,15 +32,20 @@ class Definition:
         """Return the sections of these names in the order of the file."""
         return [section for section in self.sections if section.head in keys]
 
+    def lists(self, key: str) -> list[tuple[Node, ...]]:
+        """Return what stands in each section of the name."""
+        return [section.rest for section in self.every(key)]
+
     def parts(self, key: str) -> tuple[Node, ...]:
-        """Return what stands in the section; sections of the same name are joined."""
-        return tuple([part for section in self.every(key) for part in section.rest])
+        """Return what stands in the sections of the name, joined."""
+        return tuple([part for parts in self.lists(key) for part in parts])
 
     def one(self, key: str) -> Group | None:
-        """Return the section, of which there may be one at most."""
+        """Return the section; another one may only say the same again."""
         found = self.every(key)
-        if len(found) > 1:
-            raise wrong(found[1], f"a second {key} section; the first is in line {where(found[0]).line}")
+        for other in found[1:]:
+            if plain(other) != plain(found[0]):
+                raise wrong(other, f"a second {key} section; the first is in line {where(found[0]).line}")
         return found[0] if found else None
 
 
@@ -52,7 +55,7 @@ def define(text: str, file: str, kind: Literal["domain", "problem"], known: tupl
     whole = _single(parse(text, file), file, form)
     match whole.rest:
         case (Group(items=(_, name)) as head, *sections) if head.head == kind:
-            return Definition(new_name(name, kind), whole, tuple([_section(section, known) for section in sections]))
+            return Definition(new_name(name, kind), whole, _sections(sections, known))
         case (found, *_):
             other = isinstance(found, Group) and found.head in {"domain", "problem"} - {kind}
             raise wrong(found, f"expected ({kind} NAME), found {found}{f'; this file is not a {kind}' if other else ''}")
@@ -71,6 +74,16 @@ def _single(nodes: tuple[Node, ...], file: str, form: str) -> Group:
         case (Group(items=(Atom() as word, *_)), *_):
             raise wrong(word, f"expected 'define', found {word}")
     raise wrong(nodes[0], f"expected {form}, found {nodes[0]}")
+
+
+def _sections(nodes: list[Node], known: tuple[str, ...]) -> tuple[Group, ...]:
+    found: dict[str, Group] = {}
+    sections = tuple([_section(node, known) for node in nodes])
+    for section in sections:
+        first = found.setdefault(section.head, section)
+        if first is not section and section.head not in _SEVERAL:
+            tolerate(section, f"a second {section.head} section, read as part of the first in line {where(first).line}")
+    return sections
 
 
 def _section(node: Node, known: tuple[str, ...]) -> Group:

@@ -12,21 +12,31 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final, TypeAlias
 
-from pnm.errors import InputError, Position
+from pnm.errors import InputError, Position, Tolerated
 
 MAX_DEPTH: Final = 100
 """Lists inside lists; what is read is walked recursively later, by several calls a level."""
 
 _TOKEN: Final = re.compile(r"[()]|;[^\r\n]*|\?[^\s()?;]*|[^\s()?;]+")
 _LINE_END: Final = re.compile(r"\r\n?|\n")
+_LONELY: Final = re.compile(r"\?\s+[^\s()?;]")
+"""A variable with a space behind its question mark."""
+_CLOSING: Final = re.compile(r"(?:[)\s]|;[^\r\n]*)*")
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A text and the name of its file."""
+    """A text and the name of its file. The mutable state is what was tolerated in it so far."""
 
     file: str
     text: str = field(repr=False)
+    found: dict[tuple[int, str], None] = field(default_factory=dict, repr=False)
+    """Offsets and messages, each once."""
+
+    @property
+    def tolerated(self) -> tuple[Tolerated, ...]:
+        """What was tolerated, in the order of the text."""
+        return tuple([Tolerated(message, self.position(offset)) for offset, message in sorted(self.found)])
 
     def position(self, offset: int) -> Position:
         """Return the line and column of an offset."""
@@ -101,6 +111,28 @@ def wrong(node: Node, message: str) -> InputError:
     return InputError(message, where(node))
 
 
+def tolerate(node: Node, message: str) -> None:
+    """Note that this part of the text is not as it should be."""
+    node.source.found.setdefault((node.offset, message))
+
+
+def plain(node: Node) -> object:
+    """Return the words of the part, in lower case and as nested as they are: what it says, wherever it stands."""
+    return node.key if isinstance(node, Atom) else tuple([plain(item) for item in node.items])
+
+
+def text_of(group: Group) -> str:
+    """Return the list as it stands in the text, comments included."""
+    depth = 0
+    text = group.source.text
+    for match in _TOKEN.finditer(text, group.offset):
+        token = match.group()
+        depth += (token == "(") - (token == ")")
+        if not depth:
+            return text[group.offset : match.end()]
+    raise ValueError("the list is not closed")  # cannot be: it was read
+
+
 def parse(text: str, file: str) -> tuple[Node, ...]:
     """Return the parts of the text in order; comments run from ``;`` to the end of the line.
 
@@ -124,17 +156,26 @@ class _Parser:
     """A section that was still open where another one, by its keyword, began."""
 
     def parse(self) -> tuple[Node, ...]:
+        word = self._word if _LONELY.search(self.source.text) is None else self._word_or_rest
         for match in _TOKEN.finditer(self.source.text):
             token, offset = match.group(), match.start()
             if token == "(":
                 self._open(offset)
             elif token == ")":
+                if self._nothing_more(offset):
+                    break
                 self._close(offset)
             elif token[0] != ";":
-                self._word(Atom(token, offset, self.source))
+                word(Atom(token, offset, self.source))
         if self.stack:
             raise self._never_closed()
         return tuple(self.items)
+
+    def _nothing_more(self, offset: int) -> bool:
+        if self.stack or not self.items or not _CLOSING.fullmatch(self.source.text, offset):
+            return False
+        self.source.found.setdefault((offset, "this ')' closes nothing"))
+        return True
 
     def _open(self, offset: int) -> None:
         if len(self.stack) == MAX_DEPTH:
@@ -153,6 +194,14 @@ class _Parser:
         if not self.items and len(self.stack) > 2 and word.text[0] == ":" and not self.suspect:
             self.suspect = self.stack[1][0], word
         self.items.append(word)
+
+    def _word_or_rest(self, word: Atom) -> None:
+        before = self.items[-1] if self.items else None
+        if isinstance(before, Atom) and before.text == "?":
+            self.items[-1] = Atom("?" + word.text, before.offset, self.source)
+            tolerate(before, f"'? {word.text}' is read as '?{word.text}'")
+        else:
+            self._word(word)
 
     def _never_closed(self) -> InputError:
         if self.suspect:

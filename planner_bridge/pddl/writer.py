@@ -12,13 +12,16 @@ from itertools import groupby, takewhile
 from operator import itemgetter
 from typing import Final, TypeAlias, assert_never
 
-from planner_bridge.model import ActionSchema, Declaration, Domain, Problem
+from planner_bridge.model import UNDEFINED, ActionSchema, Declaration, Domain, Preference, Problem
 from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.effects import Effect, Effects, ForEach, Set, TimedChange, When
 from pnm.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, Value, ValueOf, Variable
+from pnm.rules import Rule
+from pnm.trajectory import Constraint
 
 Form: TypeAlias = "str | list[Form]"
 _WIDTH: Final = 100
+_NUMBER: Final = "number"
 _ONE_A_LINE: Final = (":types", ":constants", ":objects", ":predicates", ":functions", ":init")
 
 
@@ -34,20 +37,26 @@ def write_domain(domain: Domain) -> str:
     if domain.predicates:
         sections.append([":predicates", *map(_declaration, domain.predicates.values())])
     if domain.functions:
-        sections.append([":functions", *map(_declaration, domain.functions.values())])
-    return _lines(["domain", domain.name], [*map(_section, sections), *map(_action, domain.actions.values())])
+        sections.append([":functions", *_functions(tuple(domain.functions.values()))])
+    sections.extend(_rule(rule) for rule in domain.rules)
+    sections.extend(_constraints(domain.constraints, domain.preferences))
+    return _lines(["domain", domain.name], [*map(_section, sections), *map(_action, domain.actions.values()), *domain.hierarchy])
 
 
 def write_problem(problem: Problem) -> str:
     """Write a problem as PDDL; its domain is only named."""
     sections: list[list[Form]] = [[":domain", problem.domain.name]]
+    if problem.requirements:
+        sections.append([":requirements", *problem.requirements])
     if problem.own_objects:
         sections.append([":objects", *_run_lines(problem.own_objects.items())])
     sections.append([":init", *_initial(problem)])
-    sections.append([":goal", condition_form(problem.goal)])
+    sections.append([":goal", _with_preferences(problem.goal, problem.preferences)])
+    sections.extend(_constraints(problem.constraints, problem.preferences))
     if problem.metric:
         sections.append([":metric", problem.metric.direction, expression_form(problem.metric.expression)])
-    return _lines(["problem", problem.name], map(_section, sections))
+    network = [problem.network] if problem.network else []
+    return _lines(["problem", problem.name], [*map(_section, sections), *network])
 
 
 # --- declarations --------------------------------------------------------------------------
@@ -75,6 +84,12 @@ def _declaration(declared: Declaration) -> Form:
     return [declared.name, *_variables(declared.parameters)]
 
 
+def _functions(functions: tuple[Declaration, ...]) -> list[Form]:
+    if not any(declared.values for declared in functions):
+        return [_declaration(declared) for declared in functions]
+    return [f"{_flat(_declaration(declared))} - {_flat(_types(declared.values or (_NUMBER,)))}" for declared in functions]
+
+
 def _initial(problem: Problem) -> Iterator[Form]:
     for fluent, value in problem.init.items():
         if value is not False:
@@ -98,6 +113,51 @@ def _change(fluent: Fluent, value: Value) -> Form:
             return ["=", list(fluent), expression_form(Constant(value))]
 
 
+# --- rules, preferences, constraints -------------------------------------------------------
+
+
+def _rule(rule: Rule) -> list[Form]:
+    # each variable with its type: one without has the type of the declaration, not ``object``
+    typed: list[Form] = [form for variable in rule.variables for form in (variable.name, "-", _types(variable.types))]
+    return [":derived", [rule.name, *typed], condition_form(rule.condition)]
+
+
+def _with_preferences(condition: Condition, preferences: Iterable[Preference]) -> Form:
+    """Write a goal or a precondition, with the preferences that stand in it."""
+    soft = [_preference(one) for one in preferences if not isinstance(one.wanted, tuple)]
+    return _and([*map(condition_form, conjuncts(condition)), *soft]) if soft else condition_form(condition)
+
+
+def _constraints(constraints: tuple[Constraint, ...], preferences: tuple[Preference, ...]) -> Iterator[list[Form]]:
+    soft = [_preference(one) for one in preferences if isinstance(one.wanted, tuple)]
+    if constraints or soft:
+        yield [":constraints", _and([*map(_constraint, constraints), *soft])]
+
+
+def _preference(preference: Preference) -> Form:
+    match preference.wanted:
+        case tuple() as constraints:
+            wanted = _and([*map(_constraint, constraints)])
+        case condition:
+            wanted = condition_form(condition)
+    if preference.moment:
+        wanted = _at(preference.moment, wanted)
+    return _under(preference.variables, ["preference", *([preference.name] if preference.name else []), wanted])
+
+
+def _constraint(constraint: Constraint) -> Form:
+    times: list[Form] = [number_text(time) for time in constraint.times]
+    return _under(constraint.variables, [*constraint.operator.split(), *times, *map(condition_form, constraint.conditions)])
+
+
+def _under(variables: tuple[Variable, ...], form: Form) -> Form:
+    """Write a quantifier around a form, and another one inside it where a variable hides one of the same name."""
+    for count, variable in enumerate(variables):
+        if variable.name.lower() in {before.name.lower() for before in variables[:count]}:
+            return ["forall", _variables(variables[:count]), _under(variables[count:], form)]
+    return ["forall", _variables(variables), form] if variables else form
+
+
 # --- actions -------------------------------------------------------------------------------
 
 
@@ -110,7 +170,8 @@ def _action(schema: ActionSchema) -> str:
 
 def _body(schema: ActionSchema) -> dict[str, Form]:
     if schema.duration is None:
-        precondition = {":precondition": condition_form(schema.precondition)} if schema.precondition != TRUE else {}
+        wanted = _with_preferences(schema.precondition, schema.preferences)
+        precondition = {":precondition": wanted} if schema.precondition != TRUE or schema.preferences else {}
         return {**precondition, ":effect": effects_form(schema.end_effects)}
     bounds: list[Form] = [[bound.operation, "?duration", expression_form(bound.bound)] for bound in schema.duration]
     return {
@@ -121,8 +182,13 @@ def _body(schema: ActionSchema) -> dict[str, Form]:
 
 
 def _timed_conditions(schema: ActionSchema) -> list[Form]:
-    every = (("at", "start", schema.precondition), ("over", "all", schema.invariant), ("at", "end", schema.end_condition))
-    return [[at, moment, condition_form(part)] for at, moment, condition in every for part in conjuncts(condition)]
+    every = (("at start", schema.precondition), ("over all", schema.invariant), ("at end", schema.end_condition))
+    hard = [_at(moment, condition_form(part)) for moment, condition in every for part in conjuncts(condition)]
+    return [*hard, *map(_preference, schema.preferences)]
+
+
+def _at(moment: str, form: Form) -> Form:
+    return [*moment.split(), form]
 
 
 def _timed_effects(moment: str, effects: Effects) -> list[Form]:
@@ -134,10 +200,23 @@ def _timed_effect(moment: str, effect: Effect) -> Form:
     match effect:
         case ForEach(variables, effects) if effects:
             return ["forall", _variables(variables), _and(_timed_effects(moment, effects))]
-        case When(condition, effects):
-            return ["when", ["at", moment, condition_form(condition)], ["at", moment, effects_form(effects)]]
+        case When(early, (When(late, effects, early=False),), early=True):
+            both: Form = ["and", ["at", "start", condition_form(early)], ["at", moment, condition_form(late)]]
+            return ["when", both, _timed_body(moment, effects)]
+        case When(condition, effects, early):
+            return ["when", ["at", "start" if early else moment, condition_form(condition)], _timed_body(moment, effects)]
         case _:
             return ["at", moment, effects_form((effect,))]
+
+
+def _timed_body(moment: str, effects: Effects) -> Form:
+    if any(map(_is_early, effects)):
+        return _and(_timed_effects(moment, effects))
+    return ["at", moment, effects_form(effects)]
+
+
+def _is_early(effect: Effect) -> bool:
+    return not isinstance(effect, Set) and ((isinstance(effect, When) and effect.early) or any(map(_is_early, effect.effects)))
 
 
 # --- conditions, expressions, effects ------------------------------------------------------
@@ -179,6 +258,8 @@ def expression_form(expression: Expression) -> Form:
             return str(value)
         case ValueOf(fluent) if fluent == DURATION:
             return "?duration"
+        case ValueOf(fluent) if fluent == UNDEFINED:
+            return UNDEFINED[0]
         case ValueOf(fluent):
             return list(fluent)
         case Arithmetic(operation, operands):
