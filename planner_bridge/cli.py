@@ -162,7 +162,9 @@ def net(domain: Path, problem: Path, written_as: str, output: Path | None, bindi
 @faults_option
 @planning
 @click.option("--replans", type=click.IntRange(0), default=10, show_default=True, help="how many new machines may follow the first")
-@click.option("--seconds", type=Seconds(0), default=3600.0, show_default=True, help="how long the goal is pursued")
+@click.option(
+    "--seconds", type=Seconds(0), help="how long the goal is pursued; by default an hour, or thrice what the plan takes if longer"
+)
 @click.option(
     "--on-failure",
     type=click.Choice(["drain", "cancel"]),
@@ -182,7 +184,7 @@ def run(
     planner: str,
     timeout: float,
     replans: int,
-    seconds: float,
+    seconds: float | None,
     on_failure: str,
     as_json: bool,
 ) -> int:

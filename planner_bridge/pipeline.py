@@ -125,6 +125,7 @@ class _Task:
 
     def __post_init__(self) -> None:
         self.monitor = Monitor(self.problem, self.knowledge)
+        self.allowed = self.settings.limits.allowed()
 
     async def pursue(self) -> TaskResult:
         with ExitStack() as at_the_end:
@@ -240,13 +241,13 @@ class _Task:
 
     def _left(self) -> float:
         """Return how many seconds the task may still take."""
-        return max(0.0, self.settings.limits.seconds - self._elapsed())
+        return max(0.0, self.allowed - self._elapsed())
 
     def _decide(self, graph: PlanGraph, result: RunResult) -> Decision:
         """Decide from the world as it is now known to be."""
         self.history = self.history.after(result.calls, result.failures)
         if not self._left():
-            return GiveUp(f"the limit of {self.settings.limits.seconds:g} s is reached")
+            return GiveUp(f"the limit of {self.allowed:g} s is reached")
         return decide(self._now(), graph, result.calls, self.knowledge.world, self.history, self.settings.limits)
 
     async def _plan(self, problem: Problem) -> PlanningResult:
@@ -257,6 +258,7 @@ class _Task:
             self.observer.unplanned(found)
         else:
             self.plans += 1
+            self.allowed = max(self.allowed, self.settings.limits.allowed(found.plan.makespan if found.plan.temporal else 0.0))
             self.observer.planned(found.plan)
         return found
 
@@ -293,8 +295,8 @@ class _Task:
         self.executor = Executor(run, self.site.client)
         if self.violation:  # while the machine was being prepared
             self._stop(self.violation)
-        over = partial(self.executor.stop, reason=f"the limit of {self.settings.limits.seconds:g} s is reached")
-        timer = asyncio.get_running_loop().call_at(self.began + self.settings.limits.seconds, over)
+        over = partial(self.executor.stop, reason=f"the limit of {self.allowed:g} s is reached")
+        timer = asyncio.get_running_loop().call_at(self.began + self.allowed, over)
         try:
             with self.seconds.of("execute"):
                 return machine, await self.executor.execute()

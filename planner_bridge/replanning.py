@@ -30,13 +30,17 @@ class Limits:
 
     replans: int = 10
     """New nets after the first, whether or not a planner was asked."""
-    seconds: float = 3600.0
-    """From the start of the task, on the clock of its runs; then it is stopped."""
+    seconds: float | None = None
+    """From the start of the task, on the clock of its runs; then it is stopped. By default an hour, or what `allowed` says."""
     forbid_after: int = 2
     """A ground action that failed so often since it last succeeded is not planned with any more."""
     backoff: float = 0.5
     """Seconds before the second replan in a row without progress; doubled each time."""
     longest_backoff: float = 30.0
+
+    def allowed(self, planned: float = 0.0) -> float:
+        """Return how many seconds a task may take whose plan takes so many: three times as long if nothing else is said."""
+        return max(3600.0, 3.0 * planned) if self.seconds is None else self.seconds
 
 
 @dataclass(frozen=True)

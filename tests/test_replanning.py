@@ -10,7 +10,7 @@ import pytest
 from planner_bridge.forbidding import ForbiddenCall, forbid
 from planner_bridge.model import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline import Stopwatch, pursue
+from planner_bridge.pipeline import Stopwatch, achieve, pursue
 from planner_bridge.plan import Plan, PlanStep
 from planner_bridge.plans import plan_graph
 from planner_bridge.replanning import Decision, GiveUp, History, Limits, PlanAgain, Resume, decide
@@ -319,3 +319,11 @@ def test_any_fault_ends_in_the_goal_or_in_a_named_failure(kind: FaultKind, times
     result, _ = pursued(problem, Faults((Fault(what, kind, times=times),)), bindings=bindings)
     assert result.goal_reached or result.reason.startswith(("no plan", "the limit"))
     assert result.goal_reached or result.failures
+
+
+def test_a_task_may_take_as_long_as_its_plan() -> None:
+    domain = parse_domain("""(define (domain d) (:requirements :durative-actions) (:predicates (done))
+      (:durative-action grow :parameters () :duration (= ?duration 5000) :condition () :effect (at end (done))))""")
+    problem = parse_problem("(define (problem p) (:domain d) (:init) (:goal (done)))", domain)
+    assert achieve(None, problem).goal_reached
+    assert not achieve(None, problem, settings=Settings(limits=Limits(seconds=3600.0))).goal_reached
