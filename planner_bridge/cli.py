@@ -109,6 +109,7 @@ def app() -> None:
 def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: bool) -> int:
     """Find and print a plan."""
     from planner_bridge.loading import load
+    from planner_bridge.plan import PlanningStatus
     from planner_bridge.planning import solve
 
     found = solve(load(domain, problem), planner=planner, timeout=timeout)
@@ -120,10 +121,14 @@ def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: boo
         told = {"status": found.status.value, "message": found.message, "planner": found.planner}
         print(json.dumps({**told, "steps": steps if found.plan else None}))
     elif found.plan:
-        print(f"plan     {found.plan}" + (f"\nplanner  {found.planner}" if found.planner != planner else ""))
+        print(f"plan     {found.plan}")
+        if found.planner != planner:
+            print(f"planner  {found.planner}")
+        if found.message:
+            print(f"note     {found.message}")
     else:
         print(f"no plan: {found.reason}")
-    return 0 if found.plan else 1
+    return 0 if found.plan else 2 if found.status is PlanningStatus.INVALID else 1
 
 
 @app.command()
