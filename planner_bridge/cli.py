@@ -108,6 +108,7 @@ def app() -> None:
 @_command
 def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: bool) -> int:
     """Find and print a plan."""
+    from planner_bridge.plan import PlanningStatus
     from planner_bridge.planning import solve
 
     found = solve(_load(domain, problem), planner=planner, timeout=timeout)
@@ -119,10 +120,14 @@ def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: boo
         told = {"status": found.status.value, "message": found.message, "planner": found.planner}
         print(json.dumps({**told, "steps": steps if found.plan else None}))
     elif found.plan:
-        print(f"plan     {found.plan}" + (f"\nplanner  {found.planner}" if found.planner != planner else ""))
+        print(f"plan     {found.plan}")
+        if found.planner != planner:
+            print(f"planner  {found.planner}")
+        if found.message:
+            print(f"note     {found.message}")
     else:
         print(f"no plan: {found.reason}")
-    return 0 if found.plan else 1
+    return 0 if found.plan else 2 if found.status is PlanningStatus.INVALID else 1
 
 
 @app.command()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import os
 import signal
@@ -158,6 +159,14 @@ def test_an_executor_that_is_closed_is_no_reason_to_wait() -> None:
     found = race(rooms(), planners=("kairos",), executor=threads)
     assert found.status is PlanningStatus.CRASHED
     assert "cannot schedule new futures" in found.message
+
+
+def test_the_command_says_who_won(root: Path) -> None:
+    files = ("domains/delivery/domain.pddl", "problems/delivery/p01.pddl")
+    command = [sys.executable, "-m", "planner_bridge", "plan", *files, "--planner", "race:kairos"]
+    assert "\nplanner  kairos\n" in subprocess.run(command, capture_output=True, text=True, cwd=root, timeout=60).stdout
+    found = json.loads(subprocess.run([*command, "--json"], capture_output=True, text=True, cwd=root, timeout=60).stdout)
+    assert (found["status"], found["planner"]) == ("solved", "kairos")
 
 
 # --- who takes part ------------------------------------------------------------------------
