@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 from planner_bridge.model import UNDEFINED, ActionSchema, Declaration, Domain, DurationConstraint, Metric, Preference, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
 from planner_bridge.pddl.durative import MOMENTS
+from planner_bridge.pddl.forms import number_text
 from planner_bridge.pddl.names import CONSTRAINTS
 from planner_bridge.pddl.sexpr import MAX_DEPTH
-from planner_bridge.pddl.writer import number_text, write_domain, write_problem
+from planner_bridge.pddl.writer import write_domain, write_problem
 from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.effects import OPERATIONS, Effect, ForEach, Set, TimedChange, When
 from pnm.errors import InputError

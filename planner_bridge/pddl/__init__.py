@@ -1,7 +1,8 @@
 """PDDL text to models and back.
 
-`sexpr` → `sections` → `declarations`, `conditions`, `durative`, `actions` → `reader`; `writer` is the way back.
-Errors say file, line and column, what was found and what was expected.
+`sexpr` → `sections` → `declarations`, `scope`, `conditions`, `effects`, ... → `reader`; `writer` is the way back.
+Errors say file, line and column, what was found and what was expected. What is not as it should be but can
+be understood is read with a warning.
 """
 
 from planner_bridge.pddl.reader import parse_domain, parse_problem, read_domain, read_problem
