@@ -10,15 +10,15 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from pnm.conditions import Condition, conjuncts, evaluate, names
-from pnm.effects import Changes, changes, facts, names_written, unconditional
-from pnm.expressions import Fluent, Value, same, show
-from pnm.knowledge import Layered
+from pnm.effects import Changes, Effects, changes, decided, facts, is_fixed, names_written
+from pnm.expressions import Fluent, Value, same
+from pnm.knowledge import Layered, show_statement
 from pnm.plan_graph import ActionCall, GroundAction
 
 
 def already_true(action: GroundAction, knowledge: Layered) -> bool:
-    """Tell whether the action changes nothing but plain facts, at least one, and all are so already."""
-    at_start, at_end = facts(action.start_effects, knowledge), facts(action.end_effects, knowledge)
+    """Tell whether the action changes nothing but plain facts and objects, at least one, and all are so already."""
+    at_start, at_end = facts(action.start_effects, knowledge), facts(decided(action.end_effects, knowledge), knowledge)
     if at_start is None or at_end is None or not (at_start or at_end):
         return False
     return all(same(knowledge.value(fluent), value) for fluent, value in (at_start | at_end).items())
@@ -30,49 +30,44 @@ class Intention:
 
     start: Changes = field(default_factory=dict)
     end: Changes = field(default_factory=dict)
+    end_effects: Effects = ()
+    """Those of the action, once their early conditions are decided."""
     expected: Mapping[Fluent, Value] = field(default_factory=dict)
-    """The facts that sensors should report once the call has succeeded."""
+    """The facts and objects that sensors should report once the call has succeeded."""
 
 
 def intention(call: ActionCall, knowledge: Layered) -> Intention:
     """Compute what the call, which is being sent, is going to change, and what of it should be seen.
 
-    Numbers are not expected: a real battery never shows the modelled figure. Nor are, of a durative
-    action, effects under a condition, which is only decided at its end.
+    Numbers are not expected: a real battery never shows the modelled figure. Nor is, of a durative
+    action, what is only decided at its end: effects under a condition, and values that are read then.
     """
     action = call.action
-    start, end = changes(action.start_effects, knowledge), changes(action.end_effects, knowledge)
+    ending = decided(action.end_effects, knowledge)
+    start, end = changes(action.start_effects, knowledge), changes(ending, knowledge)
     lasting = {fluent: value for fluent, value in start.items() if fluent in call.lasting}
-    conditional = _names_under_conditions(action) if action.duration is not None else frozenset()
-    wanted = lasting | {fluent: value for fluent, value in end.items() if fluent[0] not in conditional}
-    seen = {fluent: value for fluent, value in wanted.items() if isinstance(value, bool) and knowledge.world.is_sensed(fluent)}
-    return Intention(start, end, seen)
-
-
-def _names_under_conditions(action: GroundAction) -> frozenset[str]:
-    return names_written(tuple(effect for effect in action.end_effects if unconditional((effect,)) != (effect,)))
+    late = names_written(tuple(one for one in ending if not is_fixed(one))) if action.duration is not None else frozenset()
+    wanted = lasting | {fluent: value for fluent, value in end.items() if fluent[0] not in late}
+    seen = {fluent: value for fluent, value in wanted.items() if isinstance(value, bool | str) and knowledge.world.is_sensed(fluent)}
+    return Intention(start, end, ending, seen)
 
 
 def finished(action: GroundAction, intended: Intention, knowledge: Layered) -> Changes:
     """Return what the end of the action changes.
 
-    A durative action's end effects read the state at its end. An instantaneous action's conditions
-    were decided when it was sent; its numbers change from what they are now, for others may have
-    changed them meanwhile.
+    A durative action's end effects read the state at its end. An instantaneous action's conditions and
+    objects were decided when it was sent; its numbers change from what they are now, for others may
+    have changed them meanwhile.
     """
-    now = changes(action.end_effects, knowledge)
+    now = changes(intended.end_effects, knowledge)
     if action.duration is not None:
         return now
-    return {fluent: value if isinstance(value, bool) else now.get(fluent, value) for fluent, value in intended.end.items()}
+    return {fluent: value if isinstance(value, bool | str) else now.get(fluent, value) for fluent, value in intended.end.items()}
 
 
 def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: Layered) -> tuple[str, ...]:
     """Return, as PDDL, which expected facts are not reported and which end conditions do not hold."""
-    missing = (
-        show(fluent) if value else f"(not {show(fluent)})"
-        for fluent, value in wanted.items()
-        if not same(knowledge.world.value(fluent), value)
-    )
+    missing = (show_statement(fluent, value) for fluent, value in wanted.items() if not same(knowledge.world.value(fluent), value))
     return (*missing, *map(str, _end_denied(action, knowledge)))
 
 
@@ -80,7 +75,7 @@ def _end_denied(action: GroundAction, knowledge: Layered) -> Iterator[Condition]
     """Yield the parts of the end condition that do not hold; those the end itself changes cannot be told any more."""
     changed = names_written(action.end_effects)
     for part in conjuncts(action.end_condition):
-        if not names(part) & changed and evaluate(part, knowledge) is not True:
+        if not knowledge.world.rules.base(names(part)) & changed and evaluate(part, knowledge) is not True:
             yield part
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Final, TypeAlias, assert_never
+from typing import Final, Protocol, TypeAlias, assert_never
 
 from pnm.expressions import (
     NOTHING,
@@ -27,10 +27,12 @@ from pnm.expressions import (
     bind,
     choices,
     expression_fluents,
+    expression_variables,
     ground_expression,
     hidden,
     show,
     value_of,
+    variables_in,
 )
 
 # --- conditions ----------------------------------------------------------------------------
@@ -235,6 +237,25 @@ def names(condition: Condition) -> frozenset[str]:
             assert_never(condition)
 
 
+def free_variables(condition: Condition) -> frozenset[str]:
+    """Return the variables that no quantifier in the condition binds."""
+    match condition:
+        case Holds(fluent):
+            return variables_in(fluent)
+        case Compare(_, left, right):
+            return expression_variables(left) | expression_variables(right)
+        case Not(operand):
+            return free_variables(operand)
+        case All(operands) | Any(operands):
+            return frozenset().union(*map(free_variables, operands))
+        case Implies(left, right):
+            return free_variables(left) | free_variables(right)
+        case ForAll(variables, body) | Exists(variables, body):
+            return free_variables(body) - {variable.name for variable in variables}
+        case _:
+            assert_never(condition)
+
+
 def ground(condition: Condition, env: Environment) -> Condition:
     """Substitute the environment's objects for the variables; quantified variables stay."""
     match condition:
@@ -270,10 +291,22 @@ def failing(condition: Condition, state: State) -> tuple[Condition, ...]:
     return tuple(part for part in conjuncts(condition) if evaluate(part, state) is not True)
 
 
-def observed(condition: Condition, state: State) -> str:
-    """Say what the state has in place of the condition: the value of each fluent in it."""
-    values = sorted((show(fluent), state.value(fluent)) for fluent in fluents(condition, state))
-    return ", ".join(f"{name} is {_say(value)}" for name, value in values) or "no fluent involved"
+class Witness(State, Protocol):
+    """A state that can also say why it has the derived facts it has."""
+
+    def because(self, fluent: Fluent, /) -> str:
+        """Say why the fluent has its value, to be read after that; empty for what is recorded and nothing more."""
+
+
+def observed(condition: Condition, state: Witness) -> str:
+    """Say what the state has in place of the condition: the value of each fluent in it, and why if it is derived."""
+    said = sorted(_told(fluent, state) for fluent in fluents(condition, state))
+    return ", ".join(said) or "no fluent involved"
+
+
+def _told(fluent: Fluent, state: Witness) -> str:
+    reason = state.because(fluent)
+    return f"{show(fluent)} is {_say(state.value(fluent))}{' ' if reason else ''}{reason}"
 
 
 def _say(value: Value | Unknown | None) -> str:

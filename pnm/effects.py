@@ -58,7 +58,7 @@ class When:
     condition: Condition
     effects: Effects
     early: bool = False
-    """Of an effect at the end of an action: its condition is decided at the start."""
+    """Of an effect at the end of an action: its condition is decided in the state the action starts in."""
 
     def __str__(self) -> str:
         return f"(when {self.condition} {show_effects(self.effects)})"
@@ -108,6 +108,33 @@ def changes(effects: Effects, state: State, env: Environment = NOTHING) -> Chang
     return result
 
 
+def decided(effects: Effects, state: State) -> Effects:
+    """Return what is left of the end effects of an action that starts in the state: the early conditions are decided."""
+    if not any(map(_is_early, effects)):
+        return effects
+    result: list[Effect] = []
+    for effect in effects:
+        match effect:
+            case Set():
+                result.append(effect)
+            case When(condition, inner, early):
+                if not early:
+                    result.append(When(condition, decided(inner, state)))
+                elif evaluate(condition, state) is True:
+                    result.extend(decided(inner, state))
+            case ForEach(variables, inner):
+                for chosen in choices(variables, state, NOTHING):
+                    result.extend(decided(ground_effects(inner, chosen), state))
+            case _:
+                assert_never(effect)
+    return tuple(result)
+
+
+def _is_early(effect: Effect) -> bool:
+    """Tell whether some condition in the effect is decided before it happens."""
+    return not isinstance(effect, Set) and ((isinstance(effect, When) and effect.early) or any(map(_is_early, effect.effects)))
+
+
 def assignments(effects: Effects, state: State, env: Environment = NOTHING) -> Iterator[tuple[Fluent, Set, Environment]]:
     """Yield each `Set` that happens in the state, with its ground fluent and its environment."""
     for effect in effects:
@@ -146,7 +173,7 @@ def _names(effect: Effect) -> Iterator[str]:
 
 
 def read(effects: Effects, state: State) -> frozenset[Fluent]:
-    """Return every fluent that decides what the effects do: their conditions and right-hand sides."""
+    """Return every fluent that decides what the effects do when they happen: their conditions and right-hand sides."""
     return frozenset(_read(effects, state, NOTHING))
 
 
@@ -157,12 +184,34 @@ def _read(effects: Effects, state: State, env: Environment) -> Iterator[Fluent]:
                 yield from expression_fluents(value, env)
                 if operation != "assign":
                     yield bind(fluent, env)
-            case When(condition, inner):
-                yield from fluents(condition, state, env)
+            case When(condition, inner, early):
+                if not early:
+                    yield from fluents(condition, state, env)
                 yield from _read(inner, state, env)
             case ForEach(variables, inner):
                 for chosen in choices(variables, state, env):
                     yield from _read(inner, state, chosen)
+            case _:
+                assert_never(effect)
+
+
+def read_early(effects: Effects, state: State) -> frozenset[Fluent]:
+    """Return every fluent that decides, when the action starts, what its end effects will be."""
+    return frozenset(_read_early(effects, state, NOTHING))
+
+
+def _read_early(effects: Effects, state: State, env: Environment) -> Iterator[Fluent]:
+    for effect in effects:
+        match effect:
+            case Set():
+                pass
+            case When(condition, inner, early):
+                if early:
+                    yield from fluents(condition, state, env)
+                yield from _read_early(inner, state, env)
+            case ForEach(variables, inner):
+                for chosen in choices(variables, state, env):
+                    yield from _read_early(inner, state, chosen)
             case _:
                 assert_never(effect)
 
@@ -192,8 +241,8 @@ def _ground(effect: Effect, env: Environment) -> Effect:
     match effect:
         case Set(fluent, value, operation):
             return Set(bind(fluent, env), ground_expression(value, env), operation)
-        case When(condition, inner):
-            return When(ground(condition, env), ground_effects(inner, env))
+        case When(condition, inner, early):
+            return When(ground(condition, env), ground_effects(inner, env), early)
         case ForEach(variables, inner):
             return ForEach(variables, ground_effects(inner, hidden(env, variables)))
         case _:
@@ -224,13 +273,26 @@ def undo(before: Changes, after: Changes, now: State) -> Changes:
     return result
 
 
+def is_fixed(effect: Effect) -> bool:
+    """Tell whether the effect gives the same values whatever the state: no condition, nothing that is read."""
+    match effect:
+        case Set(_, value, operation):
+            return operation == "assign" and isinstance(value, Constant)
+        case When():
+            return False
+        case ForEach(_, inner):
+            return all(map(is_fixed, inner))
+        case _:
+            assert_never(effect)
+
+
 def facts(effects: Iterable[Effect], state: State) -> Changes | None:
-    """Return the truth values the effects give, or None when not all of them are plain facts."""
+    """Return the truth values and objects that the effects give whatever the state, or None if they do anything else."""
     flat = tuple(effects)
-    if flat != unconditional(flat):
+    if not all(map(is_fixed, flat)):
         return None
     found = changes(flat, state)
-    return found if all(isinstance(value, bool) for value in found.values()) else None
+    return None if any(map(_is_number, found.values())) else found
 
 
 def _combine(operation: str, before: Value | Unknown | None, by: Value | Unknown) -> Value | Unknown:

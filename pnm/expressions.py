@@ -36,6 +36,10 @@ DURATION: Final[Fluent] = ("?duration",)
 """Stands for the duration of the action it is used in; an environment may give it as text, in seconds."""
 
 
+UNDEFINED: Final = "undefined"
+"""The constant that leaves an object fluent without a value; of one nobody can say what it is equal to."""
+
+
 class State(Protocol):
     """What a condition is evaluated in."""
 
@@ -106,7 +110,7 @@ def value_of(expression: Expression, state: State, env: Environment = NOTHING) -
     """Return the value of the expression; unknown as soon as one part is, or on division by zero."""
     match expression:
         case Constant(value):
-            return env.get(value, value) if isinstance(value, str) else value
+            return (UNKNOWN if value == UNDEFINED else env.get(value, value)) if isinstance(value, str) else value
         case ValueOf(fluent) if fluent == DURATION and DURATION[0] in env:
             return float(env[DURATION[0]])
         case ValueOf(fluent):
@@ -155,6 +159,24 @@ def expression_fluents(expression: Expression, env: Environment = NOTHING) -> It
         case Arithmetic(_, operands):
             for operand in operands:
                 yield from expression_fluents(operand, env)
+        case _:
+            assert_never(expression)
+
+
+def variables_in(fluent: Fluent) -> frozenset[str]:
+    """Return the terms of the fluent that are variables."""
+    return frozenset(term for term in fluent if term.startswith("?"))
+
+
+def expression_variables(expression: Expression) -> frozenset[str]:
+    """Return the variables in the expression."""
+    match expression:
+        case Constant(value):
+            return variables_in((value,)) if isinstance(value, str) else frozenset()
+        case ValueOf(fluent):
+            return variables_in(fluent)
+        case Arithmetic(_, operands):
+            return frozenset().union(*map(expression_variables, operands))
         case _:
             assert_never(expression)
 

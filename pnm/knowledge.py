@@ -4,6 +4,9 @@ A *fact* or number is a fluent with a value; a *variable* is a name with any val
 field of an action's result. A base is *closed*: a fluent nobody recorded is absent, which
 conditions read as false. A fluent may also be recorded as `UNKNOWN`, which is something else.
 
+Facts that `pnm.rules` derive follow from the others: they are computed when asked for, never recorded, written
+or reported. What is said of them in a report is left out: rules, not sensors, say when they hold.
+
 A fluent is *sensed* when something reports it (its name is then listed with the delay of the
 reports), and *assumed* otherwise: then an action's effect is written when the action succeeds.
 """
@@ -15,9 +18,11 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from pnm.consequences import Consequences
 from pnm.effects import Changes
 from pnm.errors import InputError
-from pnm.expressions import UNKNOWN, Fluent, Unknown, Value, same
+from pnm.expressions import UNKNOWN, Constant, Fluent, Unknown, Value, same, show
+from pnm.rules import NO_RULES, Rules
 
 Listener = Callable[[Mapping[Fluent, Value | Unknown]], None]
 
@@ -35,7 +40,11 @@ MISSING: Final = _Missing()
 class KnowledgeBase:
     """One store of facts, numbers and variables that tells its listeners what changed.
 
-    The mutable state is the four dictionaries set in the constructor and the list of listeners.
+    The mutable state is the four dictionaries set in the constructor, the list of listeners, and what is
+    remembered of the derived facts.
+
+    Raises:
+        InputError: a fact is given that rules derive.
     """
 
     def __init__(
@@ -45,12 +54,18 @@ class KnowledgeBase:
         variables: Mapping[str, object] | None = None,
         objects: Mapping[str, tuple[str, ...]] | None = None,
         sensed: Mapping[str, float] | None = None,
+        rules: Rules = NO_RULES,
     ) -> None:
+        self.rules = rules
+        self._derived = rules.derived
+        if self._derived:
+            self._refuse_derived(facts or {})
         self._facts: dict[Fluent, Value | Unknown] = dict(facts or {})
         self._variables: dict[str, object] = dict(variables or {})
         self._objects: dict[str, tuple[str, ...]] = dict(objects or {})
         self._sensed: dict[str, float] = dict(sensed or {})
         self._listeners: list[Listener] = []
+        self._consequences = Consequences(rules, self._facts, self.objects)
 
     def __repr__(self) -> str:
         return f"<KnowledgeBase {len(self._facts)} facts, {len(self._variables)} variables, {len(self._sensed)} sensed names>"
@@ -58,8 +73,11 @@ class KnowledgeBase:
     # what conditions ask (`pnm.conditions.State`)
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
-        """Return the value recorded for the fluent; None when there is none."""
-        return self._facts.get(fluent)
+        """Return the value recorded for the fluent, None when there is none; or the truth of a derived fact."""
+        found = self._facts.get(fluent)
+        if found is None and fluent[0] in self._derived:
+            return self._consequences.value(fluent)
+        return found
 
     def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
         """Return the objects of any of the types, in the order in which they were declared."""
@@ -71,6 +89,19 @@ class KnowledgeBase:
         """Return a copy of the objects of every type."""
         return dict(self._objects)
 
+    # what else can be told of derived facts
+
+    def because(self, fluent: Fluent, /) -> str:
+        """Say why a derived fact holds or does not, by what is recorded; empty for any other fluent."""
+        return self._consequences.because(fluent) if fluent[0] in self._derived else ""
+
+    def rests_on(self, fluents: frozenset[Fluent]) -> frozenset[Fluent]:
+        """Return the fluents, but in place of each derived one the unknown fluents that decide whether it holds."""
+        if not self._derived:
+            return fluents
+        derived = frozenset(fluent for fluent in fluents if fluent[0] in self._derived)
+        return (fluents - derived).union(*map(self._consequences.rests_on, derived))
+
     # facts
 
     def facts(self) -> dict[Fluent, Value | Unknown]:
@@ -78,13 +109,20 @@ class KnowledgeBase:
         return {fluent: value for fluent, value in self._facts.items() if value is not False}
 
     def update(self, changes: Mapping[Fluent, Value | Unknown]) -> Changes:
-        """Record all of the changes, or none if one is malformed; return those that changed something."""
+        """Record all of the changes; return those that changed something.
+
+        Raises:
+            InputError: a fluent is malformed, or rules derive it; nothing is recorded.
+        """
         for fluent in changes:
             if not isinstance(fluent, tuple) or not fluent or not all(isinstance(name, str) for name in fluent):
                 raise InputError(f"not a fluent: {fluent!r}; expected a tuple of names such as ('at', 'r1', 'kitchen')")
+        if self._derived:
+            self._refuse_derived(changes)
         real = {fluent: value for fluent, value in changes.items() if not same(self._facts.get(fluent), value)}
         self._facts.update(real)
         if real:
+            self._consequences.forget({fluent[0] for fluent in real})
             for listener in tuple(self._listeners):
                 listener(real)
         return real
@@ -92,14 +130,24 @@ class KnowledgeBase:
     def replace(self, names: Iterable[str], facts: Mapping[Fluent, Value | Unknown]) -> Changes:
         """Record a complete report about the named predicates and functions.
 
-        A fact that it omits is no longer so, and a number that it omits is no longer known.
+        A fact that it omits is no longer so, and a number or an object that it omits is no longer known.
+        What it says of derived facts is left out.
         """
-        names = frozenset(names)
+        names = frozenset(names) - self._derived
+        if self._derived:
+            facts = {fluent: value for fluent, value in facts.items() if not self._derives(fluent)}
         gone: Changes = {}
         for fluent, value in self._facts.items():
             if fluent[0] in names and fluent not in facts and value is not UNKNOWN:
                 gone[fluent] = False if isinstance(value, bool) else UNKNOWN
         return self.update({**gone, **facts})
+
+    def _refuse_derived(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
+        for fluent in filter(self._derives, changes):
+            raise InputError(f"{show(fluent)} follows from rules; it is neither set nor reported")
+
+    def _derives(self, fluent: object) -> bool:
+        return isinstance(fluent, tuple) and fluent[:1] != () and fluent[0] in self._derived
 
     def listen(self, listener: Listener) -> Callable[[], None]:
         """Call the listener with every batch of changes; return the function that stops it."""
@@ -110,15 +158,15 @@ class KnowledgeBase:
 
     def sense(self, names: Iterable[str], *, lag: float = 0.0) -> None:
         """Note that something reports these predicates and functions, at most `lag` seconds late."""
-        self._sensed.update(dict.fromkeys(names, lag))
+        self._sensed.update((name, lag) for name in names if name not in self._derived)
 
     def is_sensed(self, fluent: Fluent) -> bool:
-        """Tell whether something reports this fluent."""
-        return fluent[0] in self._sensed
+        """Tell whether something reports this fluent; if it is derived, all that it follows from."""
+        return all(name in self._sensed for name in self.rules.base((fluent[0],)))
 
     def lag(self, names: Iterable[str]) -> float:
-        """Return how many seconds late the slowest report about any of the names may come."""
-        return max((self._sensed.get(name, 0.0) for name in names), default=0.0)
+        """Return how many seconds late the slowest report about any of the names, or what is below them, may come."""
+        return max((self._sensed.get(name, 0.0) for name in self.rules.base(names)), default=0.0)
 
     @property
     def longest_lag(self) -> float:
@@ -144,21 +192,24 @@ class KnowledgeBase:
 class Layered:
     """What one run sees: its own local knowledge in front of the global one.
 
-    Reading asks local knowledge first. Facts describe the one world all runs share, so they are
-    written to the global layer; variables belong to the run that stored them.
+    Facts describe the one world that all runs share: they are read from the global layer and written to it.
+    Variables belong to the run that stored them; reading asks the local layer first.
     """
 
     world: KnowledgeBase
     local: KnowledgeBase = field(default_factory=KnowledgeBase)
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
-        """Return the value from the first layer that has one."""
-        found = self.local.value(fluent)
-        return self.world.value(fluent) if found is None else found
+        """Return the value of the fluent in the world."""
+        return self.world.value(fluent)
 
     def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
         """Return the objects of any of the types."""
         return self.world.objects(types)
+
+    def because(self, fluent: Fluent, /) -> str:
+        """Say why a derived fact holds or does not."""
+        return self.world.because(fluent)
 
     def variable(self, name: str) -> object:
         """Return the variable from the first layer that has it, or `MISSING`."""
@@ -166,8 +217,16 @@ class Layered:
         return self.world.variable(name) if found is MISSING else found
 
 
+def show_statement(fluent: Fluent, value: Value | Unknown) -> str:
+    """Write what `parse_statement` reads."""
+    if isinstance(value, bool):
+        return show(fluent) if value else f"(not {show(fluent)})"
+    return f"(= {show(fluent)} {Constant(value) if not isinstance(value, Unknown) else value.value})"
+
+
 _FLUENT = re.compile(r"\(\s*([^\s()]+(?:\s+[^\s()]+)*)\s*\)\Z")
 _NOT = re.compile(r"\(\s*not\s+(\(.*\))\s*\)\Z", re.DOTALL)
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?\Z", re.IGNORECASE)
 _EQUAL = re.compile(r"\(\s*=\s+(\(.*\))\s+([^\s()]+)\s*\)\Z", re.DOTALL)
 
 
@@ -180,13 +239,10 @@ def parse_fluent(text: str) -> Fluent:
 
 
 def parse_statement(text: str) -> tuple[Fluent, Value]:
-    """Read ``(at r1 kitchen)``, ``(not (at r1 kitchen))`` or ``(= (battery r1) 80)``."""
+    """Read ``(at r1 kitchen)``, ``(not (at r1 kitchen))``, ``(= (battery r1) 80)`` or ``(= (location r1) kitchen)``."""
     text = text.strip()
     if found := _NOT.match(text):
         return parse_fluent(found[1]), False
     if found := _EQUAL.match(text):
-        try:
-            return parse_fluent(found[1]), float(found[2])
-        except ValueError:
-            return parse_fluent(found[1]), found[2]
+        return parse_fluent(found[1]), float(found[2]) if _NUMBER.match(found[2]) else found[2]
     return parse_fluent(text), True

@@ -65,6 +65,9 @@ class Picture:
     def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
         return OBJECTS if types == ("object",) else ()
 
+    def because(self, fluent: Fluent, /) -> str:
+        return "because it is 3" if self.facts.get(fluent) == 3.0 else ""
+
 
 # --- random conditions and states -------------------------------------------------------------
 
@@ -350,5 +353,5 @@ def test_what_was_expected_and_what_is_so() -> None:
     state = Picture({("p",): True, ("q", "a"): UNKNOWN, ("n",): 3.0, ("f",): False})
     wanted = All((Holds(("p",)), All((Holds(("q", "a")), Not(Holds(("f",))))), Compare(">", N, Constant(5.0)), Holds(("absent",))))
     assert " ".join(map(str, failing(wanted, state))) == "(q a) (> (n) 5) (absent)"
-    assert observed(wanted, state) == "(absent) is false, (f) is false, (n) is 3.0, (p) is true, (q a) is unknown"
+    assert observed(wanted, state) == "(absent) is false, (f) is false, (n) is 3.0 because it is 3, (p) is true, (q a) is unknown"
     assert observed(TRUE, state) == "no fluent involved"

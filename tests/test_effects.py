@@ -2,32 +2,53 @@
 
 from __future__ import annotations
 
+import random
+from collections.abc import Iterator
 from itertools import permutations
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pnm.conditions import TRUE, Condition, Holds, Not, evaluate
+from pnm.conditions import TRUE, Compare, Condition, Holds, Not, evaluate
 from pnm.effects import (
     OPERATIONS,
     Changes,
+    Effect,
     Effects,
     ForEach,
     Set,
     When,
     changes,
+    decided,
     facts,
     ground_effects,
     names_written,
     read,
+    read_early,
     show_effects,
     unconditional,
     undo,
     values_before,
     written,
 )
-from pnm.expressions import UNKNOWN, Arithmetic, Constant, Expression, Fluent, Unknown, Value, ValueOf, Variable, value_of
+from pnm.expressions import (
+    UNDEFINED,
+    UNKNOWN,
+    Arithmetic,
+    Constant,
+    Environment,
+    Expression,
+    Fluent,
+    Unknown,
+    Value,
+    ValueOf,
+    Variable,
+    bind,
+    choices,
+    ground_expression,
+    value_of,
+)
 from pnm.knowledge import KnowledgeBase
 
 ROOMS = ("hall", "kitchen")
@@ -111,6 +132,53 @@ def test_whole_numbers_are_numbers() -> None:
 def test_increases_accumulate() -> None:
     both = (number("increase", "x", 1.0), number("decrease", "x", ValueOf(("x",))), number("increase", "x", 5.0))
     assert changes(both, state({("x",): 3.0})) == {("x",): 6.0}
+
+
+# --- simultaneous, whatever the order and however nested ----------------------------------------
+
+NESTED_FACTS = st.builds(Set, st.sampled_from((("p",), ("at", "?x"), ("at", "hall"))), st.builds(Constant, st.booleans()))
+NESTED_NUMBERS = st.builds(
+    Set, st.sampled_from((("n",), ("m",))), st.builds(Constant, st.sampled_from((1.0, 2.0, 4.0))), st.sampled_from(("increase", "decrease"))
+)
+NESTED = st.recursive(
+    st.one_of(NESTED_FACTS, NESTED_NUMBERS),
+    lambda inner: st.one_of(
+        st.builds(When, st.sampled_from((TRUE, Holds(("p",)), Not(Holds(("at", "?x"))))), st.lists(inner, max_size=3).map(tuple)),
+        st.builds(ForEach, st.just((Variable("?x"),)), st.lists(inner, max_size=3).map(tuple)),
+    ),
+    max_leaves=8,
+)
+
+
+def literals(effect: Effect, before: KnowledgeBase, env: Environment) -> Iterator[tuple[Fluent, str, Value]]:
+    """Every single thing that happens: added, deleted, or increased by so much."""
+    match effect:
+        case Set(fluent, Constant(bool() as value), _):
+            yield bind(fluent, env), "add" if value else "delete", True
+        case Set(fluent, Constant(value), operation):
+            yield bind(fluent, env), "increase", float(value) if operation == "increase" else -float(value)
+        case When(condition, inner):
+            if evaluate(condition, before, env) is True:
+                for one in inner:
+                    yield from literals(one, before, env)
+        case ForEach(_, inner):
+            for room in ROOMS:
+                for one in inner:
+                    yield from literals(one, before, {**env, "?x": room})
+
+
+@given(st.lists(NESTED, max_size=5), st.lists(st.sampled_from(ROOMS)), st.randoms(use_true_random=False))
+def test_deletes_come_before_adds_and_increases_add_up_in_any_order(effects: list[Effect], lit: list[str], chooser: random.Random) -> None:
+    before = state({**{("at", room): True for room in lit}, ("n",): 10.0, ("m",): 20.0})
+    happening = [one for effect in effects for one in literals(effect, before, {"?x": "hall"})]
+    expected: Changes = {fluent: False for fluent, what, _ in happening if what == "delete"}
+    expected.update({fluent: True for fluent, what, _ in happening if what == "add"})
+    for fluent in {fluent for fluent, what, _ in happening if what == "increase"}:
+        by = sum(float(value) for one, what, value in happening if what == "increase" and one == fluent)
+        expected[fluent] = float(before.value(fluent) or 0.0) + by  # type: ignore[arg-type]
+    for _ in range(3):
+        assert changes(tuple(effects), before, {"?x": "hall"}) == expected
+        chooser.shuffle(effects)
 
 
 # --- what effects may do ----------------------------------------------------------------------
@@ -205,6 +273,70 @@ def test_plain_facts_of_every_object() -> None:
     assert facts((), state()) == {}
 
 
+# --- decided at the start -----------------------------------------------------------------------
+
+
+def early(effects: Effects, chooser: random.Random) -> Effects:
+    """The effects, some of whose conditions are decided early."""
+    result: list[Effect] = []
+    for effect in effects:
+        match effect:
+            case Set():
+                result.append(effect)
+            case When(condition, inner):
+                result.append(When(condition, early(inner, chooser), chooser.random() < 0.5))
+            case ForEach(variables, inner):
+                result.append(ForEach(variables, early(inner, chooser)))
+    return tuple(result)
+
+
+def happening(effects: Effects, start: KnowledgeBase, end: KnowledgeBase, env: Environment) -> list[tuple[Fluent, Expression, str]]:
+    """The oracle: every `Set` that happens, each condition asked in the state it is about."""
+    found: list[tuple[Fluent, Expression, str]] = []
+    for effect in effects:
+        match effect:
+            case Set(fluent, value, operation):
+                found.append((bind(fluent, env), ground_expression(value, env), operation))
+            case When(condition, inner, is_early):
+                if evaluate(condition, start if is_early else end, env) is True:
+                    found += happening(inner, start, end, env)
+            case ForEach(variables, inner):
+                for chosen in choices(variables, end, env):
+                    found += happening(inner, start, end, chosen)
+    return found
+
+
+@given(ANY_EFFECTS, STATES, STATES, st.randoms(use_true_random=False))
+def test_early_conditions_are_asked_at_the_start_and_others_at_the_end(
+    effects: Effects, start: KnowledgeBase, end: KnowledgeBase, chooser: random.Random
+) -> None:
+    mixed = early(effects, chooser)
+    expected = changes(tuple(Set(*one) for one in happening(mixed, start, end, {})), end)
+    assert changes(decided(mixed, start), end) == expected
+    assert written(decided(mixed, start), end) <= written(mixed, end)
+    assert decided(decided(mixed, start), end) == decided(mixed, start)
+
+
+@given(ANY_EFFECTS, STATES, STATES, st.randoms(use_true_random=False), st.data())
+def test_only_what_is_read_early_decides_at_the_start_and_only_what_is_read_at_the_end(
+    effects: Effects, start: KnowledgeBase, end: KnowledgeBase, chooser: random.Random, data: st.DataObject
+) -> None:
+    mixed = early(effects, chooser)
+    after = changes(decided(mixed, start), end)
+    for moment, matters in ((start, read_early(mixed, start)), (end, read(mixed, end))):
+        others = {*ALL_FACTS, *ALL_NUMBERS} - matters
+        moment.update({fluent: data.draw(FIGURES if fluent in ALL_NUMBERS else TRUTHS) for fluent in sorted(others)})
+    assert changes(decided(mixed, start), end) == after
+
+
+def test_effects_without_early_conditions_are_left_as_they_are() -> None:
+    effects = (add("p"), When(Holds(("p",)), (add("q"),)), ForEach((Variable("?x"),), (When(Holds(("at", "?x")), (delete("p"),)),)))
+    assert decided(effects, state()) is effects
+    assert ground_effects((When(Holds(("at", "?x")), (add("q"),), True),), {"?x": "hall"}) == (
+        When(Holds(("at", "hall")), (add("q"),), True),
+    )
+
+
 # --- undo -------------------------------------------------------------------------------------
 
 
@@ -255,6 +387,45 @@ def test_undo_leaves_a_number_alone_that_has_become_something_else(now: Value | 
     before, after = begin((number("increase", "load", 5.0),), knowledge)
     knowledge.update({("load",): now})
     assert undo(before, after, knowledge) == {}
+
+
+# --- objects ------------------------------------------------------------------------------------
+
+LOCATION: Fluent = ("location", "r1")
+
+
+def test_a_fluent_gets_an_object_by_name_by_variable_or_from_another_fluent() -> None:
+    knowledge = state({("target",): "kitchen"})
+    assert changes((Set(LOCATION, Constant("hall")),), knowledge) == {LOCATION: "hall"}
+    assert changes((Set(LOCATION, Constant("?to")),), knowledge, {"?to": "hall"}) == {LOCATION: "hall"}
+    assert changes((Set(LOCATION, ValueOf(("target",))),), knowledge) == {LOCATION: "kitchen"}
+    everywhere = ForEach((Variable("?x", ("room",)),), (Set(("next", "?x"), Constant("?x")),))
+    assert changes((everywhere,), knowledge) == {("next", "hall"): "hall", ("next", "kitchen"): "kitchen"}
+
+
+@pytest.mark.parametrize("value", [Constant(UNDEFINED), ValueOf(("nowhere",))])
+def test_what_has_no_value_is_equal_to_nothing_and_different_from_nothing(value: Expression) -> None:
+    knowledge = state({LOCATION: "hall", ("elsewhere",): "hall"})
+    assert evaluate(Compare("=", ValueOf(LOCATION), ValueOf(("elsewhere",))), knowledge) is True
+    knowledge.update(changes((Set(LOCATION, value),), knowledge))
+    for other in (ValueOf(("elsewhere",)), Constant("hall"), ValueOf(LOCATION), ValueOf(("nowhere",))):
+        assert evaluate(Compare("=", ValueOf(LOCATION), other), knowledge) is UNKNOWN
+
+
+def test_objects_are_put_back() -> None:
+    knowledge = state({LOCATION: "hall"})
+    effects = (Set(LOCATION, Constant("kitchen")), Set(("location", "r2"), Constant("hall")))
+    before, after = begin(effects, knowledge)
+    assert before == {LOCATION: "hall", ("location", "r2"): UNKNOWN}
+    assert undo(before, after, knowledge) == before
+    knowledge.update({LOCATION: "cellar"})
+    assert undo(before, after, knowledge) == {("location", "r2"): UNKNOWN}
+
+
+def test_a_constant_object_is_as_plain_as_a_fact() -> None:
+    plain = (add("p"), Set(LOCATION, Constant("hall")), Set(("held",), Constant(UNDEFINED)))
+    assert facts(plain, state()) == {("p",): True, LOCATION: "hall", ("held",): UNKNOWN}
+    assert facts((Set(LOCATION, ValueOf(("target",))),), state({("target",): "hall"})) is None
 
 
 # --- text -------------------------------------------------------------------------------------

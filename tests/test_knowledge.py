@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pnm.conditions import Holds, evaluate
+from pnm.conditions import All, Exists, Holds, Not, evaluate
 from pnm.errors import InputError
-from pnm.expressions import UNKNOWN, Fluent, Unknown, Value
-from pnm.knowledge import MISSING, KnowledgeBase, Layered, parse_fluent, parse_statement
+from pnm.expressions import UNKNOWN, Fluent, Unknown, Value, Variable
+from pnm.knowledge import MISSING, KnowledgeBase, Layered, parse_fluent, parse_statement, show_statement
+from pnm.rules import Rule, Rules
 
 Facts = Mapping[Fluent, Value | Unknown]
 
@@ -159,10 +160,9 @@ def test_objects_of_several_types_come_once_and_in_order() -> None:
     assert knowledge.objects(()) == ()
 
 
-def test_local_knowledge_is_read_first() -> None:
-    world = KnowledgeBase({P: True, N: 1.0, Q: True}, objects={"room": ("hall",)})
-    both = Layered(world, KnowledgeBase({P: False, N: UNKNOWN}, objects={"room": ("lab",)}))
-    assert (both.value(P), both.value(N), both.value(Q), both.value(("absent",))) == (False, UNKNOWN, True, None)
+def test_a_run_reads_facts_and_objects_of_the_world_it_shares() -> None:
+    both = Layered(KnowledgeBase({P: True, N: 1.0}, objects={"room": ("hall",)}), KnowledgeBase({P: False}, objects={"room": ("lab",)}))
+    assert (both.value(P), both.value(N), both.value(("absent",))) == (True, 1.0, None)
     assert both.objects(("room",)) == ("hall",)
 
 
@@ -195,6 +195,68 @@ def test_repr_says_how_much_there_is() -> None:
     assert repr(knowledge) == "<KnowledgeBase 1 facts, 2 variables, 1 sensed names>"
 
 
+# --- derived facts ------------------------------------------------------------------------------
+
+X = Variable("?x", ("room",))
+LIT = Rule("lit", (X,), All((Holds(("lamp", "?x")), Holds(("power",)))))
+DARK = Rule("dark", (), Exists((X,), Not(Holds(("lit", "?x")))))
+
+
+def rooms(facts: Facts | None = None) -> KnowledgeBase:
+    return KnowledgeBase(facts, objects={"room": ("hall", "lab")}, rules=Rules((LIT, DARK)))
+
+
+def test_derived_facts_follow_from_what_is_recorded_and_are_not_listed() -> None:
+    knowledge = rooms({("lamp", "hall"): True})
+    batches = heard(knowledge)
+    assert (knowledge.value(("lit", "hall")), knowledge.value(("dark",))) == (False, True)
+    knowledge.update({("power",): True})
+    assert (knowledge.value(("lit", "hall")), knowledge.value(("dark",))) == (True, True)
+    knowledge.update({("lamp", "lab"): UNKNOWN})
+    assert knowledge.value(("dark",)) is UNKNOWN
+    assert Layered(knowledge).value(("dark",)) is UNKNOWN
+    assert Layered(knowledge).because(("lit", "hall")) == "because of (lamp hall), (power)"
+    assert knowledge.facts() == {("lamp", "hall"): True, ("power",): True, ("lamp", "lab"): UNKNOWN}
+    assert batches == [{("power",): True}, {("lamp", "lab"): UNKNOWN}]
+
+
+def test_a_listener_sees_the_derived_facts_as_they_are_after_the_change() -> None:
+    knowledge = rooms({("lamp", "hall"): True})
+    seen = [knowledge.value(("lit", "hall"))]
+    knowledge.listen(lambda _: seen.append(knowledge.value(("lit", "hall"))))
+    knowledge.update({("power",): True})
+    knowledge.update({("power",): False})
+    assert seen == [False, True, False]
+
+
+def test_nobody_writes_a_derived_fact() -> None:
+    knowledge = rooms({("power",): True})
+    for wrong in ({("power",): False, ("lit", "hall"): True}, {("dark",): False}):
+        with pytest.raises(InputError, match=r"\((lit hall|dark)\) follows from rules; it is neither set nor reported"):
+            knowledge.update(wrong)
+    assert knowledge.facts() == {("power",): True}
+    with pytest.raises(InputError, match="follows from rules"):
+        rooms({("dark",): True})
+
+
+def test_reports_about_derived_facts_are_left_out() -> None:
+    knowledge = rooms({("power",): True})
+    report: Facts = {("lit", "lab"): True, ("lamp", "hall"): True}
+    assert knowledge.replace(("lit", "lamp", "dark"), report) == {("lamp", "hall"): True}
+    assert (knowledge.value(("lit", "lab")), knowledge.value(("dark",))) == (False, True)
+    with pytest.raises(InputError, match="not a fluent"):
+        knowledge.replace({"p"}, {(): True})
+
+
+def test_a_derived_fact_is_sensed_if_all_below_it_is_and_as_late_as_that() -> None:
+    knowledge = rooms()
+    knowledge.sense(("lit", "dark", "lamp"), lag=2.0)
+    assert not knowledge.is_sensed(("dark",))
+    knowledge.sense(("power",), lag=3.0)
+    assert [knowledge.is_sensed(one) for one in (("dark",), ("lit", "lab"), ("lamp", "lab"), ("at", "r1"))] == [True, True, True, False]
+    assert (knowledge.lag({"dark"}), knowledge.lag({"lamp"}), knowledge.longest_lag) == (3.0, 2.0, 3.0)
+
+
 # --- reading facts ----------------------------------------------------------------------------
 
 
@@ -210,6 +272,9 @@ def test_repr_says_how_much_there_is() -> None:
         ("(= (offset) -1.5e1)", (("offset",), -15.0)),
         ("(= (place-of r1) hall)", (("place-of", "r1"), "hall")),
         ("(= (battery r1) 0)", (("battery", "r1"), 0.0)),
+        ("(= (battery r1) .5)", (("battery", "r1"), 0.5)),
+        ("(= (place-of r1) nan)", (("place-of", "r1"), "nan")),
+        ("(= (place-of r1) infinity)", (("place-of", "r1"), "infinity")),
     ],
 )
 def test_statements(text: str, statement: tuple[Fluent, Value]) -> None:
@@ -240,12 +305,20 @@ def test_what_is_no_statement_is_refused(text: str, refused: str) -> None:
     assert str(caught.value) == f"not a fact: {refused!r}; expected something like (at r1 kitchen)"
 
 
-@given(st.lists(st.text("ab-1_?", min_size=1, max_size=4), min_size=1, max_size=4).map(tuple))
+FLUENTS: st.SearchStrategy[Fluent] = st.lists(st.text("ab-1_?", min_size=1, max_size=4), min_size=1, max_size=4).map(tuple)
+
+
+@given(FLUENTS)
 def test_a_fluent_that_is_written_is_read(fluent: Fluent) -> None:
     text = f"({' '.join(fluent)})"
     assert parse_fluent(text) == fluent
     assert parse_statement(f"(not {text})") == (fluent, False)
     assert parse_statement(f"(= {text} 2)") == (fluent, 2.0)
+
+
+@given(FLUENTS, st.one_of(st.booleans(), st.floats(-1e6, 1e6).map(lambda value: round(value, 3)), st.just("hall")))
+def test_a_statement_that_is_written_is_read(fluent: Fluent, value: Value) -> None:
+    assert parse_statement(show_statement(fluent, value)) == (fluent, value)
 
 
 @given(st.text("()=not 1ab", max_size=30))

@@ -9,19 +9,26 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from pnm.conditions import TRUE, Condition, evaluate, failing
-from pnm.effects import Changes, changes, undo, values_before
+from pnm.effects import Changes, changes, decided, undo, values_before
+from pnm.errors import InputError
 from pnm.expressions import Fluent, Unknown, Value
 from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import GroundAction
 
 
 class World:
-    """The true state, and the actions that are going on in it."""
+    """The true state, and the actions that are going on in it.
+
+    Raises:
+        InputError: a name is said to be able to change, but is derived by rules.
+    """
 
     def __init__(self, truth: KnowledgeBase, dynamic: Iterable[str]) -> None:
         self.truth = truth
         self.dynamic = frozenset(dynamic)
         """The predicates and functions that can change: those are what sensors report."""
+        for name in sorted(self.dynamic & truth.rules.derived):
+            raise InputError(f"facts of {name} follow from rules; they are neither set nor reported")
 
     def holds(self, condition: Condition) -> bool:
         """Tell whether the condition is true in the world."""
@@ -56,6 +63,7 @@ class Activity:
     def __init__(self, world: World, action: GroundAction) -> None:
         self.world = world
         self.action = action
+        self._ending = decided(action.end_effects, world.truth)
         self._written = changes(action.start_effects, world.truth)
         self._before = values_before(self._written, world.truth)
         world.change(self._written)
@@ -70,7 +78,7 @@ class Activity:
         if denied := _denied(self.action.end_condition, self.world.truth):
             self.undo()
             return f"{self.action} cannot end well: {denied} is not so"
-        self.world.change(changes(self.action.end_effects, self.world.truth))
+        self.world.change(changes(self._ending, self.world.truth))
         return ""
 
     def undo(self) -> None:
