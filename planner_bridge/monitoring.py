@@ -60,6 +60,8 @@ class _Watched:
     """A ground constraint; what is known of it changes."""
 
     constraint: Constraint
+    names: frozenset[str]
+    """The predicates and functions it mentions."""
     watch: Watch
     violation: Violation | None = None
 
@@ -85,7 +87,7 @@ class Monitor:
         self._looked = False
 
     def _instance(self, constraint: Constraint, env: Environment = NOTHING) -> list[_Watched]:
-        return [_Watched(one, Watch((one,))) for one in instances(constraint, self._knowledge, env)]
+        return [_Watched(one, names_in(one), Watch((one,))) for one in instances(constraint, self._knowledge, env)]
 
     def _instances(self, preference: Preference) -> list[list[_Watched]]:
         wanted = preference.wanted
@@ -127,7 +129,7 @@ class Monitor:
         return watched.violation
 
     def _lag(self, watched: _Watched) -> float:
-        return max(SETTLING, self._knowledge.world.lag(names_in(watched.constraint)))
+        return max(SETTLING, self._knowledge.world.lag(watched.names))
 
     def next_look(self, now: float) -> float:
         """Return when to look again even if nothing changes; infinity if that is not needed."""

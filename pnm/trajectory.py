@@ -67,11 +67,17 @@ def progressed(constraints: Iterable[Constraint], state: State, now: float = 0.0
         state: the state it has come to.
         now: when, in seconds from the start of the whole course; later than the previous state.
     """
+    found = [left for constraint in constraints for left in _progressed(constraint, state, now)]
+    if IMPOSSIBLE in found:
+        return (IMPOSSIBLE,)
+    return tuple(found) if len(found) < 2 else _merged(found)
+
+
+def _merged(found: Iterable[Constraint]) -> tuple[Constraint, ...]:
+    """Leave out what is there twice; of several deadlines for the same, the earliest includes the others."""
     left: dict[object, Constraint] = {}
-    for one in (left for constraint in constraints for left in _progressed(constraint, state, now)):
-        if one == IMPOSSIBLE:
-            return (IMPOSSIBLE,)
-        key = one.conditions if one.operator == "within" else one  # of several deadlines the earliest includes the others
+    for one in found:
+        key = one.conditions if one.operator == "within" else one
         if key not in left or one.times < left[key].times:
             left[key] = one
     return tuple(left.values())
@@ -91,7 +97,7 @@ def _progressed(constraint: Constraint, state: State, now: float) -> tuple[Const
                 return ()
             return (constraint,) if now < limit - TOLERANCE else (IMPOSSIBLE,)
         case "at-most-once", [True], ():
-            return (replace(constraint, begun=True),)
+            return (constraint if constraint.begun else replace(constraint, begun=True),)
         case "at-most-once", [wanted], ():
             over = constraint.begun and wanted is False
             return (Constraint("always", (Not(constraint.conditions[0]),)),) if over else (constraint,)
@@ -110,8 +116,8 @@ def _progressed(constraint: Constraint, state: State, now: float) -> tuple[Const
             if now >= end - TOLERANCE:
                 return ()
             return (IMPOSSIBLE,) if now >= begin - TOLERANCE and wanted is False else (constraint,)
-        case "hold-after", [_], (begin,):
-            return (constraint,) if now < begin - TOLERANCE else _progressed(Constraint("always", constraint.conditions), state, now)
+        case "hold-after", [wanted], (begin,):
+            return (IMPOSSIBLE,) if now >= begin - TOLERANCE and wanted is False else (constraint,)
         case _:
             raise ValueError(f"not a ground constraint of PDDL 3.0: {constraint}")
 
@@ -134,6 +140,8 @@ def shifted(constraint: Constraint, elapsed: float) -> Constraint:
     """Return what is left of the constraint, with times that count from so many seconds after the start of the whole course."""
     if constraint.operator == "always-within":
         return constraint
+    if constraint.operator == "hold-after" and constraint.times[0] <= elapsed + TOLERANCE:
+        return Constraint("always", constraint.conditions, (), constraint.variables)
     return replace(constraint, times=tuple(max(0.0, time - elapsed) for time in constraint.times))
 
 
@@ -160,7 +168,7 @@ class Watch:
         left = progressed(self.rest, state, moment)
         if now < moment + lag - TOLERANCE and any(one.operator == "always" and one not in self.rest for one in left):
             return Watch(self.rest, moment)
-        return Watch(left) if moment == now else Watch(left).seen(state, now, lag)
+        return Watch(left)
 
     def next_look(self, now: float, lag: float) -> float:
         """Return when to look again even if nothing is reported."""

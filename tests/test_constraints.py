@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import io
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import pytest
@@ -23,8 +24,10 @@ from pnm.clock import run_async
 from pnm.conditions import Condition, Exists, Holds, Not
 from pnm.expressions import Variable
 from pnm.knowledge import KnowledgeBase, Layered
+from pnm.plan_graph import GroundAction
 from pnm.trajectory import IMPOSSIBLE, Constraint
 from tests.domains import rooms
+from tests.test_replanning import LateSite
 
 TO_C = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc")
 """Two moves of a second each, from a over b to c."""
@@ -55,9 +58,13 @@ def changes(*times: tuple[float, str], value: bool = True) -> Faults:
 
 @dataclass
 class Log(TaskObserver):
-    """Writes down which constraints are violated, and when that is told."""
+    """Writes down which constraints are violated, when that is told, and how often a planner is asked."""
 
     told: list[tuple[float, Violation]] = field(default_factory=list)
+    asked: int = 0
+
+    def planning(self, planner: str) -> None:
+        self.asked += 1
 
     def violated(self, violation: Violation, now: float) -> None:
         self.told.append((now, violation))
@@ -79,8 +86,15 @@ class Pursued:
         return [one.status for one in self.result.constraints]
 
 
-def pursued(problem: Problem, faults: Faults = NO_FAULTS, *, limits: Limits = Limits(), bindings: Bindings = Bindings()) -> Pursued:
-    site, log = SimulatedSite(problem, bindings, faults), Log()
+def pursued(
+    problem: Problem,
+    faults: Faults = NO_FAULTS,
+    *,
+    limits: Limits = Limits(),
+    bindings: Bindings = Bindings(),
+    site: SimulatedSite | None = None,
+) -> Pursued:
+    site, log = site or SimulatedSite(problem, bindings, faults), Log()
 
     async def main() -> tuple[TaskResult, float]:
         result = await pursue(problem, site, Settings(limits=limits, bindings=bindings), log, Stopwatch())
@@ -116,12 +130,35 @@ def test_a_violation_at_the_very_end_counts() -> None:
     assert done.outcomes() == ["succeeded", "succeeded"]
     assert done.result.reason == "(always (not (clean b))) is violated after 2.00 s: (clean b) is true"
     assert not done.result.goal_reached
+    assert done.result.as_json()["decisions"] == []
+
+
+def test_a_violation_that_is_reported_after_the_end_counts() -> None:
+    problem = constrained(always(Not(B)))
+    done = pursued(problem, site=LateSite(problem, changes((2.65, "b")), delay=0.3, lag=1.0))
+    assert done.outcomes() == ["succeeded", "succeeded"]
+    assert done.result.reason == "(always (not (clean b))) is violated after 2.95 s: (clean b) is true"
+    assert done.result.as_json()["decisions"] == []
+
+
+class SlowSite(SimulatedSite):
+    """Servers are looked for so long."""
+
+    async def prepare(self, actions: Iterable[GroundAction]) -> None:
+        await asyncio.sleep(5.0)
+
+
+def test_nothing_is_started_when_a_constraint_is_violated_before() -> None:
+    problem = constrained(always(Not(B)))
+    done = pursued(problem, site=SlowSite(problem, Bindings(), changes((2.0, "b"))))
+    assert [call.attempts for call in done.result.calls] == [0, 0]
+    assert done.result.reason.startswith("(always (not (clean b))) is violated after 2.00 s")
 
 
 def test_a_constraint_that_the_initial_state_violates_leaves_nothing_to_plan() -> None:
     done = pursued(constrained(always(Not(Holds(("at", "r1", "a"))))))
     assert done.result.reason == "(always (not (at r1 a))) is violated after 0.00 s: (at r1 a) is true"
-    assert (done.result.plans, done.result.calls) == (0, ())
+    assert (done.log.asked, done.result.calls) == (0, ())
 
 
 def test_constraints_of_the_domain_count_for_every_object() -> None:
@@ -171,6 +208,7 @@ def test_a_violation_while_waiting_to_try_again_ends_the_task_at_once() -> None:
     done = pursued(constrained(always(Not(B))), aborts, limits=Limits(backoff=1000.0, longest_backoff=1000.0, forbid_after=100))
     assert done.result.reason.startswith("(always (not (clean b))) is violated after 20.00 s")
     assert done.ended < 21.0
+    assert done.log.asked == done.result.plans == 1
 
 
 def test_the_constraints_are_watched_in_every_episode() -> None:
@@ -191,10 +229,27 @@ def test_what_was_so_for_one_moment_was_so_sometime() -> None:
     assert done.statuses() == ["fulfilled", "fulfilled"]
 
 
+def test_a_goal_that_holds_is_not_reached_while_something_is_missing() -> None:
+    in_vain = Faults((Fault("sweep", FaultKind.NO_EFFECT),))
+    done = pursued(constrained(sometime(B)), in_vain, limits=Limits(replans=0))
+    assert not done.result.goal_reached
+    assert done.result.reason.startswith("the limit of 0 replans is reached")
+    assert done.result.reason.endswith("; not fulfilled: (sometime (clean b))")
+    assert done.statuses() == ["violated"]
+
+
 def test_a_cancelled_task_tells_what_was_not_fulfilled() -> None:
     done = pursued(constrained(sometime(B), always(Not(D))), limits=Limits(seconds=0.5))
     assert done.result.reason == "the limit of 0.5 s is reached"
     assert done.statuses() == ["violated", "fulfilled"]
+
+
+def test_a_violation_is_told_once() -> None:
+    world = KnowledgeBase()
+    watching = Monitor(constrained(always(Not(B))), Layered(world))
+    watching.look(0.0)
+    world.update({("clean", "b"): True})
+    assert [[violation.time for violation in watching.look(now)] for now in (1.0, 1.005, 1.02, 2.0, 3.0)] == [[], [], [1.0], [], []]
 
 
 def test_a_task_that_never_began_has_monitored_nothing() -> None:
@@ -218,17 +273,19 @@ def test_preferences_are_counted_and_never_enforced() -> None:
         Preference("soon", (within(0.5, C), within(0.7, C))),
         Preference("soon", (within(1.5, B),)),
         Preference("", (sometime(Holds(("at", "r1", "b"))),)),
+        Preference("still", (Constraint("hold-during", (Not(D),), (0.5, 0.9)),)),
     )
-    done = pursued(problem, changes((0.5, "a"), (1.0, "b")))
+    done = pursued(problem, changes((0.5, "a"), (1.0, "b"), (0.3, "d"), (0.95, "not d")))
     assert done.result.goal_reached
     assert done.result.constraints == ()
     assert [(one.name, one.status, one.violated) for one in done.result.preferences] == [
         ("tidy", "violated", 2),
         ("there", "fulfilled", 0),
-        ("quiet", "violated", 2),
+        ("quiet", "violated", 3),
         ("all-quiet", "violated", 1),
         ("soon", "violated", 1),
         ("", "fulfilled", 0),
+        ("still", "violated", 1),
     ]
     assert done.log.told == []
 

@@ -123,7 +123,7 @@ CONSTRAINTS = st.one_of(LIKE_KAIROS, SAFE)
 # --- progression -----------------------------------------------------------------------------------
 
 
-@settings(max_examples=600, deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(CONSTRAINTS, traces())
 @example(Constraint("always-within", (P, Q), (1.0,)), course("p - q p pq"))
 @example(Constraint("hold-during", (P,), (0.5, 2.0)), course("- - p"))
@@ -131,7 +131,7 @@ def test_progression_gives_the_verdict_of_the_definitions(constraint: Constraint
     assert is_fulfilled(progress((constraint,), trace), trace[-1][1], trace[-1][0]) == keeps(trace, constraint)
 
 
-@settings(max_examples=600, deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(CONSTRAINTS, traces(), st.data())
 def test_what_is_left_says_of_the_rest_what_the_whole_says_of_the_whole(constraint: Constraint, trace: Trace, data: st.DataObject) -> None:
     cut = data.draw(st.integers(0, len(trace) - 1))
@@ -199,7 +199,7 @@ SOON = Constraint("always-within", (P, Q), (2.0,))
         (Constraint("hold-during", (P,), (1.0, 3.0)), "- p p -", ()),
         (Constraint("hold-during", (P,), (1.0, 3.0)), "- p -", (IMPOSSIBLE,)),
         (Constraint("hold-after", (P,), (1.0,)), "-", (Constraint("hold-after", (P,), (1.0,)),)),
-        (Constraint("hold-after", (P,), (1.0,)), "- p", (always(P),)),
+        (Constraint("hold-after", (P,), (1.0,)), "- p", (Constraint("hold-after", (P,), (1.0,)),)),
         (Constraint("hold-after", (P,), (1.0,)), "p -", (IMPOSSIBLE,)),
         (Constraint("at end", (P,)), "p -", (Constraint("at end", (P,)),)),
     ],
@@ -217,10 +217,17 @@ def test_a_deadline_that_nothing_happens_at_is_kept_all_the_same() -> None:
     assert progressed((deadline,), state(p=True), 1.5) == ()
 
 
+def test_of_several_deadlines_the_earliest_is_left() -> None:
+    soon, late = (Constraint("within", (P,), (time,)) for time in (3.0, 5.0))
+    assert progressed((soon, late), state()) == progressed((late, soon), state()) == (soon,)
+    assert progressed((soon, Constraint("within", (Q,), (5.0,))), state()) == (soon, Constraint("within", (Q,), (5.0,)))
+
+
 def test_times_count_from_now_on_for_a_planner() -> None:
     assert shifted(Constraint("within", (P,), (9.0,)), 4.0).times == (5.0,)
     assert shifted(Constraint("hold-during", (P,), (3.0, 9.0)), 4.0).times == (0.0, 5.0)
     assert shifted(Constraint("hold-after", (P,), (9.0,)), 4.0).times == (5.0,)
+    assert shifted(Constraint("hold-after", (P,), (4.0,)), 4.0) == always(P)
     assert shifted(SOON, 4.0).times == (2.0,)
     assert shifted(BEFORE, 4.0) == BEFORE
 
@@ -297,7 +304,7 @@ def reports(text: str) -> Trace:
 
 
 EITHER = always(Any((P, Q)))
-BY_3 = Constraint("within", (P,), (3.0,))
+BY_3, FROM_3 = (Constraint(name, (P,), (3.0,)) for name in ("within", "hold-after"))
 
 
 @pytest.mark.parametrize(
@@ -323,7 +330,9 @@ BY_3 = Constraint("within", (P,), (3.0,))
         (SOON, "0:- 3:p 4:- 6.5:q", (IMPOSSIBLE,)),
         (Constraint("hold-during", (P,), (3.0, 9.0)), "0:- 3.5:p 8.5:- 8.9:p 9:-", ()),
         (Constraint("hold-during", (P,), (3.0, 9.0)), "0:- 5:p", (IMPOSSIBLE,)),
-        (Constraint("hold-after", (P,), (3.0,)), "0:- 3.5:p", (always(P),)),
+        (FROM_3, "0:- 3.5:p 8:- 8.5:p", (FROM_3,)),
+        (FROM_3, "0:p 3.9:- 4.1:p", (FROM_3,)),
+        (FROM_3, "0:- 4.5:p", (IMPOSSIBLE,)),
     ],
     ids=str,
 )
