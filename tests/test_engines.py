@@ -82,6 +82,11 @@ def test_two_at_once_do_not_disturb_each_other() -> None:
     assert [len(one.plan.steps) if one.plan else one.reason for one in found] == [1, 4, 1, 4]
 
 
+def test_kairos_names_who_plans_for_tasks() -> None:
+    found = solve(replace(rooms(), network=":htn"))
+    assert (found.status, found.message) == (PlanningStatus.UNSUPPORTED, "task networks, which aries plans for (--planner aries)")
+
+
 # --- what they need ------------------------------------------------------------------------
 
 
