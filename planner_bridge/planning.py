@@ -95,7 +95,7 @@ def validated(problem: Problem, found: PlanningResult) -> PlanningResult:
         return found
     status = PlanningStatus.INVALID_PLAN if all(verdicts.values()) else PlanningStatus.DISAGREEMENT
     said = "; ".join(f"{validator} says: {why or 'valid'}" for validator, why in verdicts.items())
-    return PlanningResult(status, message=f"{said}; the plan was {plan_text(found.plan)}", planner=found.planner)
+    return PlanningResult(status, message=f"{said}; the plan: {' '.join(plan_text(found.plan).split())}", planner=found.planner)
 
 
 def validate(problem: Problem, plan: Plan) -> str:

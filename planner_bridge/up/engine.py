@@ -66,7 +66,8 @@ def ask(name: str, seconds: float) -> Answer:
     environment.credits_stream = None
     known = sorted(one for one in environment.factory.engines if environment.factory.engine(one).is_oneshot_planner())
     if name not in known:
-        return {"unknown": f"there is no planner {name!r}; installed: kairos, {', '.join(known)}"}
+        planners = ", ".join(("kairos", *(one for one in known if "[" not in one)))
+        return {"unknown": f"there is no planner {name!r}; installed: {planners}"}
     deadline = time.monotonic() + seconds
     problem = parse_problem(Path("problem.pddl").read_text(), parse_domain(Path("domain.pddl").read_text()))
     answer = _answer(name, problem, deadline)
