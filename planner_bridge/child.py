@@ -18,6 +18,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,7 +28,7 @@ from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.plan import Plan, PlanningResult, PlanningStatus, PlanStep, Stop
 from pnm.errors import InputError
 
-START: Final = 20.0
+START: Final = 30.0
 """Seconds that a child may take to begin: it loads unified-planning first."""
 GRACE: Final = 1.0
 """Seconds that an engine gets to say itself that its time is over."""
@@ -46,13 +47,13 @@ def solve_in_child(problem: Problem, engine: str, timeout: float, cancel: Stop) 
     require(engine)
     with tempfile.TemporaryDirectory(prefix="pnm-", ignore_cleanup_errors=True) as name:
         folder = Path(name).resolve()
-        (folder / "domain.pddl").write_text(write_domain(problem.domain))
-        (folder / "problem.pddl").write_text(write_problem(problem))
+        (folder / "domain.pddl").write_text(write_domain(problem.domain), encoding="utf-8")
+        (folder / "problem.pddl").write_text(write_problem(problem), encoding="utf-8")
         with _group([sys.executable, "-m", "planner_bridge.up", engine, str(timeout)], folder) as child:
             _wait(child, folder, timeout, cancel)
             status = child.poll()
         if (folder / ANSWER).exists():
-            return _read(json.loads((folder / ANSWER).read_text()), problem)
+            return _read(json.loads((folder / ANSWER).read_text(encoding="utf-8")), problem)
         if cancel.is_set():
             return PlanningResult(PlanningStatus.CANCELLED)
         if status is None:
@@ -76,7 +77,7 @@ def _group(command: list[str], folder: Path) -> Iterator[subprocess.Popen[bytes]
             stdout=output,
             stderr=output,
             start_new_session=True,
-            env={**os.environ, "PYTHONPATH": path, _FOLDER: str(folder), "no_grpc_proxy": "127.0.0.1"},
+            env={**os.environ, "PYTHONPATH": path, "PYTHONUTF8": "1", _FOLDER: str(folder), "no_grpc_proxy": "127.0.0.1"},
         )
         try:
             yield child
@@ -100,7 +101,8 @@ def _end(child: subprocess.Popen[bytes], folder: Path) -> None:
         _signal(number, child.pid, folder)
         with suppress(subprocess.TimeoutExpired):
             child.wait(timeout=1.0)
-    child.communicate()
+    if child.stdin:
+        child.stdin.close()
 
 
 def _signal(number: signal.Signals, group: int, folder: Path) -> None:
@@ -149,4 +151,4 @@ def _plan(steps: list[Any], problem: Problem) -> Plan:
         PlanStep(actions[action.casefold()], tuple(objects[one.casefold()] for one in arguments), start, duration)
         for action, arguments, start, duration in steps
     )
-    return Plan(found, temporal=problem.is_timed)
+    return Plan(tuple(sorted(found, key=attrgetter("start"))), temporal=problem.is_timed)

@@ -46,7 +46,7 @@ ENGINES: Final = {
             undeclared=frozenset({"UNDEFINED_INITIAL_NUMERIC"}),  # the costs of actions that are never applicable
         ),
         Engine("aries", "up-aries", frozenset({Feature.TIME, Feature.NUMBERS, Feature.OBJECT_FLUENTS, Feature.TASKS})),
-        Engine(  # says that there is no plan whenever it finds none
+        Engine(  # ends without a plan, and unified-planning takes that for a proof
             "enhsp",
             "up-enhsp",
             frozenset({Feature.QUANTIFIERS, Feature.CONDITIONAL_EFFECTS, Feature.NUMBERS, Feature.FRACTIONS}),

@@ -65,8 +65,8 @@ def solve(
     if planner == RACE or planner.startswith(f"{RACE}:"):
         from planner_bridge.race import race  # here, because most searches are no races
 
-        named = tuple(planner.removeprefix(RACE).removeprefix(":").split(",")) if planner != RACE else None
-        return race(problem, planners=named, timeout=timeout, executor=executor, cancel=stop)
+        named = tuple(name.strip() for name in planner.removeprefix(f"{RACE}:").split(","))
+        return race(problem, planners=None if planner == RACE else named, timeout=timeout, executor=executor, cancel=stop)
     return validated(problem, search(problem, planner, timeout, stop))
 
 
@@ -95,7 +95,7 @@ def validated(problem: Problem, found: PlanningResult) -> PlanningResult:
         return found
     status = PlanningStatus.INVALID_PLAN if all(verdicts.values()) else PlanningStatus.DISAGREEMENT
     said = "; ".join(f"{validator} says: {why or 'valid'}" for validator, why in verdicts.items())
-    return PlanningResult(status, message=f"{said}; the plan was {plan_text(found.plan)}", planner=found.planner)
+    return PlanningResult(status, message=f"{said}; the plan: {' '.join(plan_text(found.plan).split())}", planner=found.planner)
 
 
 def validate(problem: Problem, plan: Plan) -> str:
@@ -146,7 +146,8 @@ def _solve_with_kairos(problem: Problem, timeout: float, cancel: Stop) -> Planni
         search.next_plan(_POLL)
     search.stop()
     result = search.wait()
-    status, message = _STATUS[result.status], _told(result.diagnostics)
+    status = _STATUS[result.status]
+    message = "" if status is PlanningStatus.CANCELLED else _told(result.diagnostics)
     if result.plan is None:
         return PlanningResult(PlanningStatus.NO_PLAN if status is PlanningStatus.SOLVED else status, message=message)
     return PlanningResult(PlanningStatus.SOLVED, _plan(result.plan, problem))

@@ -19,11 +19,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
 
+from planner_bridge.child import START
 from planner_bridge.engines import ENGINES, require
 from planner_bridge.features import Feature, features
 from planner_bridge.model import Problem
@@ -33,8 +34,6 @@ from planner_bridge.plan import PlanningResult, PlanningStatus, Stop
 from planner_bridge.planning import DEFAULT_PLANNER, search, validated
 from pnm.errors import InputError
 
-START: Final = 20.0
-"""Seconds that planners and the processes they run in may take to begin."""
 _GRACE: Final = 2.0
 """Seconds that a process gets to end by itself when the race is over."""
 _POLL: Final = 0.05
@@ -107,7 +106,7 @@ def entrants(problem: Problem) -> tuple[str, ...]:
 def compete(domain: str, problem: str, planner: str, timeout: float, over: str) -> PlanningResult:
     """Search with one of the planners, until the file appears that says that the race is over."""
     try:
-        return search(parse_problem(problem, parse_domain(domain)), planner, timeout, _Appearance(Path(over)))
+        return search(parse_problem(problem, parse_domain(domain)), planner, timeout, _Over(Path(over)))
     except InputError as error:
         return PlanningResult(PlanningStatus.INVALID, message=str(error))
 
@@ -161,14 +160,15 @@ def _known(planners: tuple[str, ...]) -> tuple[str, ...]:
 # --- processes -----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class _Appearance:
-    """Set as soon as a file is there."""
+class _Over:
+    """Set as soon as the file is there, or its folder gone; never on a machine that has not seen the folder."""
 
-    path: Path
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self._sees = file.parent.exists()
 
     def is_set(self) -> bool:
-        return self.path.exists()
+        return self._sees and (self._file.exists() or not self._file.parent.exists())
 
 
 class _Processes(Executor):

@@ -100,9 +100,11 @@ def read(domain: str, things: str = "", init: str = "", goal: str = "(and)", mor
 
 def test_one_name_for_several_things_becomes_several_names() -> None:
     here = read(
-        """(:types room) (:predicates (room ?x - room)) (:action room :parameters (?room - room) :effect (room ?room))""",
+        """(:types room) (:predicates (room ?x - room)) (:functions (room))
+        (:action room :parameters (?room - room) :precondition (>= (room) 1) :effect (and (room ?room) (decrease (room) 1)))""",
         "room - room",
-        goal="(room room)",
+        "(= (room) 1)",
+        "(room room)",
     )
     found = solve(here, planner="aries", timeout=60)
     assert found.plan is not None, found.reason
@@ -200,6 +202,7 @@ def test_a_duration_may_be_an_interval() -> None:
         (replace(lamp(), constraints=(Constraint("within", (TRUE,), (5.0,)),)), "the constraint within"),
         (replace(lamp(), preferences=(Preference("p", TRUE),)), "preferences"),
         (replace(lamp(), network="(:htn)"), "task networks"),
+        (lamp(more="(:metric minimize (+ (total-time) (used)))"), r"the use of \(total-time\)"),
     ],
 )
 def test_what_unified_planning_cannot_say_is_named(problem: Problem, named: str) -> None:

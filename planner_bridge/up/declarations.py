@@ -9,7 +9,8 @@ import unified_planning.shortcuts as up
 
 from planner_bridge.model import Declaration, Problem
 from planner_bridge.type_tree import ROOT, TypeTree
-from pnm.expressions import Variable
+from pnm.errors import InputError
+from pnm.expressions import Fluent, Variable, show
 
 Terms: TypeAlias = Mapping[str, Any]
 """What the variables in scope have become."""
@@ -28,7 +29,7 @@ class Declarations:
             self.types[name] = up.UserType(self.named(name), self.types[parent])
         self.objects = {name: up.Object(self.named(name), self.types[kind]) for name, kind in self.tree.type_of.items()}
         translated.add_objects(self.objects.values())
-        self.fluents: dict[str, Any] = {}
+        self._fluents: dict[tuple[str, int], Any] = {}  # a predicate and a function may differ in nothing but their arity
         for declared in problem.domain.predicates.values():
             self._declare(declared, up.BoolType(), default_initial_value=False)
         for declared in problem.domain.functions.values():
@@ -42,6 +43,20 @@ class Declarations:
             name += "-"
         self._taken.add(name)
         return name
+
+    def knows(self, fluent: Fluent) -> bool:
+        """Tell whether the fluent is one of those that matter."""
+        return (fluent[0], len(fluent) - 1) in self._fluents
+
+    def fluent(self, fluent: Fluent) -> Any:
+        """Return the fluent in unified-planning, without its arguments.
+
+        Raises:
+            InputError: it is none of the domain's, such as the ``total-time`` of a metric.
+        """
+        if not self.knows(fluent):
+            raise InputError(f"the use of {show(fluent)}")
+        return self._fluents[fluent[0], len(fluent) - 1]
 
     def type_of(self, types: Iterable[str]) -> Any:
         """Return the type of what is of one of the types."""
@@ -71,5 +86,5 @@ class Declarations:
 
     def _declare(self, declared: Declaration, kind: Any, **default: bool) -> None:
         parameters = {f"{variable.name[1:]}-{place}": self.type_of(variable.types) for place, variable in enumerate(declared.parameters)}
-        self.fluents[declared.name] = up.Fluent(self.named(declared.name), kind, **parameters)
-        self.translated.add_fluent(self.fluents[declared.name], **default)
+        there = self._fluents[declared.name, len(parameters)] = up.Fluent(self.named(declared.name), kind, **parameters)
+        self.translated.add_fluent(there, **default)

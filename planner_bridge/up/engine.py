@@ -66,13 +66,14 @@ def ask(name: str, seconds: float) -> Answer:
     environment.credits_stream = None
     known = sorted(one for one in environment.factory.engines if environment.factory.engine(one).is_oneshot_planner())
     if name not in known:
-        return {"unknown": f"there is no planner {name!r}; installed: kairos, {', '.join(known)}"}
+        planners = ", ".join(("kairos", *(one for one in known if "[" not in one)))
+        return {"unknown": f"there is no planner {name!r}; installed: {planners}"}
     deadline = time.monotonic() + seconds
     problem = parse_problem(Path("problem.pddl").read_text(), parse_domain(Path("domain.pddl").read_text()))
-    answer = _answer(name, problem, seconds)
+    answer = _answer(name, problem, deadline)
     if problem.metric is None or not _cannot(answer):
         return answer
-    again = _answer(name, replace(problem, metric=None), deadline - time.monotonic())
+    again = _answer(name, replace(problem, metric=None), deadline)
     return answer if _cannot(again) else {**again, "message": f"{again['message']} (without the metric: {answer['message']})".strip()}
 
 
@@ -80,12 +81,12 @@ def _cannot(answer: Answer) -> bool:
     return answer["status"] in (PlanningStatus.UNSUPPORTED.name, PlanningStatus.CRASHED.name)
 
 
-def _answer(name: str, problem: Problem, seconds: float) -> Answer:
+def _answer(name: str, problem: Problem, deadline: float) -> Answer:
     try:
         there, actions, objects = _problem(name, problem)
         with up.OneshotPlanner(name=name) as planner:
             planner.skip_checks = True  # what it declares has been looked at already
-            result = planner.solve(there, timeout=seconds)
+            result = planner.solve(there, timeout=max(0.01, deadline - time.monotonic()))
     except (InputError, UPUnsupportedProblemTypeError) as error:
         return _no_plan(PlanningStatus.UNSUPPORTED, str(error))
     except UPException as error:

@@ -77,7 +77,7 @@ def expression_there(expression: Expression, declared: Declarations, terms: Term
 def fluent_there(fluent: Fluent, declared: Declarations, terms: Terms) -> Any:
     """Return the fluent in unified-planning."""
     arguments = (terms[term] if term.startswith("?") else up.ObjectExp(declared.objects[term]) for term in fluent[1:])
-    return up.FluentExp(declared.fluents[fluent[0]], arguments)
+    return up.FluentExp(declared.fluent(fluent), arguments)
 
 
 def number_there(number: float) -> Any:

@@ -124,7 +124,7 @@ class Translation:
 
     def _effects(self, schema: ActionSchema, action: Any, moment: tuple[Any, ...], effects: Iterable[Assignment], terms: Terms) -> None:
         for one in effects:
-            if one.fluent[0] not in self._declared.fluents:
+            if not self._declared.knows(one.fluent):
                 continue
             if one.early and names(one.condition) & self._dynamic:
                 raise InputError(f"an effect at the end of {schema.name} that depends on a condition at its start")
@@ -145,12 +145,12 @@ class Translation:
 
     def _state(self) -> None:
         for fluent, value in self._problem.init.items():
-            if value is not False and fluent[0] in self._declared.fluents:
+            if value is not False and self._declared.knows(fluent):
                 self.translated.set_initial_value(fluent_there(fluent, self._declared, {}), self._expression(Constant(value), {}))
         for change in self._problem.timed:
             moment = up.GlobalStartTiming(number_there(change.time).constant_value())
             for fluent, value in change.changes.items():
-                if fluent[0] in self._declared.fluents:
+                if self._declared.knows(fluent):
                     there = fluent_there(fluent, self._declared, {})
                     self.translated.add_timed_effect(moment, there, self._expression(Constant(value), {}))
 
