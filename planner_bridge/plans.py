@@ -3,7 +3,8 @@
 The happenings of the plan are walked through in time. For every ground fluent we remember who
 wrote it last and who has read it since; a reader waits for the last writer, a writer waits for
 the last writer and for every reader since. That keeps exactly the orders that matter: the plan
-may be executed in any order that keeps them, as soon as they allow.
+may be executed in any order that keeps them, as soon as they allow. Who reads a derived fact reads
+what it rests on: whatever the plan changes that can make a difference to it.
 
 An over-all condition is read from just after the start until just before the end. Fluents that
 nothing changes, and counters that only a metric reads (`total-cost`), order nothing.
@@ -20,10 +21,12 @@ from planner_bridge.grounding import ground_action
 from planner_bridge.model import Problem
 from planner_bridge.plan import Plan, PlanStep
 from planner_bridge.state import dynamic_names, initial_knowledge
-from pnm.conditions import conjuncts, fluents, names
-from pnm.effects import Effects, ForEach, Set, When, read, written
-from pnm.expressions import Fluent, State, expression_fluents
+from pnm.conditions import Condition, conjuncts, fluents, names
+from pnm.effects import Effects, ForEach, Set, When, read, read_early, written
+from pnm.expressions import UNKNOWN, Fluent, expression_fluents
+from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.rules import Rules
 
 _DIGITS: Final = 5
 """Times are compared at this many decimals: planners separate events by 0.001 and compute in floats."""
@@ -34,8 +37,8 @@ _TIMED, _END, _START, _INSTANT_END, _OPEN = range(5)
 
 def plan_graph(problem: Problem, plan: Plan) -> PlanGraph:
     """Return the calls of the plan with the orderings that its causes demand."""
-    ordering = _Causes(initial_knowledge(problem), _relevant(problem))
     steps = [ground_step(problem, plan, step) for step in plan.steps]
+    ordering = _Causes(_lasting_knowledge(problem, steps), _relevant(problem))
     for time, _, index, kind in sorted(_happenings(problem, plan)):
         if kind == _TIMED:
             ordering.timed(time, tuple(problem.timed[index].changes))
@@ -47,7 +50,7 @@ def plan_graph(problem: Problem, plan: Plan) -> PlanGraph:
 def in_causal_order(problem: Problem, calls: tuple[ActionCall, ...], order: Iterable[PlanEvent]) -> PlanGraph:
     """Return the calls with the orderings that their causes demand, given one order of their events that works."""
     positions = {event: float(position) for position, event in enumerate(order)}
-    causes = _Causes(initial_knowledge(problem), _relevant(problem))
+    causes = _Causes(_lasting_knowledge(problem, [call.action for call in calls]), _relevant(problem))
     for event, now in positions.items():
         action = calls[event.call].action
         end = positions[PlanEvent(event.call, Moment.END)]
@@ -80,6 +83,18 @@ def _happenings(problem: Problem, plan: Plan) -> list[tuple[float, int, int, int
     return found
 
 
+def _lasting_knowledge(problem: Problem, steps: Iterable[GroundAction]) -> KnowledgeBase:
+    """Return what is so at first, and as far as rules read it, stays so: what the plan or time may change is unknown."""
+    knowledge = initial_knowledge(problem)
+    if not knowledge.rules.rules:
+        return knowledge
+    changing = {fluent for change in problem.timed for fluent in change.changes}
+    for action in steps:
+        changing |= written((*action.start_effects, *action.end_effects), knowledge)
+    knowledge.update(dict.fromkeys(changing, UNKNOWN))
+    return knowledge
+
+
 def _relevant(problem: Problem) -> frozenset[str]:
     """Return the names that can change and that something besides the metric reads."""
     asked = set(names(problem.goal)) | {fluent[0] for change in problem.timed for fluent in change.changes}
@@ -90,7 +105,7 @@ def _relevant(problem: Problem) -> frozenset[str]:
             asked |= {fluent[0] for fluent in expression_fluents(constraint.bound)}
         asked |= set(_asked((*schema.start_effects, *schema.end_effects)))
     predicates = frozenset(problem.domain.predicates)
-    return dynamic_names(problem) & (predicates | asked)
+    return dynamic_names(problem) & (predicates | Rules(problem.domain.rules).base(asked))
 
 
 def _asked(effects: Effects) -> list[str]:
@@ -122,7 +137,8 @@ class _Reader:
 class _Causes:
     """Last writers, readers since, and the orderings found so far."""
 
-    state: State
+    knowledge: KnowledgeBase
+    """Tells objects, and what derived facts rest on."""
     relevant: frozenset[str]
     writer: dict[Fluent, PlanEvent] = field(default_factory=dict)
     """The event that wrote the fluent last."""
@@ -144,28 +160,33 @@ class _Causes:
         """Note what one happening reads and writes."""
         self.durations[call] = action.duration or 0.0
         start_event, end_event = PlanEvent(call, Moment.START), PlanEvent(call, Moment.END)
+        start, ending = action.start_effects, action.end_effects
         match kind:
             case _ if action.duration is None:
                 if kind != _START:
                     return
-                reads = fluents(action.precondition, self.state) | read(action.end_effects, self.state)
-                self._point(start_event, end_event, reads, written(action.end_effects, self.state), now)
+                self._point(start_event, end_event, self._reads(action.precondition, ending), self._writes(ending), now)
             case k if k == _START:
-                reads = fluents(action.precondition, self.state) | read(action.start_effects, self.state)
-                self._point(start_event, start_event, reads, written(action.start_effects, self.state), now)
+                reads = self._reads(action.precondition, start) | self.knowledge.rests_on(read_early(ending, self.knowledge))
+                self._point(start_event, start_event, reads, self._writes(start), now)
             case k if k == _OPEN:
-                for fluent in self._only(fluents(action.invariant, self.state)):
+                for fluent in self._only(self._reads(action.invariant)):
                     self._after_writer(fluent, start_event)
                     self.readers.setdefault(fluent, []).append(_Reader(call, end_event, end))
                 for part in conjuncts(action.invariant):
-                    group = frozenset(self._only(fluents(part, self.state)))
+                    group = frozenset(self._only(self._reads(part)))
                     if len(group) > 1:
                         self.watched.append((call, group, end))
             case k if k == _END:
-                mine = (fluent for fluent in written(action.start_effects, self.state) if self.writer.get(fluent) == start_event)
+                mine = (fluent for fluent in self._writes(start) if self.writer.get(fluent) == start_event)
                 self.lasting[call] = frozenset(mine)
-                reads = fluents(action.end_condition, self.state) | read(action.end_effects, self.state)
-                self._point(end_event, end_event, reads, written(action.end_effects, self.state), now)
+                self._point(end_event, end_event, self._reads(action.end_condition, ending), self._writes(ending), now)
+
+    def _reads(self, condition: Condition, effects: Effects = ()) -> frozenset[Fluent]:
+        return self.knowledge.rests_on(fluents(condition, self.knowledge) | read(effects, self.knowledge))
+
+    def _writes(self, effects: Effects) -> frozenset[Fluent]:
+        return written(effects, self.knowledge)
 
     def _only(self, found: frozenset[Fluent]) -> list[Fluent]:
         return sorted(fluent for fluent in found if fluent[0] in self.relevant)
@@ -208,7 +229,7 @@ class _Causes:
             ActionCall(index, action, self.releases.get(index, 0.0), self.lasting.get(index, frozenset()))
             for index, action in enumerate(steps)
         )
-        return PlanGraph(calls, tuple(_strongest(self.orderings)), problem.goal)
+        return PlanGraph(calls, tuple(_strongest(self.orderings)), problem.goal, self.knowledge.rules)
 
 
 def _strongest(found: dict[tuple[PlanEvent, PlanEvent], list[Fluent]]) -> list[Ordering]:
