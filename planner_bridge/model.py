@@ -170,7 +170,9 @@ class Problem:
     @property
     def vocabulary(self) -> Vocabulary:
         """The names that files about this problem may use."""
-        return Vocabulary(self.domain.parameters, frozenset((*self.domain.predicates, *self.domain.functions)), frozenset(self.objects))
+        fluents = frozenset((*self.domain.predicates, *self.domain.functions))
+        derived = frozenset(rule.name for rule in self.domain.rules)
+        return Vocabulary(self.domain.parameters, fluents, frozenset(self.objects), derived)
 
     @property
     def is_timed(self) -> bool:

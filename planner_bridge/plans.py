@@ -3,7 +3,8 @@
 The happenings of the plan are walked through in time. For every ground fluent we remember who
 wrote it last and who has read it since; a reader waits for the last writer, a writer waits for
 the last writer and for every reader since. That keeps exactly the orders that matter: the plan
-may be executed in any order that keeps them, as soon as they allow.
+may be executed in any order that keeps them, as soon as they allow. Who reads a derived fact reads
+what it rests on: whatever the plan changes that can make a difference to it.
 
 An over-all condition is read from just after the start until just before the end. Fluents that
 nothing changes, and counters that only a metric reads (`total-cost`), order nothing.
@@ -26,9 +27,11 @@ from planner_bridge.model import Problem
 from planner_bridge.plan import Plan, PlanStep
 from planner_bridge.state import dynamic_names, initial_knowledge
 from pnm.conditions import All, Condition, conjuncts, evaluate, fluents, names
-from pnm.effects import Effects, ForEach, Set, When, read, written
+from pnm.effects import Effects, ForEach, Set, When, read, read_early, written
 from pnm.expressions import UNKNOWN, Fluent, State, Unknown, Value, expression_fluents
+from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.rules import Rules
 from pnm.trajectory import instances, names_in
 
 _DIGITS: Final = 5
@@ -43,8 +46,8 @@ _NETWORK: Final[Fluent] = ("order of tasks",)
 
 def plan_graph(problem: Problem, plan: Plan) -> PlanGraph:
     """Return the calls of the plan with the orderings that its causes demand."""
-    causes = _causes(problem)
     calls = [ActionCall(index, ground_step(problem, plan, step), step.start) for index, step in enumerate(plan.steps)]
+    causes = _causes(problem, [call.action for call in calls])
     for time, _, index, kind in sorted(_happenings(problem, plan)):
         if kind == _TIMED:
             causes.timed(time, problem.timed[index].changes)
@@ -56,7 +59,7 @@ def plan_graph(problem: Problem, plan: Plan) -> PlanGraph:
 def in_causal_order(problem: Problem, calls: tuple[ActionCall, ...], order: Iterable[PlanEvent]) -> PlanGraph:
     """Return the calls with the orderings that their causes demand, given one order of their events that works."""
     positions = {event: float(position) for position, event in enumerate(order)}
-    causes = _causes(problem)
+    causes = _causes(problem, [call.action for call in calls])
     for event, now in positions.items():
         call = calls[event.call]
         end = positions[PlanEvent(event.call, Moment.END)]
@@ -87,15 +90,27 @@ def _happenings(problem: Problem, plan: Plan) -> list[tuple[float, int, int, int
     return found
 
 
-def _causes(problem: Problem) -> _Causes:
-    state, relevant = initial_knowledge(problem), _relevant(problem)
+def _causes(problem: Problem, actions: Iterable[GroundAction]) -> _Causes:
+    knowledge, relevant = _lasting_knowledge(problem, actions), _relevant(problem)
     kept = [_Kept(_NETWORK)] if problem.network else []
     for constraint in (*problem.domain.constraints, *problem.constraints):
-        for one in instances(constraint, state):
-            mentioned = frozenset().union(*(fluents(condition, state) for condition in one.conditions))
-            changing = frozenset(fluent for fluent in mentioned if fluent[0] in relevant)
+        for one in instances(constraint, knowledge):
+            mentioned = frozenset().union(*(fluents(condition, knowledge) for condition in one.conditions))
+            changing = frozenset(fluent for fluent in knowledge.rests_on(mentioned) if fluent[0] in relevant)
             kept.append(_Kept((str(one)[1:-1],), changing, problem.is_timed and bool(one.times) and one.operator != "within"))
-    return _Causes(state, relevant, tuple(kept))
+    return _Causes(knowledge, relevant, tuple(kept))
+
+
+def _lasting_knowledge(problem: Problem, actions: Iterable[GroundAction]) -> KnowledgeBase:
+    """Return what is so at first, and as far as rules read it, stays so: what the plan or time may change is unknown."""
+    knowledge = initial_knowledge(problem)
+    if not knowledge.rules.rules:
+        return knowledge
+    changing = {fluent for change in problem.timed for fluent in change.changes}
+    for action in actions:
+        changing |= written((*action.start_effects, *action.end_effects), knowledge)
+    knowledge.update(dict.fromkeys(changing, UNKNOWN))
+    return knowledge
 
 
 def _relevant(problem: Problem) -> frozenset[str]:
@@ -109,7 +124,7 @@ def _relevant(problem: Problem) -> frozenset[str]:
             asked |= {fluent[0] for fluent in expression_fluents(constraint.bound)}
         asked |= set(_asked((*schema.start_effects, *schema.end_effects)))
     predicates = frozenset(problem.domain.predicates)
-    return dynamic_names(problem) & (predicates | asked)
+    return dynamic_names(problem) & (predicates | Rules(problem.domain.rules).base(asked))
 
 
 def _asked(effects: Effects) -> list[str]:
@@ -153,7 +168,8 @@ class _Kept:
 class _Causes:
     """Last writers, readers since, and the orderings found so far."""
 
-    state: State
+    knowledge: KnowledgeBase
+    """Tells objects, and what derived facts rest on."""
     relevant: frozenset[str]
     kept: tuple[_Kept, ...] = ()
     writer: dict[Fluent, PlanEvent] = field(default_factory=dict)
@@ -174,7 +190,7 @@ class _Causes:
     def timed(self, time: float, changed: Mapping[Fluent, Value]) -> None:
         """Note that fluents change by themselves, and which calls that were over by then could not have gone on."""
         self.changed_at.update(dict.fromkeys(changed, time))
-        after = _Only(self.state, changed)
+        after = _Only(self.knowledge, changed)
         for fluent in changed:
             for reader in self.readers.get(fluent, ()):
                 action = self.actions[reader.call]
@@ -186,28 +202,33 @@ class _Causes:
         call, action = called.index, called.action
         self.actions[call] = action
         start_event, end_event = PlanEvent(call, Moment.START), PlanEvent(call, Moment.END)
+        start, ending = action.start_effects, action.end_effects
         match kind:
             case _ if action.duration is None:
                 if kind != _START:
                     return
-                reads = fluents(action.precondition, self.state) | read(action.end_effects, self.state)
-                self._point(start_event, end_event, reads, written(action.end_effects, self.state), now)
+                self._point(start_event, end_event, self._reads(action.precondition, ending), self._writes(ending), now)
             case k if k == _START:
-                reads = fluents(action.precondition, self.state) | read(action.start_effects, self.state)
-                self._point(start_event, start_event, reads, written(action.start_effects, self.state), now)
+                reads = self._reads(action.precondition, start) | self.knowledge.rests_on(read_early(ending, self.knowledge))
+                self._point(start_event, start_event, reads, self._writes(start), now)
             case k if k == _OPEN:
-                for fluent in self._only(fluents(action.invariant, self.state)):
+                for fluent in self._only(self._reads(action.invariant)):
                     self._after_writer(fluent, start_event)
                     self.readers.setdefault(fluent, []).append(_Reader(call, end_event, end))
                 for part in conjuncts(action.invariant):
-                    group = frozenset(self._only(fluents(part, self.state)))
+                    group = frozenset(self._only(self._reads(part)))
                     if len(group) > 1:
                         self.watched.append((call, group, end))
             case k if k == _END:
-                mine = (fluent for fluent in written(action.start_effects, self.state) if self.writer.get(fluent) == start_event)
+                mine = (fluent for fluent in self._writes(start) if self.writer.get(fluent) == start_event)
                 self.lasting[call] = frozenset(mine)
-                reads = fluents(action.end_condition, self.state) | read(action.end_effects, self.state)
-                self._point(end_event, end_event, reads, written(action.end_effects, self.state), now)
+                self._point(end_event, end_event, self._reads(action.end_condition, ending), self._writes(ending), now)
+
+    def _reads(self, condition: Condition, effects: Effects = ()) -> frozenset[Fluent]:
+        return self.knowledge.rests_on(fluents(condition, self.knowledge) | read(effects, self.knowledge))
+
+    def _writes(self, effects: Effects) -> frozenset[Fluent]:
+        return written(effects, self.knowledge)
 
     def _only(self, found: frozenset[Fluent]) -> list[Fluent]:
         return sorted(fluent for fluent in found if fluent[0] in self.relevant)
@@ -262,7 +283,7 @@ class _Causes:
             )
             for call in calls
         )
-        return PlanGraph(told, tuple(_strongest(self.orderings)), goal)
+        return PlanGraph(told, tuple(_strongest(self.orderings)), goal, self.knowledge.rules)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from planner_bridge.forbidding import ForbiddenCall
 from planner_bridge.model import Problem
 from planner_bridge.plans import in_causal_order
 from pnm.conditions import Condition, evaluate, failing, observed
-from pnm.effects import changes
+from pnm.effects import changes, decided
 from pnm.knowledge import KnowledgeBase
 from pnm.ledger import UNCONFIRMED
 from pnm.plan_graph import GroundAction, Moment, PlanEvent, PlanGraph
@@ -159,19 +159,18 @@ def why_not(
     for call in plan.calls:
         if ForbiddenCall.of(call.action) in forbidden:
             return f"{call.action} has failed too often, or its server may still be at work"
-    state = KnowledgeBase(knowledge.facts(), objects=knowledge.objects_by_type())
+    state = KnowledgeBase(knowledge.facts(), objects=knowledge.objects_by_type(), rules=knowledge.rules)
     left = {one: progressed((one,), state) for constraint in constraints for one in instances(constraint, state)}
     running: dict[int, GroundAction] = {}
     for event in plan.in_order():
-        action = plan.calls[event.call].action
+        action = running.pop(event.call, plan.calls[event.call].action)
         starts = event.moment is Moment.START
         condition = action.precondition if starts else action.end_condition
         if evaluate(condition, state) is not True:
             return f"{action} would {'start' if starts else 'end'} although {_denied(condition, state)}"
-        running.pop(event.call, None)
-        state.update(changes(action.start_effects if starts else action.end_effects, state))
         if starts:
-            running[event.call] = action
+            running[event.call] = replace(action, end_effects=decided(action.end_effects, state))
+        state.update(changes(action.start_effects if starts else action.end_effects, state))
         for other in running.values():
             if evaluate(other.invariant, state) is not True:
                 return f"{other} would go on although {_denied(other.invariant, state)}"

@@ -11,7 +11,7 @@ import json
 import signal
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import product, starmap
 from pathlib import Path
 from typing import TextIO
 
@@ -24,7 +24,8 @@ from pnm.actions.faults import Faults
 from pnm.actions.simulated import SimulatedRobots
 from pnm.bindings import Bindings, placeholders
 from pnm.errors import InputError
-from pnm.expressions import Fluent, Unknown, Value, show
+from pnm.expressions import Fluent, Unknown, Value
+from pnm.knowledge import show_statement
 from pnm.plan_graph import GroundAction
 
 DEFAULT_TYPE = "pnm_interfaces/action/GroundAction"
@@ -68,7 +69,7 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
         await servers.offer([Offer(one.server, one.type, one.decode) for one in found])
         print(f"ready: {len(found)} action servers: {', '.join(one.server for one in found)}", flush=True)
         await stopped.wait()
-        logged.write("state", facts=sorted(_statements(robots.world.truth.facts())))
+        logged.write("state", facts=sorted(starmap(show_statement, robots.world.truth.facts().items())))
     finally:
         await asyncio.to_thread(ros.close)  # it may be waiting for an answer of this loop
 
@@ -188,12 +189,4 @@ class LoggedRobots:
             self.log.flush()
 
     def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
-        self.write("change", facts=sorted(_statements(changes)))
-
-
-def _statements(facts: Mapping[Fluent, Value | Unknown]) -> Iterator[str]:
-    for fluent, value in facts.items():
-        if isinstance(value, bool):
-            yield show(fluent) if value else f"(not {show(fluent)})"
-        else:
-            yield f"(= {show(fluent)} {value})"
+        self.write("change", facts=sorted(starmap(show_statement, changes.items())))

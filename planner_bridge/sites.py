@@ -6,6 +6,7 @@ A site is opened with the knowledge it shall keep up to date, and closed when th
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Iterable
 from time import monotonic
 from typing import Final, Protocol
@@ -22,6 +23,8 @@ from pnm.plan_graph import GroundAction
 
 DISCOVERY: Final = 10.0
 """Seconds that robots may take to appear which are started together with us; later, who is missing fails by name."""
+
+_log = logging.getLogger(__name__)
 
 
 class Site(Protocol):
@@ -88,7 +91,12 @@ class Ros2Site:
         self._client = Ros2ActionClient(self._ros, self._bindings, loop)
         lag = self._bindings.lag
 
+        ignored: set[str] = set()
+
         def tell(names: frozenset[str], facts: Facts, _sequence: int) -> None:
+            for name in sorted(names & knowledge.rules.derived - ignored):
+                _log.warning("reports about %s are ignored: its facts follow from rules", name)
+                ignored.add(name)
             watched = names - self._bindings.assumed
             knowledge.sense(watched, lag=lag)
             knowledge.replace(watched, {fluent: value for fluent, value in facts.items() if fluent[0] in watched})

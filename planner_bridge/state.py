@@ -8,11 +8,12 @@ from planner_bridge.model import Problem
 from pnm.effects import TimedChange, names_written
 from pnm.expressions import Fluent, Unknown, Value
 from pnm.knowledge import KnowledgeBase
+from pnm.rules import Rules
 
 
 def initial_knowledge(problem: Problem) -> KnowledgeBase:
-    """Return a knowledge base with the problem's objects and initial state."""
-    return KnowledgeBase(problem.init, objects=problem.objects_by_type)
+    """Return a knowledge base with the problem's objects and initial state, and the domain's rules."""
+    return KnowledgeBase(problem.init, objects=problem.objects_by_type, rules=Rules(problem.domain.rules))
 
 
 def dynamic_names(problem: Problem) -> frozenset[str]:
@@ -34,5 +35,11 @@ def problem_now(problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0
 
 
 def _is_declared(problem: Problem, fluent: Fluent, value: Value) -> bool:
-    names = problem.domain.predicates if isinstance(value, bool) else problem.domain.functions
-    return fluent[0] in names and all(argument in problem.objects for argument in fluent[1:])
+    if not all(argument in problem.objects for argument in fluent[1:]):
+        return False
+    if isinstance(value, bool):
+        return fluent[0] in problem.domain.predicates
+    function = problem.domain.functions.get(fluent[0])
+    if function is None or not isinstance(value, str):
+        return function is not None and not function.values
+    return any(value in problem.objects_by_type.get(kind, ()) for kind in function.values)

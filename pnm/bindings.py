@@ -156,7 +156,7 @@ def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
         for name, entry in top.mapping("actions").items():
             _check_names(name, actions[name], entry, known)
         for name in top.strings("assumed"):
-            known.check_name(name, top.position("assumed"))
+            known.check_set(name, top.position("assumed"))
     return Bindings(actions, frozenset(top.strings("assumed")), top.number("lag", 1.0))
 
 

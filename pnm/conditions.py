@@ -1,9 +1,10 @@
 """What can be said about a state, and whether it holds: true, false or unknown.
 
 Three values (Kleene): unknown is neither true nor false. A fluent that is *absent* from a
-state is false where a fact is asked for (closed world) and unknown where a number is. A
-fluent that a state maps to `UNKNOWN` is unknown either way. `str` of a condition is its PDDL
-text.
+state is false where a fact is asked for (closed world) and unknown where a number or an object
+is. A fluent that a state maps to `UNKNOWN` is unknown either way. (PDDL 3.1 lets an object fluent
+be undefined, and does not say what it is then equal to: we do not know.) `str` of a condition is
+its PDDL text.
 """
 
 from __future__ import annotations

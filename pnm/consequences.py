@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, assert_never
 
-from pnm.conditions import Condition, Holds, evaluate, fluents, ground
+from pnm.conditions import Condition, Holds, evaluate, fluents, ground, names
 from pnm.expressions import UNKNOWN, Environment, Fluent, State, Truth, Unknown, Value, bind, show
 from pnm.rules import Body, Check, Choose, Find, Rules
 
@@ -45,8 +45,9 @@ class _Attempt:
 class Consequences:
     """The facts that follow from recorded ones: a state that answers for both.
 
-    The mutable state is what is remembered: for every derived name the truth of its facts, and the attempt
-    that showed a fact to be true; for every recorded name its facts by some of their terms.
+    The mutable state is what is remembered: for every derived name the truth of its facts, the attempt that
+    showed a fact to be true, and what a fact waits for that is unknown; for every recorded name its facts by
+    some of their terms.
 
     Args:
         rules: what derives facts.
@@ -63,6 +64,7 @@ class Consequences:
         self._members: dict[tuple[str, ...], frozenset[str]] = {}
         self._truth: dict[str, dict[Fluent, Truth]] = {name: {} for name in rules.derived}
         self._proofs: dict[str, dict[Fluent, _Attempt]] = {name: {} for name in rules.derived}
+        self._undecided: dict[str, dict[Fluent, frozenset[Fluent]]] = {name: {} for name in rules.derived}
         self._tables: dict[str, dict[tuple[int, tuple[int, ...]], dict[Fluent, list[Fluent]]]] = {}
 
     def forget(self, names: Iterable[str]) -> None:
@@ -72,6 +74,7 @@ class Consequences:
             for one in self.rules.above.get(name, ()):
                 self._truth[one].clear()
                 self._proofs[one].clear()
+                self._undecided[one].clear()
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
         """Return the truth of a derived fact, or what is recorded for any other fluent."""
@@ -96,23 +99,24 @@ class Consequences:
 
     def rests_on(self, fluent: Fluent) -> frozenset[Fluent]:
         """Return the unknown recorded fluents that decide whether a derived fact holds; none when that is known."""
-        seen: dict[Fluent, None] = {}
-        waiting = [fluent] if self.value(fluent) is UNKNOWN else []
+        found: set[Fluent] = set()
+        waiting = {fluent} if self.value(fluent) is UNKNOWN else set()
         while waiting:
             asked = waiting.pop()
-            if asked not in seen:
-                seen[asked] = None
-                if asked[0] in self.rules.derived:
-                    waiting += self._undecided(asked)
-        return frozenset(one for one in seen if one[0] not in self.rules.derived)
+            found.add(asked)
+            if asked[0] in self.rules.derived:
+                waiting |= self._waits_for(asked) - found
+        return frozenset(one for one in found if one[0] not in self.rules.derived)
 
-    def _undecided(self, fluent: Fluent) -> Iterator[Fluent]:
-        """Yield the unknown fluents in what may still turn out to derive the fact."""
-        for attempt in self._ended(fluent):
-            if attempt.succeeded and attempt.truth is UNKNOWN:
-                for part in attempt.body.parts:
-                    if evaluate(part, self, attempt.chosen) is UNKNOWN:
-                        yield from (one for one in fluents(part, self, attempt.chosen) if self.value(one) is UNKNOWN)
+    def _waits_for(self, fluent: Fluent) -> frozenset[Fluent]:
+        """Return the unknown fluents in what may still turn out to derive the fact."""
+        remembered = self._undecided[fluent[0]]
+        if fluent not in remembered:
+            open_ = (one for one in self._ended(fluent) if one.succeeded and one.truth is UNKNOWN)
+            parts = ((part, one.chosen) for one in open_ for part in one.body.parts if evaluate(part, self, one.chosen) is UNKNOWN)
+            asked = (one for part, chosen in parts for one in fluents(part, self, chosen))
+            remembered[fluent] = frozenset(one for one in asked if self.value(one) is UNKNOWN)
+        return remembered[fluent]
 
     def because(self, fluent: Fluent) -> str:
         """Say why a derived fact has its truth, by what is recorded: "because of …", or "for want of …" if it is false."""
@@ -126,7 +130,7 @@ class Consequences:
                 if one[:1] and one[0] in self.rules.derived:
                     derived += {one} - seen
                     seen.add(one)
-                else:
+                elif names(part):
                     reasons[str(ground(part, chosen))] = None
         # where the last possibility ended tells more than where the first did
         return _listed("because of", list(reasons)) if truth else _listed("for want of", list(reversed(reasons)))

@@ -46,6 +46,7 @@ from pnm.machine import (
 from pnm.marking import Marking
 from pnm.net import NetBuilder
 from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.rules import Rules
 
 _SUCCEEDED = frozenset({OutcomeKind.SUCCEEDED})
 _UNSUCCESSFUL = frozenset(OutcomeKind) - _SUCCEEDED
@@ -182,7 +183,7 @@ class _Block:
         ready, requested, recover = (self.place(phase + name) for name in ("ready", "requested", "recover"))
         out = [self.name("done"), *announced]
         failed = [*out, self.name("failed")]
-        may_start = _conjunction(action.precondition, _before_invariant(action))
+        may_start = _conjunction(action.precondition, _before_invariant(action, self.all.plan.rules))
 
         def add(name: str, guard: Guard, source: str, outputs: Iterable[str], deed: Deed | None = None) -> None:
             self.all.transition(self.name(phase + name), Rule(name, guard, call, deed), [source], outputs)
@@ -263,10 +264,10 @@ class _Block:
         return f"{self.title} {name}"
 
 
-def _before_invariant(action: GroundAction) -> Condition:
+def _before_invariant(action: GroundAction, rules: Rules) -> Condition:
     """Return what of the over-all condition can be checked before the start: all that the start does not itself change."""
     changed = names_written(action.start_effects)
-    return All(tuple(part for part in conjuncts(action.invariant) if not names(part) & changed))
+    return All(tuple(part for part in conjuncts(action.invariant) if not rules.base(names(part)) & changed))
 
 
 def _conjunction(*conditions: Condition) -> Condition:

@@ -16,6 +16,7 @@ from pnm.conditions import TRUE, Condition
 from pnm.effects import Effects
 from pnm.errors import PnmError
 from pnm.expressions import Fluent, show
+from pnm.rules import NO_RULES, Rules
 
 
 class PlanGraphError(PnmError):
@@ -114,6 +115,8 @@ class PlanGraph:
     calls: tuple[ActionCall, ...]
     orderings: tuple[Ordering, ...] = ()
     goal: Condition = TRUE
+    rules: Rules = NO_RULES
+    """What derives facts that its conditions mention."""
 
     def __post_init__(self) -> None:
         for position, call in enumerate(self.calls):

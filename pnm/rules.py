@@ -217,7 +217,7 @@ def _unused(name: str, taken: frozenset[str]) -> str:
 
 
 def _body(head: tuple[Variable, ...], own: tuple[Variable, ...], parts: tuple[Condition, ...], derived: frozenset[str]) -> Body:
-    """Order the parts: what can be checked is checked, base facts first; then the most definite base fact is looked for."""
+    """Order the parts: what can be checked is checked, base facts first; then the base fact is looked for of which most is known."""
     open_ = {variable.name: variable for variable in own}
     left, steps = list(parts), list[Step]()
     while left or open_:
@@ -228,7 +228,7 @@ def _body(head: tuple[Variable, ...], own: tuple[Variable, ...], parts: tuple[Co
             continue
         finds = [part for part in left if isinstance(part, Holds) and part.fluent[0] not in derived]
         if finds:
-            found = min((_find(part, open_) for part in finds), key=lambda find: len(find.new))
+            found = max((_find(part, open_) for part in finds), key=lambda find: len(find.known))
             steps.append(found)
             left.remove(found.condition)
             for _, variable in found.new:

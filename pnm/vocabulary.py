@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 
 from pnm.errors import InputError, Position
-from pnm.expressions import Fluent
+from pnm.expressions import Fluent, Value
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +19,8 @@ class Vocabulary:
     fluents: frozenset[str] = frozenset()
     """Predicates and functions."""
     objects: frozenset[str] = frozenset()
+    derived: frozenset[str] = frozenset()
+    """Predicates whose facts follow from others by rules."""
 
     def check_action(self, name: str, position: Position) -> None:
         """Refuse an action that is not there."""
@@ -45,10 +47,16 @@ class Vocabulary:
         """Refuse a predicate or function that is not declared."""
         _check(name, self.fluents, "predicate or function", position)
 
-    def check_fluent(self, fluent: Fluent, position: Position) -> None:
-        """Refuse a fluent of undeclared names."""
-        self.check_name(fluent[0], position)
-        for argument in fluent[1:]:
+    def check_set(self, name: str, position: Position) -> None:
+        """Refuse a predicate or function that is not declared, or that is neither set nor reported."""
+        self.check_name(name, position)
+        if name in self.derived:
+            raise InputError(f"facts of {name} follow from rules; they are neither set nor reported", position)
+
+    def check_change(self, fluent: Fluent, value: Value, position: Position) -> None:
+        """Refuse a new value of undeclared names, or of what cannot be set."""
+        self.check_set(fluent[0], position)
+        for argument in (*fluent[1:], *((value,) if isinstance(value, str) else ())):
             _check(argument, self.objects, "object", position)
 
 

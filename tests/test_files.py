@@ -231,9 +231,12 @@ actions:
 MOVE = GroundAction("move", ("r1", "hall", "lab"), ("robot", "from", "to"), duration=12.0)
 
 
-WORDS = Vocabulary({"move": MOVE.parameters, "wait": ()}, frozenset({"at", "battery"}), frozenset({"r1", "lab"}))
+WORDS = Vocabulary(
+    {"move": MOVE.parameters, "wait": ()}, frozenset({"at", "battery", "near"}), frozenset({"r1", "lab"}), derived=frozenset({"near"})
+)
 UNKNOWN_NAMES = [
     ("assumed: [att]", "FILE:1:10: there is no predicate or function 'att' in the domain; did you mean 'at'?"),
+    ("assumed: [near]", "FILE:1:10: facts of near follow from rules; they are neither set nor reported"),
     ("actions:\n  wait: {goal: {a: {b: '?nobody'}}}", "FILE:2:16: nobody is not a parameter of wait (it has none)"),
     ("actions: {mvoe: {retries: 1}}", "FILE:1:17: there is no action 'mvoe' in the domain; did you mean 'move'?"),
     ("actions: {jump: {}}", "FILE:1:17: there is no action 'jump' in the domain; expected one of move, wait"),
@@ -378,6 +381,8 @@ changes:
 
 UNKNOWN_ACTIONS = [
     ("faults:\n- {call: 'move(r1)', do: abort}", "FILE:2:10: move takes 3 arguments, found 1"),
+    ("changes:\n- {at: 1, set: [(near r1 lab)]}", "FILE:2:16: facts of near follow from rules; they are neither set nor reported"),
+    ("changes:\n- {at: 1, set: ['(= (at r1) bal)']}", "FILE:2:16: there is no object 'bal' in the domain; expected one of lab, r1"),
     ("changes:\n- {at: 1, set: [(at r9 lab)]}", "FILE:2:16: there is no object 'r9' in the domain; expected one of lab, r1"),
     ("faults:\n- {do: hang, action: mvoe}", "FILE:2:22: there is no action 'mvoe' in the domain; did you mean 'move'?"),
     ("faults:\n- {do: hang, call: (jump r1)}", "FILE:2:20: there is no action 'jump' in the domain; expected one of move, wait"),

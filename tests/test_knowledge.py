@@ -127,10 +127,10 @@ def test_a_report_replaces_the_facts_of_the_names_it_is_about() -> None:
     assert batches == [{("at", "r1", "hall"): False, ("at", "r1", "kitchen"): True}]
 
 
-def test_a_number_that_a_report_omits_is_no_longer_known() -> None:
-    knowledge = KnowledgeBase({("battery", "r1"): 80.0, ("battery", "r2"): 0.0})
-    changed = knowledge.replace({"battery"}, {("battery", "r1"): 79.0})
-    assert changed == {("battery", "r1"): 79.0, ("battery", "r2"): UNKNOWN}
+def test_a_number_or_an_object_that_a_report_omits_is_no_longer_known() -> None:
+    knowledge = KnowledgeBase({("battery", "r1"): 80.0, ("battery", "r2"): 0.0, ("place", "r1"): "hall"})
+    changed = knowledge.replace({"battery", "place"}, {("battery", "r1"): 79.0})
+    assert changed == {("battery", "r1"): 79.0, ("battery", "r2"): UNKNOWN, ("place", "r1"): UNKNOWN}
 
 
 @given(FACTS, FACTS, st.frozensets(st.sampled_from(("p", "q", "n"))))

@@ -165,6 +165,9 @@ def test_a_derived_fact_rests_on_all_that_can_make_a_difference(rules: tuple[Rul
     truth = known(rules, one).value(fact)
     assert known(rules, other).value(fact) is truth
     assert knowledge.value(fact) in (UNKNOWN, truth)
+    later = data.draw(FACTS)
+    knowledge.update(later)
+    assert knowledge.rests_on(frozenset({fact})) == known(rules, {**facts, **later}).rests_on(frozenset({fact}))
 
 
 @settings(max_examples=80, deadline=None)

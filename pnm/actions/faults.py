@@ -96,8 +96,8 @@ def read_faults(path: Path, known: Vocabulary | None = None) -> Faults:
         for change, entry in zip(faults.changes, top.sequence("changes"), strict=True):
             if change.what:
                 known.check_call(change.what, entry.position("on"))
-            for fluent in change.changes:
-                known.check_fluent(fluent, entry.position("set"))
+            for fluent, value in change.changes.items():
+                known.check_change(fluent, value, entry.position("set"))
     return faults
 
 

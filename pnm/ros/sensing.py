@@ -10,14 +10,14 @@ from functools import partial
 from typing import Any
 
 from pnm.errors import InputError
-from pnm.expressions import UNKNOWN, Fluent, Unknown
-from pnm.knowledge import parse_fluent
+from pnm.expressions import UNKNOWN, Fluent, Unknown, Value, show
+from pnm.knowledge import parse_fluent, parse_statement, show_statement
 from pnm.ros.messages import import_type
 from pnm.ros.node import RosThread
 
 TOPIC = "knowledge/sensed"
 
-Facts = dict[Fluent, bool | float | Unknown]
+Facts = dict[Fluent, Value | Unknown]
 Listener = Callable[[frozenset[str], Facts, int], None]
 
 _log = logging.getLogger(__name__)
@@ -108,22 +108,25 @@ class Sensing:
 
 
 def read_state(message: Any) -> Facts:
-    """Return the facts and numbers of a ``pnm_interfaces/msg/State``; a NaN is unknown.
+    """Return the facts, objects and numbers of a ``pnm_interfaces/msg/State``; a NaN is unknown.
 
     Raises:
         InputError: a fact is not written as one, or there are not as many values as fluents.
     """
     if len(message.fluents) != len(message.values):
         raise InputError(f"{len(message.fluents)} fluents, but {len(message.values)} values")
-    facts: Facts = {parse_fluent(text): True for text in message.facts}
+    facts: Facts = dict(map(parse_statement, message.facts))
     for text, value in zip(message.fluents, message.values, strict=True):
         facts[parse_fluent(text)] = UNKNOWN if math.isnan(value) else float(value)
     return facts
 
 
-def write_state(names: frozenset[str], facts: Mapping[Fluent, object], sequence: int) -> dict[str, object]:
-    """Return the fields of a ``pnm_interfaces/msg/State`` that reports these facts and numbers."""
-    reported = {f"({' '.join(fluent)})": value for fluent, value in facts.items()}
-    numbers = {text: math.nan if value is UNKNOWN else value for text, value in reported.items() if not isinstance(value, bool)}
-    true = [text for text, value in reported.items() if value is True]
-    return {"names": sorted(names), "facts": true, "fluents": list(numbers), "values": list(numbers.values()), "sequence": sequence}
+def write_state(names: frozenset[str], facts: Mapping[Fluent, Value | Unknown], sequence: int) -> dict[str, object]:
+    """Return the fields of a ``pnm_interfaces/msg/State`` that reports these facts, objects and numbers."""
+    stated = [show_statement(fluent, value) for fluent, value in facts.items() if value is True or isinstance(value, str)]
+    numbers = {
+        show(fluent): math.nan if isinstance(value, Unknown) else value
+        for fluent, value in facts.items()
+        if not isinstance(value, bool | str)
+    }
+    return {"names": sorted(names), "facts": stated, "fluents": list(numbers), "values": list(numbers.values()), "sequence": sequence}
