@@ -93,7 +93,7 @@ def _causes(problem: Problem) -> _Causes:
     for constraint in (*problem.domain.constraints, *problem.constraints):
         for one in instances(constraint, state):
             mentioned = frozenset().union(*(fluents(condition, state) for condition in one.conditions))
-            changing = frozenset(fluent for fluent in mentioned if fluent[0] in relevant)
+            changing = frozenset(fluent for fluent in state.rests_on(mentioned) if fluent[0] in relevant)
             kept.append(_Kept((str(one)[1:-1],), changing, problem.is_timed and bool(one.times) and one.operator != "within"))
     return _Causes(state, relevant, tuple(kept))
 

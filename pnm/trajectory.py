@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from math import inf
 from typing import Final
 
-from pnm.conditions import TOLERANCE, Any, Condition, Not, conjuncts, evaluate, failing, ground, names, observed
+from pnm.conditions import TOLERANCE, Any, Condition, Not, Witness, conjuncts, evaluate, failing, ground, names, observed
 from pnm.expressions import NOTHING, Environment, State, Variable, choices
 
 
@@ -187,7 +187,7 @@ def names_in(constraint: Constraint) -> frozenset[str]:
     return frozenset().union(*map(names, constraint.conditions))
 
 
-def seen_of(constraint: Constraint, state: State) -> str:
+def seen_of(constraint: Constraint, state: Witness) -> str:
     """Say what the state has in place of a ground constraint that is not fulfilled."""
     parts = [part for condition in constraint.conditions for part in failing(condition, state) or conjuncts(condition)]
     return "; ".join(dict.fromkeys(observed(part, state) for part in parts))
