@@ -45,9 +45,8 @@ def write_domain(domain: Domain) -> str:
         sections.append([":functions", *_functions(tuple(domain.functions.values()))])
     sections.extend(_rule(rule) for rule in domain.rules)
     sections.extend(_constraints(domain.constraints, domain.preferences))
-    return definition_text(
-        ["domain", domain.name], [*map(section_text, sections), *map(_action, domain.actions.values()), *domain.hierarchy]
-    )
+    actions = map(_action, domain.actions.values())  # other planners read tasks only in front of them
+    return definition_text(["domain", domain.name], [*map(section_text, sections), *domain.hierarchy, *actions])
 
 
 def write_problem(problem: Problem) -> str:
@@ -62,8 +61,10 @@ def write_problem(problem: Problem) -> str:
     sections.extend(_constraints(problem.constraints, problem.preferences))
     if problem.metric:
         sections.append([":metric", problem.metric.direction, expression_form(problem.metric.expression)])
-    network = [problem.network] if problem.network else []
-    return definition_text(["problem", problem.name], [*map(section_text, sections), *network])
+    texts = [section_text(section) for section in sections]
+    if problem.network:  # other planners read it only in front of :init
+        texts.insert(next(position for position, section in enumerate(sections) if section[0] == ":init"), problem.network)
+    return definition_text(["problem", problem.name], texts)
 
 
 # --- declarations --------------------------------------------------------------------------
