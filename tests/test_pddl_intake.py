@@ -11,7 +11,7 @@ import pytest
 from planner_bridge.loading import load, told
 from planner_bridge.model import Borrowed, Declaration, Domain, DurationConstraint, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, write_domain, write_problem
-from pnm.conditions import All, Any, Compare, Holds, Not
+from pnm.conditions import TRUE, All, Any, Compare, Holds, Not
 from pnm.errors import InputError, Position, Tolerated
 from pnm.expressions import Constant, ValueOf, Variable
 
@@ -232,6 +232,7 @@ PROBLEMS = [
         ],
     ),
     ("(:init (idle r2))", ["2:8: warning: (idle) takes 0 arguments, found 1; the fact is ignored"]),
+    ("(:init (= (charge r2) 1) (= (charge r2) 2))", ["2:26: warning: (charge r2) has another value before; this one is used"]),
     ("(:init (assign (charge r2) 5))", ["2:8: warning: 'assign' is read as '='"]),
     ("(:length (:serial 3))", ["2:1: warning: ':length' is ignored"]),
     ("(:goal (not (idle)))", ["2:1: warning: a second :goal section, read as part of the first in line 2"]),
@@ -252,6 +253,16 @@ def test_the_name_of_the_domain_may_differ_or_be_missing() -> None:
     assert warnings(other) == ["2:10: warning: the problem is for a domain 'e'; this one is 'd'"]
     nameless = parse_problem("(define (problem p) (:goal (idle)))", domain_with(""))
     assert warnings(nameless) == ["1:1: warning: the problem does not name its domain; expected (:domain d)"]
+
+
+def test_there_may_be_no_goal() -> None:
+    problem = problem_with("")
+    assert warnings(problem) == ["1:1: warning: there is no :goal; any state will do"]
+    assert problem.goal == TRUE
+
+
+def test_of_two_values_the_last_is_used() -> None:
+    assert problem_with("(:init (= (charge r2) 1) (= (charge r2) 2)) (:goal ())").init == {("charge", "r2"): 2.0}
 
 
 def test_an_object_declared_twice_is_of_both_types() -> None:

@@ -93,8 +93,11 @@ def _put(found: dict[Fluent, Value], change: _Change | None, node: Node) -> None
     if change is None:
         return
     fluent, value = change
-    if fluent in found:
-        if found[fluent] != value:
+    before = found.get(fluent, value)
+    if before != value:
+        if isinstance(value, bool):
             raise wrong(node, f"{show(fluent)} has another value before; expected one value")
+        tolerate(node, f"{show(fluent)} has another value before; this one is used")
+    elif fluent in found:
         tolerate(node, f"{show(fluent)} is there twice")
     found[fluent] = value

@@ -144,7 +144,7 @@ def _problem(text: str, domain: Domain, file: str, warnings: tuple[Tolerated, ..
     )
     network = "\n".join(_kept(definition, _NETWORK, needed))
     init, timed = initial(definition.parts(":init"), Scope(names))
-    goal, goals = _goal(definition, Scope(names), TRUE if network else None)
+    goal, goals = _goal(definition, Scope(names))
     hard, soft = constraints(definition.parts(":constraints"), Scope(names))
     metric = _metric(definition, Scope(names, metric=True))
     return Problem(
@@ -183,12 +183,12 @@ def _wishes(domain: Domain) -> dict[str, str]:
     return {one.name.lower(): one.name for one in every if one.name}
 
 
-def _goal(definition: Definition, scope: Scope, default: Condition | None) -> tuple[Condition, tuple[Preference, ...]]:
+def _goal(definition: Definition, scope: Scope) -> tuple[Condition, tuple[Preference, ...]]:
     section = definition.one(":goal")
     if section is None:
-        if default is None:
-            raise wrong(definition.whole, "there is no :goal; expected (:goal CONDITION)")
-        return default, ()
+        if not definition.every(*_NETWORK):
+            tolerate(definition.whole, "there is no :goal; any state will do")
+        return TRUE, ()
     if len(section.rest) != 1:
         raise wrong(section, f"expected (:goal CONDITION), found {len(section.rest)} conditions")
     return told_apart(section.rest[0], scope)
