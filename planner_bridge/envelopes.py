@@ -11,6 +11,7 @@ and real robots are never quite on time.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -18,7 +19,7 @@ from pnm.expressions import Fluent
 from pnm.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
 
 SLACK: Final = 0.01
-"""How much later than planned an enveloping call starts, as a share of its duration."""
+"""How much later than planned an enveloping call starts that is not itself inside another, as a share of its duration."""
 
 
 def tightened(plan: PlanGraph) -> PlanGraph:
@@ -34,7 +35,8 @@ def tightened(plan: PlanGraph) -> PlanGraph:
     releases: dict[int, float] = {}
     for index in sorted(ends):
         start = PlanEvent(index, Moment.START)
-        starts_at = events.time(start) + SLACK * (plan.calls[index].action.duration or 0.0)
+        slack = 0.0 if events.is_enclosed(index, ends) else SLACK
+        starts_at = events.time(start) + slack * (plan.calls[index].action.duration or 0.0)
         inside = events.inside(index)
         outside = events.outside(index, inside)
         if any(events.is_released(event, start) for event in (*inside, *outside)):
@@ -69,6 +71,11 @@ class _Events:
     def time(self, event: PlanEvent) -> float:
         call = self.plan.calls[event.call]
         return call.planned + (0.0 if event.moment is Moment.START else call.action.duration or 0.0)
+
+    def is_enclosed(self, call: int, others: Iterable[int]) -> bool:
+        """Tell whether the call must end before another enveloping one does, which does not wait for it."""
+        later = _reachable(PlanEvent(call, Moment.END), self.after)
+        return any(PlanEvent(other, Moment.END) in later and PlanEvent(other, Moment.START) not in later for other in others)
 
     def inside(self, call: int) -> set[PlanEvent]:
         """Return the events between the start and the end of the call, and the end."""

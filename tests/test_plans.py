@@ -99,6 +99,23 @@ def test_an_enveloping_call_keeps_the_plans_distance_from_what_its_insides_wait_
     assert "start of #1 + 3.08 s < start of #2 ((light m1))" in shown(graph)  # 1 % of its 8 s later than the plan
 
 
+def test_calls_that_fill_another_to_the_last_moment_are_carried_out() -> None:
+    problem = parse_problem(
+        "(define (problem p) (:domain d) (:init) (:goal (last)))",
+        parse_domain("""(define (domain d) (:requirements :durative-actions) (:predicates (fresh) (on) (first) (seen) (last))
+          (:durative-action cover :parameters () :duration (= ?duration 219.04) :condition ()
+            :effect (and (at start (on)) (at end (not (on)))))
+          (:durative-action one :parameters () :duration (= ?duration 139) :condition (over all (on)) :effect (at end (first)))
+          (:durative-action look :parameters () :duration (= ?duration 2) :condition (at start (first)) :effect (at end (seen)))
+          (:durative-action two :parameters () :duration (= ?duration 80.04)
+            :condition (and (over all (first)) (over all (on)) (at end (seen))) :effect (at end (last))))"""),
+    )
+    result = achieve(None, problem)
+    assert result.goal_reached
+    assert [call.outcome for call in result.calls] == ["succeeded"] * 4
+    assert result.replans == 0
+
+
 def test_an_enveloping_call_waits_for_what_the_plan_had_happen_before_its_start() -> None:
     late = (*TWO_MATCHES[:2], replace(TWO_MATCHES[2], start=6.0), replace(TWO_MATCHES[3], start=6.0))
     graph = plan_graph(matches(2), Plan(late, temporal=True))

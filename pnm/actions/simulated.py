@@ -16,6 +16,7 @@ from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Reporter, Re
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.actions.world import Activity, World
 from pnm.bindings import Bindings
+from pnm.conditions import TOLERANCE
 from pnm.effects import Changes, TimedChange
 from pnm.expressions import Fluent, Unknown, Value
 from pnm.knowledge import KnowledgeBase
@@ -192,8 +193,10 @@ class SimulatedRobots:
 
     def _check(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
         """Note which actions can no longer end well; like real robots they learn of it at their end."""
+        now = asyncio.get_running_loop().time()
         for job in self._jobs.values():
-            job.broken = job.broken or job.activity.broken
+            if job.lasts is None or now < job.began + job.lasts - TOLERANCE:  # what ends now is over already
+                job.broken = job.broken or job.activity.broken
 
     def _later(self, seconds: float, callback: Callable[..., object], *args: object) -> asyncio.TimerHandle:
         def run() -> None:
