@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Protocol
 
 from pnm.errors import InputError
-from pnm.expressions import Fluent, Unknown, Value, bind
+from pnm.expressions import UNDEFINED, Fluent, Unknown, Value, bind
 from pnm.knowledge import MISSING, parse_fluent
 from pnm.plan_graph import GroundAction
 from pnm.vocabulary import Vocabulary
@@ -134,7 +134,7 @@ def _resolve(source: object, own: Mapping[str, object], knowledge: Lookup) -> ob
     if source.startswith("("):
         env = {f"?{name}": value for name, value in own.items() if isinstance(value, str)}
         value = knowledge.value(bind(parse_fluent(source), env))
-        return MISSING if value is None or isinstance(value, Unknown) else value
+        return MISSING if value in (None, UNDEFINED) or isinstance(value, Unknown) else value
     return source
 
 

@@ -1,10 +1,10 @@
 """What can be said about a state, and whether it holds: true, false or unknown.
 
 Three values (Kleene): unknown is neither true nor false. A fluent that is *absent* from a
-state is false where a fact is asked for (closed world) and unknown where a number or an object
-is. A fluent that a state maps to `UNKNOWN` is unknown either way. (PDDL 3.1 lets an object fluent
-be undefined, and does not say what it is then equal to: we do not know.) `str` of a condition is
-its PDDL text.
+state is false where a fact is asked for (closed world), undefined where an object is, and unknown
+where a number is. A fluent that a state maps to `UNKNOWN` is unknown either way. PDDL 3.1 does not
+say what an undefined object fluent is equal to: here, as for planners, to nothing, itself included.
+`str` of a condition is its PDDL text.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from dataclasses import dataclass
 from typing import Final, Protocol, TypeAlias, assert_never
 
 from pnm.expressions import (
+    DURATION,
     NOTHING,
+    UNDEFINED,
     UNKNOWN,
     Environment,
     Expression,
@@ -24,6 +26,7 @@ from pnm.expressions import (
     Truth,
     Unknown,
     Value,
+    ValueOf,
     Variable,
     bind,
     choices,
@@ -152,7 +155,7 @@ def evaluate(condition: Condition, state: State, env: Environment = NOTHING) -> 
         case Not(operand):
             return negate(evaluate(operand, state, env))
         case Compare(operation, left, right):
-            return _compare(operation, value_of(left, state, env), value_of(right, state, env))
+            return _compare(operation, _recorded(left, state, env), _recorded(right, state, env))
         case Any(operands):
             return negate(_all(negate(evaluate(operand, state, env)) for operand in operands))
         case Implies(left, right):
@@ -180,11 +183,20 @@ def _all(truths: Iterator[Truth]) -> Truth:
     return result
 
 
-def _compare(operation: str, left: Value | Unknown, right: Value | Unknown) -> Truth:
+def _recorded(expression: Expression, state: State, env: Environment) -> Value | Unknown | None:
+    """Return the value of the expression; None if it is a fluent of which nothing is recorded."""
+    if isinstance(expression, ValueOf) and expression.fluent != DURATION:
+        return state.value(bind(expression.fluent, env))
+    return value_of(expression, state, env)
+
+
+def _compare(operation: str, left: Value | Unknown | None, right: Value | Unknown | None) -> Truth:
     if left is UNKNOWN or right is UNKNOWN:
         return UNKNOWN
     if isinstance(left, str) or isinstance(right, str):
-        return left == right if operation == "=" else UNKNOWN
+        return left == right != UNDEFINED if operation == "=" else UNKNOWN
+    if left is None or right is None:
+        return UNKNOWN
     equal = abs(float(left) - float(right)) <= TOLERANCE
     if operation == "=":
         return equal

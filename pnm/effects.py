@@ -27,6 +27,7 @@ from pnm.expressions import (
     expression_fluents,
     ground_expression,
     hidden,
+    nothing_like,
     same,
     show,
     value_of,
@@ -250,11 +251,11 @@ def _ground(effect: Effect, env: Environment) -> Effect:
 
 
 def values_before(after: Changes, state: State) -> Changes:
-    """Return what the state has for the fluents that are about to be changed; what is absent is false, or an unknown number."""
+    """Return what the state has for the fluents that are about to be changed; what is absent is false, undefined, or an unknown number."""
     found: Changes = {}
     for fluent, value in after.items():
         old = state.value(fluent)
-        found[fluent] = old if old is not None else False if isinstance(value, bool) else UNKNOWN
+        found[fluent] = old if old is not None else nothing_like(value)
     return found
 
 

@@ -37,7 +37,7 @@ DURATION: Final[Fluent] = ("?duration",)
 
 
 UNDEFINED: Final = "undefined"
-"""The constant that leaves an object fluent without a value; of one nobody can say what it is equal to."""
+"""In place of an object: the fluent has none (PDDL 3.1), as has one that is absent. It is equal to nothing."""
 
 
 class State(Protocol):
@@ -110,7 +110,7 @@ def value_of(expression: Expression, state: State, env: Environment = NOTHING) -
     """Return the value of the expression; unknown as soon as one part is, or on division by zero."""
     match expression:
         case Constant(value):
-            return (UNKNOWN if value == UNDEFINED else env.get(value, value)) if isinstance(value, str) else value
+            return env.get(value, value) if isinstance(value, str) else value
         case ValueOf(fluent) if fluent == DURATION and DURATION[0] in env:
             return float(env[DURATION[0]])
         case ValueOf(fluent):
@@ -126,9 +126,15 @@ def value_of(expression: Expression, state: State, env: Environment = NOTHING) -
 
 
 def same(one: Value | Unknown | None, other: Value | Unknown | None) -> bool:
-    """Tell whether two recorded values are the same; nothing recorded is false, and 0 is not."""
-    one, other = (False if value is None else value for value in (one, other))
+    """Tell whether two recorded values are the same; nothing recorded is false, or no object, and 0 is not."""
+    if one is None or other is None:
+        one, other = (False if value is None or value == UNDEFINED else value for value in (one, other))
     return isinstance(one, bool) is isinstance(other, bool) and one == other
+
+
+def nothing_like(value: Value | Unknown) -> Value | Unknown:
+    """Return what a fluent has when it no longer has such a value: false, no object, or a number nobody knows."""
+    return False if isinstance(value, bool) else UNDEFINED if isinstance(value, str) else UNKNOWN
 
 
 def choices(variables: tuple[Variable, ...], state: State, env: Environment) -> Iterator[Environment]:

@@ -21,7 +21,7 @@ from typing import Final
 from pnm.consequences import Consequences
 from pnm.effects import Changes
 from pnm.errors import InputError
-from pnm.expressions import UNKNOWN, Constant, Fluent, Unknown, Value, same, show
+from pnm.expressions import UNKNOWN, Constant, Fluent, Unknown, Value, nothing_like, same, show
 from pnm.rules import NO_RULES, Rules
 
 Listener = Callable[[Mapping[Fluent, Value | Unknown]], None]
@@ -130,7 +130,8 @@ class KnowledgeBase:
     def replace(self, names: Iterable[str], facts: Mapping[Fluent, Value | Unknown]) -> Changes:
         """Record a complete report about the named predicates and functions.
 
-        A fact that it omits is no longer so, and a number or an object that it omits is no longer known.
+        A fact that it omits is no longer so, a fluent whose object it omits has none, and a number that it omits is
+        no longer known.
         What it says of derived facts is left out.
         """
         names = frozenset(names) - self._derived
@@ -139,7 +140,7 @@ class KnowledgeBase:
         gone: Changes = {}
         for fluent, value in self._facts.items():
             if fluent[0] in names and fluent not in facts and value is not UNKNOWN:
-                gone[fluent] = False if isinstance(value, bool) else UNKNOWN
+                gone[fluent] = nothing_like(value)
         return self.update({**gone, **facts})
 
     def _refuse_derived(self, changes: Mapping[Fluent, Value | Unknown]) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 
 from pnm.errors import InputError, Position
-from pnm.expressions import Fluent, Value
+from pnm.expressions import UNDEFINED, Fluent, Value
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Vocabulary:
     def check_change(self, fluent: Fluent, value: Value, position: Position) -> None:
         """Refuse a new value of undeclared names, or of what cannot be set."""
         self.check_set(fluent[0], position)
-        for argument in (*fluent[1:], *((value,) if isinstance(value, str) else ())):
+        for argument in (*fluent[1:], *((value,) if isinstance(value, str) and value != UNDEFINED else ())):
             _check(argument, self.objects, "object", position)
 
 

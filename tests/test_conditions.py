@@ -31,6 +31,7 @@ from pnm.conditions import (
 )
 from pnm.expressions import (
     DURATION,
+    UNDEFINED,
     UNKNOWN,
     Arithmetic,
     Constant,
@@ -226,8 +227,8 @@ def test_a_fact_nobody_recorded_is_false_and_a_number_is_unknown() -> None:
     assert evaluate(Compare("=", ValueOf(("n",)), ValueOf(("n",))), Picture()) is UNKNOWN
 
 
-NUMBERED = Picture({("n",): 3.0, ("zero",): 0.0, ("u",): UNKNOWN, ("where",): "a"})
-N, ZERO, UNSURE, WHERE = (ValueOf((name,)) for name in ("n", "zero", "u", "where"))
+NUMBERED = Picture({("n",): 3.0, ("zero",): 0.0, ("u",): UNKNOWN, ("where",): "a", ("nowhere",): UNDEFINED})
+N, ZERO, UNSURE, WHERE, NOWHERE, ABSENT = (ValueOf((name,)) for name in ("n", "zero", "u", "where", "nowhere", "absent"))
 
 
 @pytest.mark.parametrize(
@@ -278,6 +279,14 @@ def test_numbers_are_equal_within_the_tolerance(
         (Compare("=", WHERE, Constant("a")), T),
         (Compare("=", WHERE, Constant(1.0)), F),
         (Compare("=", UNSURE, Constant("a")), U),
+        (Compare("=", UNSURE, NOWHERE), U),
+        (Compare("=", ABSENT, Constant("a")), F),
+        (Compare("=", WHERE, ABSENT), F),
+        (Compare("=", NOWHERE, WHERE), F),
+        (Compare("=", NOWHERE, NOWHERE), F),
+        (Compare("=", NOWHERE, ABSENT), F),
+        (Compare("=", ABSENT, Constant(1.0)), U),
+        (Compare("=", ABSENT, ABSENT), U),
         (Compare("<", Constant("a"), Constant("b")), U),
     ],
     ids=str,
@@ -314,6 +323,10 @@ def test_a_quantified_variable_hides_the_one_outside() -> None:
         (None, 0.0, False),
         (False, 0.0, False),
         (True, 1.0, False),
+        (None, UNDEFINED, True),
+        (UNDEFINED, UNDEFINED, True),
+        (UNDEFINED, False, False),
+        (UNDEFINED, UNKNOWN, False),
         (UNKNOWN, None, False),
         (UNKNOWN, False, False),
     ],

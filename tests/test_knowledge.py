@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from pnm.conditions import All, Exists, Holds, Not, evaluate
 from pnm.errors import InputError
-from pnm.expressions import UNKNOWN, Fluent, Unknown, Value, Variable
+from pnm.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, Variable
 from pnm.knowledge import MISSING, KnowledgeBase, Layered, parse_fluent, parse_statement, show_statement
 from pnm.rules import Rule, Rules
 
@@ -127,10 +127,10 @@ def test_a_report_replaces_the_facts_of_the_names_it_is_about() -> None:
     assert batches == [{("at", "r1", "hall"): False, ("at", "r1", "kitchen"): True}]
 
 
-def test_a_number_or_an_object_that_a_report_omits_is_no_longer_known() -> None:
+def test_of_what_a_report_omits_a_number_is_no_longer_known_and_an_object_is_gone() -> None:
     knowledge = KnowledgeBase({("battery", "r1"): 80.0, ("battery", "r2"): 0.0, ("place", "r1"): "hall"})
     changed = knowledge.replace({"battery", "place"}, {("battery", "r1"): 79.0})
-    assert changed == {("battery", "r1"): 79.0, ("battery", "r2"): UNKNOWN, ("place", "r1"): UNKNOWN}
+    assert changed == {("battery", "r1"): 79.0, ("battery", "r2"): UNKNOWN, ("place", "r1"): UNDEFINED}
 
 
 @given(FACTS, FACTS, st.frozensets(st.sampled_from(("p", "q", "n"))))

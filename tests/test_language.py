@@ -10,6 +10,7 @@ from itertools import pairwise
 from typing import Any as Anything
 from uuid import uuid4
 
+import kairos
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -25,13 +26,13 @@ from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.analysis import verify
 from pnm.bindings import Binding, Bindings, goal_data
 from pnm.clock import run_async
-from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Not
+from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Not, evaluate
 from pnm.effects import Set, When
 from pnm.errors import InputError
 from pnm.executor import Executor
 from pnm.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Value, ValueOf, Variable
 from pnm.generation import generate
-from pnm.knowledge import Layered
+from pnm.knowledge import KnowledgeBase, Layered
 from pnm.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
 from pnm.results import RunResult
 from pnm.rules import Rule
@@ -406,7 +407,16 @@ def test_on_the_way_it_is_nowhere() -> None:
         assert (await stage.run(plan_graph(IN_LAB, TO_LAB))).goal
 
     play(IN_LAB, script)
-    assert places == [UNKNOWN]
+    assert places == [UNDEFINED]
+
+
+def test_a_robot_that_is_nowhere_is_not_where_it_is_wanted() -> None:
+    problem = replace(IN_LAB, init={("wanted", "r1"): "lab"})
+
+    async def script(stage: Stage) -> None:
+        assert (await stage.run(plan_graph(problem, timed("0 3 fetch r1")))).goal
+
+    play(problem, script)
 
 
 @pytest.mark.parametrize("assumed", [frozenset[str](), frozenset({"place"})])
@@ -474,8 +484,9 @@ def test_a_goal_field_may_be_an_object_that_is_known() -> None:
         data = goal_data(graph.calls[0].action, bindings.of("fetch"), ("robot", "to"), stage.knowledge)
         assert data == ({"robot": "r1", "to": "lab"}, ())
         assert (await stage.run(graph)).goal
-        stage.knowledge.world.update({("wanted", "r1"): UNKNOWN})
-        assert goal_data(graph.calls[0].action, bindings.of("fetch"), None, stage.knowledge)[1] == ("to",)
+        for nothing in (UNKNOWN, UNDEFINED):
+            stage.knowledge.world.update({("wanted", "r1"): nothing})
+            assert goal_data(graph.calls[0].action, bindings.of("fetch"), None, stage.knowledge)[1] == ("to",)
 
     play(wanted, script, bindings=bindings)
 
@@ -485,8 +496,27 @@ def test_a_problem_from_what_is_known_has_only_values_that_it_declares() -> None
     strange: dict[Fluent, Value] = {R2: "moon", ("place", "zz"): "lab", ("wanted", "r1"): "cup", ("wanted", "r2"): 3.0, ("battery",): "lab"}
     knowledge.update({**strange, ("battery",): "lab", ("greeted", "r1"): True})
     assert problem_now(IN_LAB, knowledge).init == {R1: "hall", ("greeted", "r1"): True}
-    knowledge.update({("battery",): 0.5, R2: "yard", R1: UNKNOWN})
-    assert problem_now(IN_LAB, knowledge).init == {("battery",): 0.5, R2: "yard", ("greeted", "r1"): True}
+    for nothing in (UNKNOWN, UNDEFINED):
+        knowledge.update({("battery",): 0.5, R2: "yard", R1: nothing})
+        assert problem_now(IN_LAB, knowledge).init == {("battery",): 0.5, R2: "yard", ("greeted", "r1"): True}
+
+
+HOLDING, WANTS, HAS = ValueOf(("holding", "r1")), ValueOf(("wants", "r1")), ValueOf(("has", "r1"))
+CUP = Constant("cup")
+EQUALITIES = [Compare("=", HOLDING, CUP), Compare("=", HAS, CUP), Compare("=", HAS, Constant("bowl")), Compare("=", HOLDING, HAS)]
+EQUALITIES += [Compare("=", WANTS, HAS), Compare("=", HAS, HAS)]
+
+
+@pytest.mark.parametrize("condition", [*EQUALITIES, *map(Not, EQUALITIES)], ids=str)
+def test_the_planner_also_takes_what_is_undefined_for_equal_to_nothing(condition: Condition) -> None:
+    domain = kairos.parse_domain(f"""(define (domain d) (:requirements :typing :object-fluents :adl) (:types robot thing - object)
+      (:constants r1 - robot cup bowl - thing) (:predicates (done))
+      (:functions (holding ?r - robot) - thing (wants ?r - robot) - thing (has ?r - robot) - thing)
+      (:action a :parameters () :precondition {condition} :effect (done)))""")
+    text = "(define (problem p) (:domain d) (:init (= (has r1) cup) (= (wants r1) bowl)) (:goal (done)))"
+    found = kairos.solve(domain, kairos.parse_problem(text, domain))
+    state = KnowledgeBase({HAS.fluent: "cup", WANTS.fluent: "bowl"})
+    assert found.status is (kairos.Status.SOLVED if evaluate(condition, state) else kairos.Status.UNSOLVABLE)
 
 
 # --- decided at the start -----------------------------------------------------------------------

@@ -11,13 +11,19 @@ from pnm_interfaces.msg import State
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from pnm.errors import InputError
-from pnm.expressions import UNKNOWN
+from pnm.expressions import UNDEFINED, UNKNOWN
 from pnm.knowledge import KnowledgeBase
 from pnm.ros.messages import to_message
 from pnm.ros.sensing import Sensing, read_state, write_state
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-FACTS = {("at", "r1", "hall"): True, ("battery", "r1"): 80.0, ("battery", "r2"): UNKNOWN, ("held-by", "r1"): "cup"}
+FACTS = {
+    ("at", "r1", "hall"): True,
+    ("battery", "r1"): 80.0,
+    ("battery", "r2"): UNKNOWN,
+    ("held-by", "r1"): "cup",
+    ("held-by", "r2"): UNDEFINED,
+}
 
 
 def test_a_report_is_handed_on_and_recorded(ros, start):
@@ -75,7 +81,7 @@ def test_what_is_written_is_read():
     data = write_state(frozenset({"at", "battery"}), {**FACTS, ("at", "r2", "hall"): False}, 3)
     assert read_state(to_message(State, data)) == FACTS
     assert data["names"] == ["at", "battery"]
-    assert data["facts"] == ["(at r1 hall)", "(= (held-by r1) cup)"]
+    assert data["facts"] == ["(at r1 hall)", "(= (held-by r1) cup)", "(= (held-by r2) undefined)"]
 
 
 def test_values_must_match_fluents():
