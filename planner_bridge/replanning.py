@@ -8,14 +8,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
+from planner_bridge.course import Course, Denied, seen_instead, snapshot
 from planner_bridge.forbidding import ForbiddenCall
 from planner_bridge.model import Problem
 from planner_bridge.plans import in_causal_order
-from pnm.conditions import Condition, evaluate, failing, observed
-from pnm.effects import changes
+from pnm.conditions import evaluate
 from pnm.knowledge import KnowledgeBase
 from pnm.ledger import UNCONFIRMED
-from pnm.plan_graph import GroundAction, Moment, PlanEvent, PlanGraph
+from pnm.plan_graph import PlanEvent, PlanGraph
 from pnm.results import CallResult, Failure
 
 _FINISHED = frozenset({"succeeded", "already true"})
@@ -144,23 +144,10 @@ def why_not(plan: PlanGraph, knowledge: KnowledgeBase, forbidden: frozenset[Forb
     for call in plan.calls:
         if ForbiddenCall.of(call.action) in forbidden:
             return f"{call.action} has failed too often, or its server may still be at work"
-    state = KnowledgeBase(knowledge.facts(), objects=knowledge.objects_by_type())
-    running: dict[int, GroundAction] = {}
+    course = Course(snapshot(knowledge))
     for event in plan.in_order():
-        action = plan.calls[event.call].action
-        starts = event.moment is Moment.START
-        condition = action.precondition if starts else action.end_condition
-        if evaluate(condition, state) is not True:
-            return f"{action} would {'start' if starts else 'end'} although {_denied(condition, state)}"
-        running.pop(event.call, None)
-        state.update(changes(action.start_effects if starts else action.end_effects, state))
-        if starts:
-            running[event.call] = action
-        for other in running.values():
-            if evaluate(other.invariant, state) is not True:
-                return f"{other} would go on although {_denied(other.invariant, state)}"
-    return "" if evaluate(plan.goal, state) is True else f"the rest of the plan would leave {_denied(plan.goal, state)}"
-
-
-def _denied(condition: Condition, state: KnowledgeBase) -> str:
-    return "; ".join(observed(part, state) for part in failing(condition, state))
+        try:
+            course.happen([(event, plan.calls[event.call].action)])
+        except Denied as denied:
+            return f"{plan.calls[denied.call].action} would {denied.deed} although {denied.observed}"
+    return "" if evaluate(plan.goal, course.state) is True else f"the rest of the plan would leave {seen_instead(plan.goal, course.state)}"
