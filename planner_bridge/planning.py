@@ -16,6 +16,7 @@ import kairos
 from planner_bridge.model import Domain, Problem
 from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.plan import Plan, PlanningResult, PlanningStatus, PlanStep, Stop
+from planner_bridge.validation import why_invalid
 from pnm.errors import InputError
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def validated(problem: Problem, found: PlanningResult) -> PlanningResult:
     """Return what was found if there is no plan or all validators accept it; every plan goes through here."""
     if found.plan is None:
         return found
-    verdicts = {"Kairos' validator": validate(problem, found.plan)}
+    verdicts = {"Kairos' validator": validate(problem, found.plan), "our own": why_invalid(problem, found.plan)}
     if not any(verdicts.values()):
         return found
     status = PlanningStatus.INVALID_PLAN if all(verdicts.values()) else PlanningStatus.DISAGREEMENT

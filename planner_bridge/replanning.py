@@ -8,14 +8,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
+from planner_bridge.course import Course, Denied, seen_instead, snapshot
 from planner_bridge.forbidding import ForbiddenCall
 from planner_bridge.model import Problem
 from planner_bridge.plans import in_causal_order
-from pnm.conditions import Condition, evaluate, failing, observed
-from pnm.effects import changes, decided
+from pnm.conditions import evaluate
 from pnm.knowledge import KnowledgeBase
 from pnm.ledger import UNCONFIRMED
-from pnm.plan_graph import GroundAction, Moment, PlanEvent, PlanGraph
+from pnm.plan_graph import PlanEvent, PlanGraph
 from pnm.results import CallResult, Failure
 from pnm.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
 
@@ -159,30 +159,18 @@ def why_not(
     for call in plan.calls:
         if ForbiddenCall.of(call.action) in forbidden:
             return f"{call.action} has failed too often, or its server may still be at work"
-    state = KnowledgeBase(knowledge.facts(), objects=knowledge.objects_by_type(), rules=knowledge.rules)
-    left = {one: progressed((one,), state) for constraint in constraints for one in instances(constraint, state)}
-    running: dict[int, GroundAction] = {}
+    course = Course(snapshot(knowledge))
+    left = {one: progressed((one,), course.state) for constraint in constraints for one in instances(constraint, course.state)}
     for event in plan.in_order():
-        action = running.pop(event.call, plan.calls[event.call].action)
-        starts = event.moment is Moment.START
-        condition = action.precondition if starts else action.end_condition
-        if evaluate(condition, state) is not True:
-            return f"{action} would {'start' if starts else 'end'} although {_denied(condition, state)}"
-        if starts:
-            running[event.call] = replace(action, end_effects=decided(action.end_effects, state))
-        state.update(changes(action.start_effects if starts else action.end_effects, state))
-        for other in running.values():
-            if evaluate(other.invariant, state) is not True:
-                return f"{other} would go on although {_denied(other.invariant, state)}"
-        left = {constraint: progressed(rest, state) for constraint, rest in left.items()}
+        try:
+            course.happen([(event, plan.calls[event.call].action)])
+        except Denied as denied:
+            return f"{plan.calls[denied.call].action} would {denied.deed} although {denied.observed}"
+        left = {constraint: progressed(rest, course.state) for constraint, rest in left.items()}
         for constraint, rest in left.items():
             if IMPOSSIBLE in rest:
-                return f"the {event.moment.value} of {action} would violate {constraint}"
-    if evaluate(plan.goal, state) is not True:
-        return f"the rest of the plan would leave {_denied(plan.goal, state)}"
-    missing = [str(constraint) for constraint, rest in left.items() if not is_fulfilled(rest, state)]
+                return f"the {event.moment.value} of {plan.calls[event.call].action} would violate {constraint}"
+    if evaluate(plan.goal, course.state) is not True:
+        return f"the rest of the plan would leave {seen_instead(plan.goal, course.state)}"
+    missing = [str(constraint) for constraint, rest in left.items() if not is_fulfilled(rest, course.state)]
     return f"the rest of the plan would leave {', '.join(missing)} unfulfilled" if missing else ""
-
-
-def _denied(condition: Condition, state: KnowledgeBase) -> str:
-    return "; ".join(observed(part, state) for part in failing(condition, state))
