@@ -60,6 +60,24 @@ def test_a_run_as_json_tells_everything() -> None:
     assert {"action", "arguments", "outcome", "attempts"} <= set(told["calls"][0])  # type: ignore[index]
 
 
+@pytest.mark.parametrize("command", ["plan", "run"])
+def test_what_is_wrong_with_a_file_but_understood_is_said_beside_the_answer(command: str, tmp_path: Path) -> None:
+    domain, problem = tmp_path / "d.pddl", tmp_path / "p.pddl"
+    facts = " ".join("(clean)" for _ in range(30))
+    domain.write_text("(define (domain d) (:predicates (clean))\n(:action wipe :precondition (not (clean)) :effect (clean)))")
+    problem.write_text(f"(define (problem p) (:domain other) (:init {facts}) (:goal (clean)))")
+    done = pnm(command, str(domain), str(problem), "--json")
+    assert done.returncode == 0
+    assert done.stdout.count("\n") == 1
+    assert result(done)
+    lines = done.stderr.splitlines()
+    assert lines[0] == f"{domain}:2:29: warning: :negative-preconditions is needed here but not among the :requirements"
+    assert lines[1] == f"{problem}:1:30: warning: the problem is for a domain 'other'; this one is 'd'"
+    assert lines[2] == f"{problem}:1:52: warning: (clean) is there twice"
+    assert lines[-1] == f"{problem}: 10 more warnings"
+    assert len(lines) == 1 + 20 + 1
+
+
 def test_no_plan_is_exit_one_and_says_so(tmp_path: Path) -> None:
     problem = tmp_path / "impossible.pddl"
     text = Path(DELIVERY[1]).read_text()
