@@ -7,8 +7,10 @@ search can be cancelled from another thread.
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from math import inf
 from typing import TYPE_CHECKING, Final
 
 import kairos
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 DEFAULT_PLANNER: Final = "kairos"
 RACE: Final = "race"
 _POLL: Final = 0.05
+_PATIENCE: Final = 1.0
+"""Seconds that must pass without a better plan until the last one is good enough, where preferences are weighed."""
 _THREADS: Final = 1
 """Phases of the search that run at once; one, so that the same problem always gets the same plan."""
 
@@ -140,11 +144,14 @@ def _solve_with_kairos(problem: Problem, timeout: float, cancel: Stop) -> Planni
         loaded = _load(problem)
     except kairos.PddlError as error:
         raise InputError(f"the planner refuses the problem: {error}") from error
+    weighs = _has_preferences(problem)  # else the first plan will do: robots wait
     search = kairos.Planner().start(  # type: ignore[no-untyped-call]
-        loaded, timeout=timeout, anytime=False, threads=_THREADS
+        loaded, timeout=timeout, anytime=weighs, threads=_THREADS
     )
-    while search.running() and not cancel.is_set():
-        search.next_plan(_POLL)
+    enough = inf
+    while search.running() and not cancel.is_set() and time.monotonic() < enough:
+        if search.next_plan(_POLL):
+            enough = time.monotonic() + (_PATIENCE if weighs else inf)
     search.stop()
     result = search.wait()
     status = _STATUS[result.status]
@@ -152,6 +159,10 @@ def _solve_with_kairos(problem: Problem, timeout: float, cancel: Stop) -> Planni
     if result.plan is None:
         return PlanningResult(PlanningStatus.NO_PLAN if status is PlanningStatus.SOLVED else status, message=message)
     return PlanningResult(PlanningStatus.SOLVED, _plan(result.plan, problem))
+
+
+def _has_preferences(problem: Problem) -> bool:
+    return bool(problem.preferences or problem.domain.preferences or any(one.preferences for one in problem.domain.actions.values()))
 
 
 def _told(diagnostics: Iterable[kairos.Diagnostic]) -> str:

@@ -9,7 +9,7 @@ import pytest
 
 from planner_bridge.model import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline import Stopwatch, pursue
+from planner_bridge.pipeline import Stopwatch, achieve, pursue
 from planner_bridge.replanning import PlanAgain, Resume
 from planner_bridge.sites import SimulatedSite
 from planner_bridge.tasks import Settings, TaskObserver, TaskResult
@@ -262,3 +262,15 @@ def test_the_command_line_tells_which_constraint_ended_the_run(tmp_path: Path) -
     spoken = pnm("run", str(domain), str(wanted), "--faults", str(faults))
     assert "broken (always (not (clean a))); observed (clean a) is true" in spoken.stdout
     assert "         preference swept is violated 1 time" in spoken.stdout
+
+
+def test_a_metric_over_preferences_is_searched_on_for_a_better_plan() -> None:
+    domain = parse_domain(ROOMS.replace(":strips", ":adl :preferences :strips", 1))
+    ways = " ".join(f"(way {one} {other})" for one, other in ("ab", "bc"))
+    things = "(:objects r1 - robot a b c - room)"
+    goal = "(and (at r1 c) (preference swept (clean b)))"
+    text = f"(define (problem p) (:domain rooms) {things} (:init (at r1 a) {ways} (= (total-cost) 0)) (:goal {goal})"
+    problem = parse_problem(f"{text} (:metric minimize (+ (total-cost) (* 10 (is-violated swept)))))", domain)
+    result = achieve(None, problem)
+    assert [one.status for one in result.preferences] == ["fulfilled"]
+    assert "sweep(r1, b)" in [str(call.call.action) for call in result.calls]
