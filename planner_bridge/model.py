@@ -114,6 +114,7 @@ class Domain:
     hierarchy: tuple[str, ...] = ()
     """Tasks and methods, as their HDDL text: only a hierarchical planner reads them."""
     borrowed: Mapping[str, Borrowed] = field(default_factory=dict)
+    """Objects that only problems declare."""
     warnings: tuple[Tolerated, ...] = field(default=(), compare=False, repr=False)
     """What in the file was not as it should be."""
 

@@ -673,7 +673,7 @@ def domain_of(actions: list[ActionSchema]) -> Domain:
     )
 
 
-@settings(max_examples=40, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@settings(max_examples=25, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(st.tuples(INSTANTANEOUS, DURATIVE), st.lists(RULES, max_size=2), st.lists(constraints(), max_size=2), st.lists(WISHES, max_size=2))
 def test_a_written_domain_reads_as_an_equal_one(
     actions: tuple[ActionSchema, ActionSchema], rules: list[Rule], kept: list[Constraint], wished: list[Preference]
@@ -707,7 +707,7 @@ TIMED = st.dictionaries(st.floats(0, 1e9), values(st.booleans()).filter(bool), m
 )
 
 
-@settings(max_examples=40, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@settings(max_examples=25, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(
     values(st.just(True)),
     TIMED,
@@ -782,14 +782,57 @@ def test_the_layout_is_for_people() -> None:
     )
 
 
-WORDS = ["(", ")", "?", "?x", "-", ":", ":effect", "and", "at", "start", "not", "=", "3", "?duration", "when", "forall", "either", "é", ";"]
+WORDS = [
+    *(
+        "(",
+        ")",
+        "?",
+        "?x",
+        "-",
+        ":",
+        ":effect",
+        "and",
+        "at",
+        "start",
+        "end",
+        "not",
+        "=",
+        "3",
+        "?duration",
+        "when",
+        "forall",
+        "either",
+        "é",
+        ";",
+    ),
+    *(
+        "preference",
+        "always",
+        "within",
+        ":derived",
+        ":constraints",
+        "home",
+        "undefined",
+        "is-violated",
+        "assign",
+        "over",
+        "all",
+        ":vars",
+        ":htn",
+    ),
+]
 
 
 @settings(deadline=None)
 @given(st.data())
 def test_a_damaged_text_is_read_or_refused_with_a_position(data: st.DataObject) -> None:
-    domain = domain_of([SAMPLE, EARLY])
-    texts = write_domain(domain), write_problem(Problem("p", domain, init={("idle",): True, ("charge", "R1"): 3.0}, timed=SOON, goal=IDLE))
+    domain = replace(domain_of([SAMPLE, EARLY]), rules=(Rule("calm", OWN, Not(IDLE)),), constraints=(LAW,), hierarchy=("(:task t)",))
+    init: dict[Fluent, bool | float | str] = {("idle",): True, ("charge", "R1"): 3.0, ("home", "R1"): "hall"}
+    wishes = Preference("p", IDLE, (Variable("?x"),)), Preference("q", (LAW,))
+    texts = (
+        write_domain(domain),
+        write_problem(Problem("p", domain, init=init, timed=SOON, goal=IDLE, preferences=wishes, constraints=(LAW,))),
+    )
     which = data.draw(st.integers(0, 1))
     words = texts[which].replace("(", " ( ").replace(")", " ) ").split()
     for _ in range(data.draw(st.integers(1, 3))):
@@ -808,13 +851,18 @@ def _error(text: str, domain: Domain | None) -> InputError | None:
 
 
 SOON = (TimedChange(5.0, {("idle",): False, ("charge", "R1"): 1.0}),)
+LAW = Constraint("within", (ForAll((Variable("?x"),), IDLE),), (5.0,), (Variable("?r", ("robot",)),))
 SAMPLE = ActionSchema(
     "later",
     OWN,
     precondition=All((IDLE, Compare("=", CHARGE, ValueOf(DURATION)))),
     end_condition=ForAll((Variable("?x"),), Not(IDLE)),
     start_effects=(ForEach((Variable("?x"),), (When(IDLE, (NOT_IDLE,)), SET_IDLE)),),
-    end_effects=(Set(("charge", "?r"), Arithmetic("+", (Constant(1.0), CHARGE)), "increase"),),
+    end_effects=(
+        Set(("charge", "?r"), Arithmetic("+", (Constant(1.0), CHARGE)), "increase"),
+        When(IDLE, (Set(("home", "?r"), ValueOf(UNDEFINED)),), early=True),
+    ),
+    preferences=(Preference("care", IDLE, moment="at end"),),
     duration=(DurationConstraint("<=", Constant(5.0)),),
 )
 EARLY = ActionSchema("now", OWN, precondition=Any((IDLE, Implies(IDLE, IDLE))), end_effects=(When(IDLE, (SET_IDLE,)),))

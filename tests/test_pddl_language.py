@@ -124,7 +124,7 @@ BAD_DOMAINS = [
         "(:action a :precondition (preference p (preference q (busy))))",
         "2:41: 'preference' cannot stand here; expected it in a goal, a precondition or :constraints, and there only inside and, forall",
     ),
-    ("(:action a :precondition (preference p))", "2:26: expected (preference NAME CONDITION), found 1 parts"),
+    ("(:action a :precondition (preference p))", "2:26: expected (preference NAME CONDITION), found 1 part"),
     ("(:action a :precondition (preference p (busy) (idle)))", "2:26: expected (preference NAME CONDITION), found 3 parts"),
     ("(:action a :precondition (preference ?p (busy)))", "2:38: expected the name of a preference, found '?p'"),
     (
@@ -488,7 +488,7 @@ def test_what_was_so_at_the_start_decides_what_happens_at_the_end(text: str, sta
 # --- task networks -------------------------------------------------------------------------
 
 TASK = "(:task deliver :parameters (?r - robot ?l - room))"
-METHOD = "(:method m ; how\n  :parameters (?r - robot ?l - room)\n  :task (deliver ?r ?l)\n  :ordered-subtasks (and (a ?r ?l)))"
+METHOD = "(:method m ; how (\n  :parameters (?r - robot ?l - room)\n  :task (deliver ?r ?l)\n  :ordered-subtasks (and (a ?r ?l)))"
 NETWORK = "(:htn :parameters () :subtasks (and (t1 (deliver r2 hall))) :ordering ())"
 
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Final
+from typing import Final, Literal, NoReturn, TypeAlias
 
 from planner_bridge.model import Borrowed, Declaration, Domain
 from planner_bridge.pddl.requirements import Requirements
 from planner_bridge.pddl.sexpr import Atom, Group, Node, tolerate, where, wrong
 from planner_bridge.pddl.words import CONNECTIVES, CONTINGENT, NAME, Types, is_number, nearest, one, runs, type_words, unknown, unsupported
 from pnm.expressions import Variable
+
+_Kind: TypeAlias = Literal["predicate", "function"]
 
 TOTAL_COST: Final = "total-cost"
 """The one function that is used undeclared."""
@@ -76,8 +78,8 @@ class Names:
                 raise unknown("type", word, self._types.values())
         return tuple(dict.fromkeys(self._types[word.key] for word in words))
 
-    def variables(self, items: Sequence[Node], *, declaring: bool = False, types: Sequence[Types] = ()) -> tuple[Variable, ...]:
-        """Read typed variables; only a declaration may repeat a name. One without a type has that of its place, if given."""
+    def variables(self, items: Sequence[Node], *, declaring: bool = False) -> tuple[Variable, ...]:
+        """Read typed variables; only a declaration may repeat a name."""
         found: list[Variable] = []
         seen: set[str] = set()
         for names, kind in runs(items):
@@ -90,7 +92,7 @@ class Names:
                         raise wrong(name, f"the variable {name} is there twice")
                     tolerate(name, f"the variable {name} is there twice")
                 seen.add(name.key)
-                found.append(Variable(name.text, types[len(found)] if kind is None and len(found) < len(types) else given))
+                found.append(Variable(name.text, given))
         return tuple(found)
 
     def joined(self, *types: Types) -> Types:
@@ -134,11 +136,11 @@ class Names:
 
     def predicate(self, node: Node) -> Declaration:
         """Return the declaration of the predicate the list begins with."""
-        return self._declared(node, "predicate", self._predicates, "function", self._functions)
+        return self._declared(node, "predicate")
 
     def function(self, node: Node) -> Declaration:
         """Return the declaration of the function the list begins with; without arguments, the word alone will do."""
-        return self._declared(node, "function", self._functions, "predicate", self._predicates)
+        return self._declared(node, "function")
 
     def find_function(self, node: Node) -> Declaration | None:
         """Return the declaration of the function that the word, or the list, begins with, if it is one."""
@@ -170,44 +172,43 @@ class Names:
         """Whether some function has objects for values."""
         return any(declared.values for declared in self._functions.values())
 
-    def _declared(
-        self, node: Node, kind: str, known: Mapping[str, Declaration], other_kind: str, other: Mapping[str, Declaration]
-    ) -> Declaration:
+    def _declared(self, node: Node, kind: _Kind) -> Declaration:
         word = node.items[0] if isinstance(node, Group) and node.items else node
         if not isinstance(word, Atom):
             raise wrong(word, f"expected the name of {one(kind)}, found {word}")
+        known = self._known(kind)
         if word.key in known:
             return known[word.key]
-        return (
-            self._alike(word, kind, known) or self._undeclared_cost(word, kind) or self._refuse(node, word, kind, known, other_kind, other)
-        )
+        return self._alike(word, kind) or self._undeclared_cost(word, kind) or self._refuse(node, word, kind)
 
-    def _alike(self, word: Atom, kind: str, known: Mapping[str, Declaration]) -> Declaration | None:
-        for key, declared in known.items():
+    def _known(self, kind: _Kind) -> dict[str, Declaration]:
+        return self._predicates if kind == "predicate" else self._functions
+
+    def _alike(self, word: Atom, kind: _Kind) -> Declaration | None:
+        for key, declared in self._known(kind).items():
             if key.replace("_", "-") == word.key.replace("_", "-"):
                 tolerate(word, f"the {kind} {word} is read as {declared.name!r}")
                 return declared
         return None
 
-    def _undeclared_cost(self, word: Atom, kind: str) -> Declaration | None:
+    def _undeclared_cost(self, word: Atom, kind: _Kind) -> Declaration | None:
         if kind != "function" or word.key != TOTAL_COST:
             return None
         tolerate(word, f"the function {word} is not declared; it is read as (total-cost) - number")
         self.costs = self._functions[TOTAL_COST] = Declaration(TOTAL_COST)
         return self.costs
 
-    def _refuse(
-        self, node: Node, word: Atom, kind: str, known: Mapping[str, Declaration], other_kind: str, other: Mapping[str, Declaration]
-    ) -> Declaration:
-        if word.key in other:
-            raise wrong(word, f"{word} is a {other_kind}; expected a {kind}")
+    def _refuse(self, node: Node, word: Atom, kind: _Kind) -> NoReturn:
+        other: _Kind = "function" if kind == "predicate" else "predicate"
+        if word.key in self._known(other):
+            raise wrong(word, f"{word} is a {other}; expected a {kind}")
         if word.key in _UNCERTAIN:
             raise unsupported(node, *_UNCERTAIN[word.key])
         if word.key in _PLACES:
             raise wrong(word, f"{word} cannot stand here; expected it {_PLACES[word.key]}")
         if word.key in CONNECTIVES:
             raise wrong(word, f"{word} cannot stand here; expected a {kind}")
-        raise unknown(kind, word, [declared.name for declared in known.values()])
+        raise unknown(kind, word, [declared.name for declared in self._known(kind).values()])
 
     @cached_property
     def _types(self) -> dict[str, str]:

@@ -10,7 +10,7 @@ from planner_bridge.model import Preference
 from planner_bridge.pddl.conditions import condition, conjunction
 from planner_bridge.pddl.scope import Scope
 from planner_bridge.pddl.sexpr import Atom, Group, Node, wrong
-from planner_bridge.pddl.words import new_name
+from planner_bridge.pddl.words import counted, new_name
 from pnm.conditions import Condition, ForAll
 from pnm.expressions import Variable
 
@@ -32,7 +32,7 @@ def preference(node: Group, scope: Scope, read: Callable[[Node], T]) -> tuple[st
         case (Group() as body,):
             return "", read(body)
         case _:
-            raise wrong(node, f"expected (preference NAME CONDITION), found {len(node.rest)} parts")
+            raise wrong(node, f"expected (preference NAME CONDITION), found {counted(len(node.rest), 'part')}")
 
 
 def under(variables: tuple[Variable, ...], preferences: Iterable[Preference]) -> list[Preference]:

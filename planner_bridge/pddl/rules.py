@@ -58,13 +58,14 @@ def _head(node: Node, names: Names) -> tuple[Declaration, tuple[Variable, ...]]:
     if not isinstance(node, Group):
         raise wrong(node, f"expected a predicate with variables such as (name ?x - type), found {node}")
     declared = names.predicate(node)
-    variables = names.variables(node.rest, types=[variable.types for variable in declared.parameters])
+    variables = names.variables(node.rest)
     if len(variables) != len(declared.parameters):
         raise wrong(node, f"expected {declared}, found {counted(len(variables), 'variable')}")
     return declared, tuple(_narrowed(given, needed, node, names) for given, needed in zip(variables, declared.parameters, strict=True))
 
 
 def _narrowed(given: Variable, needed: Variable, node: Node, names: Names) -> Variable:
+    """Return the variable of a head with its own type, or with that of the declaration where its own is wider or missing."""
     if all(names.matches((kind,), needed.types) for kind in given.types):
         return given
     if all(names.matches((kind,), given.types) for kind in needed.types):

@@ -11,6 +11,7 @@ from planner_bridge.model import Declaration
 from planner_bridge.pddl.names import Names
 from planner_bridge.pddl.sexpr import Atom, Group, Node, wrong
 from planner_bridge.pddl.words import Types, counted, is_number, number, operands, show_types, unknown, unsupported
+from pnm.errors import InputError
 from pnm.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
 
 _MANY: Final = (range(2, sys.maxsize), "at least 2")
@@ -151,5 +152,5 @@ class Scope:
         return self.names.wishes[node.key]
 
 
-def _ill_typed(node: Node, name: str, types: Types, needed: Types) -> Exception:
+def _ill_typed(node: Node, name: str, types: Types, needed: Types) -> InputError:
     return wrong(node, f"{name!r} is of type {show_types(types)}; expected {show_types(needed)}")
