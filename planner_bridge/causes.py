@@ -87,7 +87,11 @@ class Causes:
 
     def timed(self, time: float, changed: Mapping[Fluent, Value]) -> None:
         """Note that fluents change by themselves, and which calls that were over by then could not have gone on."""
-        self.changed_at.update(dict.fromkeys(changed, time))
+        concerned = [one.stand_in for one in self.kept if one.changing is not None and one.changing & changed.keys()]
+        self.changed_at.update(dict.fromkeys((*changed, *concerned), time))
+        for stand_in in concerned:
+            if stand_in in self.writer and self.writer[stand_in].moment is Moment.END:
+                self.deadlines.setdefault(self.writer[stand_in].call, time)
         after = _Only(self.knowledge, changed)
         for fluent in changed:
             for reader in self.readers.get(fluent, ()):
@@ -181,7 +185,8 @@ class Causes:
             )
             for call in calls
         )
-        return PlanGraph(told, tuple(_strongest(self.orderings)), goal, self.knowledge.rules)
+        due = max((self.changed_at.get(fluent, 0.0) for fluent in self._reads(goal)), default=0.0)
+        return PlanGraph(told, tuple(_strongest(self.orderings)), goal, self.knowledge.rules, due)
 
 
 @dataclass(frozen=True, slots=True)

@@ -103,18 +103,29 @@ def _end(child: subprocess.Popen[bytes], folder: Path) -> None:
             child.wait(timeout=1.0)
     if child.stdin:
         child.stdin.close()
+    killed = time.monotonic()  # what is not our own child is gone a moment later
+    while _started_in(folder) and time.monotonic() < killed + 1.0:
+        time.sleep(_POLL)
 
 
 def _signal(number: signal.Signals, group: int, folder: Path) -> None:
     """Send a signal to the group, and to those that have left it but still have the folder for their temporary files."""
-    mark = f"{_FOLDER}={folder}".encode()
-    for environment in Path("/proc").glob("[0-9]*/environ"):
-        pid = int(environment.parent.name)
-        with suppress(OSError):
-            if pid != os.getpid() and mark in environment.read_bytes().split(b"\0"):
-                os.kill(pid, number)
+    for pid in _started_in(folder):
+        with suppress(ProcessLookupError):
+            os.kill(pid, number)
     with suppress(ProcessLookupError):
         os.killpg(group, number)
+
+
+def _started_in(folder: Path) -> list[int]:
+    """Return the processes that have the folder for their temporary files, this one left out."""
+    mark = f"{_FOLDER}={folder}".encode()
+    found: list[int] = []
+    for environment in Path("/proc").glob("[0-9]*/environ"):
+        with suppress(OSError):
+            if mark in environment.read_bytes().split(b"\0"):
+                found.append(int(environment.parent.name))
+    return [pid for pid in found if pid != os.getpid()]
 
 
 def die_with_parent() -> None:

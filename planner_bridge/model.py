@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Final, Literal
+from typing import Literal
 
 from pnm.conditions import TRUE, Condition
 from pnm.effects import Effects, TimedChange
@@ -14,9 +14,6 @@ from pnm.expressions import Expression, Fluent, Value, Variable
 from pnm.rules import Rule
 from pnm.trajectory import Constraint
 from pnm.vocabulary import Vocabulary
-
-UNDEFINED: Final[Fluent] = ("undefined",)
-"""Stands for no value where an effect takes the value of a function away; nothing is ever recorded about it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -155,6 +155,8 @@ def _solve_with_kairos(problem: Problem, timeout: float, cancel: Stop) -> Planni
     search.stop()
     result = search.wait()
     status = _STATUS[result.status]
+    if status is PlanningStatus.UNSOLVABLE and any(function.values for function in problem.domain.functions.values()):
+        status = PlanningStatus.NO_PLAN  # Kairos 1.0.6 calls some such problems unsolvable although its validator accepts a plan
     message = "" if status is PlanningStatus.CANCELLED else _told(result.diagnostics)
     if result.plan is None:
         return PlanningResult(PlanningStatus.NO_PLAN if status is PlanningStatus.SOLVED else status, message=message)
@@ -167,7 +169,8 @@ def _has_preferences(problem: Problem) -> bool:
 
 def _told(diagnostics: Iterable[kairos.Diagnostic]) -> str:
     """Return what the diagnostics say, on one line."""
-    return "; ".join(" ".join(one.message.split()) for one in diagnostics)
+    lines = (" ".join(line.split()).removeprefix("no plan: ") for one in diagnostics for line in one.message.splitlines())
+    return "; ".join(filter(None, lines))
 
 
 def _plan(found: kairos.Plan, problem: Problem) -> Plan:

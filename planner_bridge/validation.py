@@ -5,25 +5,28 @@ The rules are those of PDDL 2.1 (section 8) and 2.2, read as Kairos' validator r
 - Events less than a millionth of a second apart are one happening. An instantaneous action starts
   and ends in one. The steps of a plan without times happen at 0, 1, 2 and so on.
 - At one happening no step may change what another looks at, nor may two change the same fluent,
-  unless both add it, both delete it, or both only increase or decrease it. Looked at is what
-  decided a condition or an effect: of ``(or (p) (q))`` with `p` true that is `p` alone. PDDL 2.1
-  counts every fluent that is mentioned; Kairos is as lenient as we are, and also overlooks what
-  an ``exists`` has found to be false. The bounds of a duration, and what derived facts follow
-  from, do not count, there as here.
+  unless both add it, both delete it, or both only increase or decrease it. Looked at is what a
+  number is calculated from, and what decided a condition: of ``(or (p) (q))`` with `p` true that
+  is `p` alone. PDDL 2.1 counts every fluent that is mentioned; Kairos is as lenient as we are, and
+  also overlooks what an ``exists`` has found to be false. The bounds of a duration, and what
+  derived facts follow from, do not count, there as here.
 - An over-all condition must hold from just after the happening of the start until just before
   that of the end: nowhere when both are one.
 - A duration may miss its bounds by a thousandth of a second.
+- A state is in force until the next one, also for ``hold-during`` and ``hold-after``; Kairos looks at
+  those states only that begin within the time.
 - All timed facts come true, those after the last step too, before the goal is looked at.
-- A number without a value cannot be changed, `total-cost` excepted, nor can it be compared: Kairos
-  refuses the plan as soon as it meets one; to us ``(or (> (f) 0) (p))`` is true if `p` is.
+- A number without a value cannot be changed, `total-cost` excepted, nor can it be compared. Kairos
+  refuses a plan as soon as it meets one, even where it does not matter: in an effect whose
+  condition is false, or in ``(or (> (f) 0) (p))`` when `p` is true.
 
 Which tasks of a hierarchical problem the steps carry out is not looked at.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import Final
@@ -31,15 +34,15 @@ from typing import Final
 from planner_bridge.course import Course, Denied, expected_and_observed, snapshot
 from planner_bridge.grounding import ground_action
 from planner_bridge.model import ActionSchema, Problem
-from planner_bridge.plan import Plan
+from planner_bridge.plan import Plan, PlanStep
 from planner_bridge.state import initial_knowledge
 from pnm.conditions import TOLERANCE, evaluate
-from pnm.effects import assignments
-from pnm.errors import InputError, PnmError
+from pnm.effects import assignments, unconditional
+from pnm.errors import PnmError
 from pnm.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, show, value_of
 from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import GroundAction, Moment, PlanEvent
-from pnm.trajectory import IMPOSSIBLE, instances, is_fulfilled, progressed, seen_of
+from pnm.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, moments, progressed, seen_of
 
 DURATION_TOLERANCE: Final = 1e-3
 """Seconds by which a duration may miss its bounds."""
@@ -56,7 +59,9 @@ class InvalidPlan(PnmError):
 def why_invalid(problem: Problem, plan: Plan) -> str:
     """Return why the plan does not solve the problem, in one sentence; empty when it does."""
     try:
-        for _ in _kept(problem, _course(problem, plan)):
+        constraints = (*problem.domain.constraints, *problem.constraints)
+        looks = sorted({time for constraint in constraints for time in moments(constraint)})
+        for _ in _kept(constraints, _course(problem, plan, looks)):
             pass
     except InvalidPlan as reason:
         return str(reason)
@@ -72,11 +77,10 @@ def trace(problem: Problem, plan: Plan) -> tuple[tuple[float, KnowledgeBase], ..
     return tuple((time, snapshot(state)) for time, state in _course(problem, plan))
 
 
-def _kept(problem: Problem, course: Iterator[tuple[float, KnowledgeBase]]) -> Iterator[tuple[float, KnowledgeBase]]:
-    """Yield the course as it is while it keeps the trajectory constraints; like Kairos, look at states when they begin."""
+def _kept(constraints: Iterable[Constraint], course: Iterator[tuple[float, KnowledgeBase]]) -> Iterator[tuple[float, KnowledgeBase]]:
+    """Yield the course as it is while it keeps the trajectory constraints."""
     time, state = next(course)
-    lifted = (*problem.domain.constraints, *problem.constraints)
-    left = {one: progressed((one,), state, time) for constraint in lifted for one in instances(constraint, state)}
+    left = {one: progressed((one,), state, time) for constraint in constraints for one in instances(constraint, state)}
     yield time, state
     for time, state in course:
         left = {constraint: progressed(rest, state, time) for constraint, rest in left.items()}
@@ -89,13 +93,19 @@ def _kept(problem: Problem, course: Iterator[tuple[float, KnowledgeBase]]) -> It
             raise InvalidPlan(f"{constraint} is not fulfilled at the end: {seen_of(constraint, state)}")
 
 
-def _course(problem: Problem, plan: Plan) -> Iterator[tuple[float, KnowledgeBase]]:
-    """Yield the initial state and the state after each happening, with their times: always the same object, which changes."""
-    steps = [_step(problem, plan, number) for number in range(len(plan.steps))]
+def _course(problem: Problem, plan: Plan, looks: Iterable[float] = ()) -> Iterator[tuple[float, KnowledgeBase]]:
+    """Yield the initial state and the state after each happening, with their times: always the same object, which changes.
+
+    At the moments given besides, the state in force is yielded again.
+    """
+    waiting = deque(looks)
+    steps = _steps(problem, plan)
     course = Course(initial_knowledge(problem))
     yield 0.0, course.state
     for happening in _happenings(problem, steps):
         when = f" at {happening.time:g} s" if plan.temporal else ""
+        while waiting and waiting[0] < happening.time - TOLERANCE:
+            yield waiting.popleft(), course.state
         for event in happening.events:
             if event.moment is Moment.START:
                 steps[event.call].check_duration(course.state)
@@ -139,27 +149,38 @@ class _Step:
                 raise InvalidPlan(f"{self} cannot take {self.duration:g} s: expected {constraint}; observed a bound of {shown}")
 
 
-def _step(problem: Problem, plan: Plan, index: int) -> _Step:
-    """Return the step with what it stands for."""
-    step = plan.steps[index]
-    said = f"step {index + 1}, {step},"
+def _steps(problem: Problem, plan: Plan) -> list[_Step]:
+    """Return the steps with what they stand for.
+
+    Raises:
+        InvalidPlan: there is no such action, an argument or its type is wrong, or a time is no time.
+    """
+    objects = {kind: frozenset(names) for kind, names in problem.objects_by_type.items()}
+    found: list[_Step] = []
+    for index, step in enumerate(plan.steps):
+        if wrong := _wrong(step, problem, objects):
+            raise InvalidPlan(f"step {index + 1}, {step}, {wrong}")
+        schema = problem.domain.actions[step.action]
+        duration = None if schema.duration is None else step.duration
+        start = step.start if plan.temporal else float(index)
+        found.append(_Step(index + 1, schema, ground_action(schema, step.arguments, duration), start, duration or 0.0))
+    return found
+
+
+def _wrong(step: PlanStep, problem: Problem, objects: Mapping[str, frozenset[str]]) -> str:
+    """Return what is wrong with the step as it is written; empty when nothing is."""
     schema = problem.domain.actions.get(step.action)
     if schema is None:
-        raise InvalidPlan(f"{said} is no action of the domain")
-    start = step.start if plan.temporal else float(index)
-    duration = 0.0 if schema.duration is None else step.duration
-    if not (isfinite(start) and isfinite(duration) and start >= 0.0 and duration >= 0.0):
-        raise InvalidPlan(f"{said} starts at {start:g} s and takes {duration:g} s: expected numbers of seconds from 0 on")
-    try:
-        action = ground_action(schema, step.arguments, None if schema.duration is None else duration)
-    except InputError as error:
-        raise InvalidPlan(f"{said} is wrong: {error}") from error
+        return "is no action of the domain"
+    if not (isfinite(step.start) and isfinite(step.duration) and step.start >= 0.0 and step.duration >= 0.0):
+        return f"starts at {step.start:g} s and takes {step.duration:g} s: expected times from 0 on"
+    if len(step.arguments) != len(schema.parameters):
+        return f"has {len(step.arguments)} arguments: expected {len(schema.parameters)}"
     for variable, argument in zip(schema.parameters, step.arguments, strict=True):
-        if argument not in problem.objects:
-            raise InvalidPlan(f"{said} names {argument!r}, which is no object of the problem")
-        if not any(problem.domain.supertypes(kind).intersection(variable.types) for kind in problem.objects[argument]):
-            raise InvalidPlan(f"{said} has {argument} for {variable}, but it is a {' and a '.join(problem.objects[argument])}")
-    return _Step(index + 1, schema, action, start, duration)
+        if not any(argument in objects[kind] for kind in variable.types):
+            known = argument in objects["object"]
+            return f"has {argument} for {variable}: {'it is of another type' if known else 'there is no such object'}"
+    return ""
 
 
 # --- happenings ----------------------------------------------------------------------------
@@ -210,25 +231,28 @@ class _Watched:
 def _check_interference(happening: _Happening, steps: Sequence[_Step], course: Course, when: str) -> None:
     if len({event.call for event in happening.events}) + bool(happening.timed) < 2:
         return
-    readers: dict[Fluent, set[int]] = defaultdict(set)
-    writers: dict[Fluent, dict[int, set[str]]] = defaultdict(lambda: defaultdict(set))
+    readers: dict[Fluent, list[int]] = {}
+    writers: dict[Fluent, list[tuple[int, str]]] = {}
     for event in happening.events:
         action = course.running.get(event.call, steps[event.call].action)
         starts = event.moment is Moment.START
         watched = _Watched(course.state)
         evaluate(action.precondition if starts else action.end_condition, watched)
-        for fluent, effect, env in assignments(action.start_effects if starts else action.end_effects, watched):
+        effects = action.start_effects if starts else action.end_effects
+        for fluent, effect, _ in assignments(effects, watched):
+            writers.setdefault(fluent, []).append((event.call, _way(effect.operation, effect.value)))
+        for _, effect, env in assignments(unconditional(effects), watched):
             value_of(effect.value, watched, env)
-            writers[fluent][event.call].add(_way(effect.operation, effect.value))
         for fluent in watched.seen:
-            readers[fluent].add(event.call)
+            readers.setdefault(fluent, []).append(event.call)
     for fluent, value in happening.timed.items():
-        writers[fluent][_BY_ITSELF].add(_way("assign", Constant(value)))
-    for fluent, found in writers.items():
-        ways = frozenset().union(*found.values())
-        involved = sorted({*found, *readers[fluent]})
-        if len(involved) > 1 and (readers[fluent] or len(ways) > 1 or ways == {"assign"}):
-            first, second = ("what changes by itself" if one == _BY_ITSELF else f"{steps[one]}" for one in involved[:2])
+        writers.setdefault(fluent, []).append((_BY_ITSELF, _way("assign", Constant(value))))
+    for fluent, written in writers.items():
+        read = readers.get(fluent, [])
+        involved = {call for call, _ in written}.union(read)
+        ways = {way for _, way in written}
+        if len(involved) > 1 and (read or len(ways) > 1 or ways == {"assign"}):
+            first, second = ("what changes by itself" if one == _BY_ITSELF else f"{steps[one]}" for one in sorted(involved)[:2])
             raise InvalidPlan(f"{first} and {second} get in each other's way{when}: both have to do with {show(fluent)}, which changes")
 
 

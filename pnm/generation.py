@@ -82,11 +82,14 @@ class _Generator:
         self.initial[start] = 1
         self._connect()
         first, last = self._boundary()
-        self.transition("begin", Rule("begin"), [start], first or [end])
+        if not self.plan.calls:
+            first = last = [self.net.place("begin < finish")]
+        self.transition("begin", Rule("begin"), [start], first)
         for call in self.plan.calls:
             _Block(self, call, self.bindings.of(call.action.name)).build()
-        if last:
-            self.transition("finish", Rule("finish"), last, [end])
+        if self.plan.due:
+            self.transition("overtaken", Rule("overtaken", Ending()), last, [end])
+        self.transition("finish", Rule("finish", Due(self.plan.due) if self.plan.due else Always()), last, [end])
         self.transition("ended_by_failure", Rule("ended_by_failure", Ending()), [end], [failed])
         self.transition("goal_holds", Rule("goal_holds", Holding(self.plan.goal)), [end], [goal])
         self.transition("goal_missing", Rule("goal_missing", Denied(self.plan.goal)), [end], [failed])
@@ -189,8 +192,8 @@ class _Block:
             self.all.transition(self.name(phase + name), Rule(name, guard, call, deed), [source], outputs)
 
         add("skip", Ending(), ready, out)
-        if not self.awaited and not self.all.out_of.get(PlanEvent(call, Moment.START)):
-            # what comes while it runs relies on its start, or may still undo what seems to be done
+        if not self.awaited and not self.call.release and not self.all.out_of.get(PlanEvent(call, Moment.START)):
+            # what comes while it runs relies on its start, or may, as time may, still undo what seems to be done
             add("already_true", AlreadyTrue(call), ready, out)
         add("data_missing", DataMissing(call), ready, failed)
         if isfinite(self.call.deadline):

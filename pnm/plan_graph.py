@@ -117,6 +117,8 @@ class PlanGraph:
     goal: Condition = TRUE
     rules: Rules = NO_RULES
     """What derives facts that its conditions mention."""
+    due: float = 0.0
+    """Seconds after the moment the plan starts from before which the goal is not looked at: time itself does the last part."""
 
     def __post_init__(self) -> None:
         for position, call in enumerate(self.calls):

@@ -274,3 +274,41 @@ def test_a_metric_over_preferences_is_searched_on_for_a_better_plan() -> None:
     result = achieve(None, problem)
     assert [one.status for one in result.preferences] == ["fulfilled"]
     assert "sweep(r1, b)" in [str(call.call.action) for call in result.calls]
+
+
+RAIN = """(define (domain d) (:requirements :durative-actions :constraints :timed-initial-literals) (:predicates (p) (q) (rain))
+  (:durative-action a :parameters () :duration (= ?duration 2) :condition () :effect (at end (p)))
+  (:durative-action b :parameters () :duration (= ?duration 2) :condition () :effect (at end (q))))"""
+
+
+def raining(rest: str) -> Problem:
+    return parse_problem(f"(define (problem p) (:domain d) (:init (at 6 (rain))) {rest})", parse_domain(RAIN))
+
+
+def test_a_constraint_that_needs_a_timed_fact_is_waited_for() -> None:
+    result = achieve(None, raining("(:goal (p)) (:constraints (sometime-before (p) (rain)))"))
+    assert result.goal_reached, result.reason
+    assert result.calls[0].ended is not None
+    assert result.calls[0].ended - result.began >= 6.0
+
+
+@pytest.mark.parametrize("goal", ["(rain)", "(and (p) (rain))"])
+def test_a_goal_that_needs_a_timed_fact_is_waited_for(goal: str) -> None:
+    result = achieve(None, raining(f"(:goal {goal})"))
+    assert result.goal_reached, result.reason
+    assert result.replans == 0
+
+
+def test_where_the_validators_disagree_nothing_moves_and_both_are_told() -> None:
+    result = achieve(None, raining("(:goal (p)) (:constraints (hold-during 1 2 (q)))"))  # Kairos looks at states that begin then
+    assert not result.goal_reached
+    assert result.calls == ()
+    assert "validators disagree: Kairos' validator says: valid; our own says: (hold-during 1 2 (q)) is violated at 1 s" in result.reason
+
+
+def test_the_value_of_a_function_may_be_taken_away() -> None:
+    domain = parse_domain("""(define (domain d) (:requirements :typing :object-fluents :adl) (:types place crate) (:predicates (done))
+      (:functions (where ?c - crate) - place)
+      (:action load :parameters (?c - crate) :precondition (not (done)) :effect (and (assign (where ?c) undefined) (done))))""")
+    text = "(define (problem p) (:domain d) (:objects a - place k - crate) (:init (= (where k) a)) (:goal (done)))"
+    assert achieve(None, parse_problem(text, domain)).goal_reached

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from planner_bridge.model import UNDEFINED, ActionSchema, Declaration, Domain, DurationConstraint, Metric, Preference, Problem
+from planner_bridge.model import ActionSchema, Declaration, Domain, DurationConstraint, Metric, Preference, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
 from planner_bridge.pddl.durative import MOMENTS
 from planner_bridge.pddl.forms import number_text
@@ -22,7 +22,7 @@ from planner_bridge.pddl.writer import write_domain, write_problem
 from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.effects import OPERATIONS, Effect, ForEach, Set, TimedChange, When
 from pnm.errors import InputError
-from pnm.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
+from pnm.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
 from pnm.rules import Rule
 from pnm.trajectory import Constraint
 
@@ -586,7 +586,7 @@ def conditions(duration: bool = False) -> st.SearchStrategy[Condition]:
 def effects(duration: bool = False) -> st.SearchStrategy[tuple[Effect, ...]]:
     truth = st.builds(Set, st.sampled_from(FACTS), st.booleans().map(Constant))
     numbers = st.builds(Set, st.sampled_from(FUNCTIONS), expressions(duration), st.sampled_from(OPERATIONS))
-    places = st.sampled_from([Constant("?Other"), Constant("hall"), ValueOf(("home", "R1")), ValueOf(UNDEFINED)])
+    places = st.sampled_from([Constant("?Other"), Constant("hall"), ValueOf(("home", "R1")), Constant(UNDEFINED)])
     one = st.recursive(
         st.one_of(truth, numbers, st.builds(Set, st.just(("home", "?r")), places)),
         lambda inner: st.one_of(
@@ -860,7 +860,7 @@ SAMPLE = ActionSchema(
     start_effects=(ForEach((Variable("?x"),), (When(IDLE, (NOT_IDLE,)), SET_IDLE)),),
     end_effects=(
         Set(("charge", "?r"), Arithmetic("+", (Constant(1.0), CHARGE)), "increase"),
-        When(IDLE, (Set(("home", "?r"), ValueOf(UNDEFINED)),), early=True),
+        When(IDLE, (Set(("home", "?r"), Constant(UNDEFINED)),), early=True),
     ),
     preferences=(Preference("care", IDLE, moment="at end"),),
     duration=(DurationConstraint("<=", Constant(5.0)),),

@@ -5,12 +5,12 @@ from __future__ import annotations
 import kairos
 import pytest
 
-from planner_bridge.model import UNDEFINED, ActionSchema, Declaration, Domain, Metric, Preference, Problem
+from planner_bridge.model import ActionSchema, Declaration, Domain, Metric, Preference, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain, write_problem
 from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not
 from pnm.effects import Effect, ForEach, Set, TimedChange, When
 from pnm.errors import InputError
-from pnm.expressions import Arithmetic, Constant, ValueOf, Variable
+from pnm.expressions import UNDEFINED, Arithmetic, Constant, ValueOf, Variable
 from pnm.rules import Rule
 from pnm.trajectory import Constraint
 
@@ -310,7 +310,7 @@ def test_functions_stand_for_objects_in_conditions(text: str, condition: Conditi
         ("(assign (home ?r) ?l)", Set(("home", "?r"), Constant("?l"))),
         ("(assign (home ?r) hall)", Set(("home", "?r"), HALL)),
         ("(assign (home ?r) (place ?r))", Set(("home", "?r"), PLACE)),
-        ("(assign (home ?r) undefined)", Set(("home", "?r"), ValueOf(UNDEFINED))),
+        ("(assign (home ?r) undefined)", Set(("home", "?r"), Constant(UNDEFINED))),
         ("(not (dirty (home ?r)))", ForEach((HOME_IS[0],), (When(HOME_IS[1], (Set(("dirty", "?home"), Constant(False)),)),))),
         (
             "(assign (home (owner ?l)) (place (owner ?l)))",

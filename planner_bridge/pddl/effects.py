@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from planner_bridge.model import UNDEFINED
 from planner_bridge.pddl.conditions import condition, conjunction
 from planner_bridge.pddl.names import TOTAL_COST
 from planner_bridge.pddl.nesting import unnested
@@ -10,7 +9,7 @@ from planner_bridge.pddl.scope import OPERANDS, Scope
 from planner_bridge.pddl.sexpr import Atom, Group, Node, wrong
 from planner_bridge.pddl.words import operands, show_types
 from pnm.effects import OPERATIONS, Effects, ForEach, Set, When
-from pnm.expressions import Constant, Expression, Fluent, ValueOf
+from pnm.expressions import UNDEFINED, Constant, Expression, Fluent
 
 
 def effects(node: Node, scope: Scope) -> Effects:
@@ -71,6 +70,6 @@ def _value(node: Group, target: Node, value: Node, scope: Scope) -> Expression:
         return scope.expression(value)
     if node.head != "assign":
         raise wrong(node, f"the values of {declared.name!r} are objects ({show_types(declared.values)}); expected (assign ...)")
-    if isinstance(value, Atom) and value.key == UNDEFINED[0] and scope.names.find_object(value.text) is None:
-        return ValueOf(UNDEFINED)
+    if isinstance(value, Atom) and value.key == UNDEFINED and scope.names.find_object(value.text) is None:
+        return Constant(UNDEFINED)
     return scope.value(value, declared.values)

@@ -8,7 +8,6 @@ from itertools import groupby
 from operator import itemgetter
 from typing import assert_never
 
-from planner_bridge.model import UNDEFINED
 from planner_bridge.pddl.layout import Form, flat
 from pnm.conditions import All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not
 from pnm.effects import Effect, Effects, ForEach, Set, When
@@ -78,8 +77,6 @@ def expression_form(expression: Expression) -> Form:
             return str(value)
         case ValueOf(fluent) if fluent == DURATION:
             return "?duration"
-        case ValueOf(fluent) if fluent == UNDEFINED:
-            return UNDEFINED[0]
         case ValueOf(fluent):
             return list(fluent)
         case Arithmetic(operation, operands):
