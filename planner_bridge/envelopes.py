@@ -47,7 +47,7 @@ def tightened(plan: PlanGraph) -> PlanGraph:
                 delay = 0.0 if anchor == event else starts_at - events.time(anchor)
                 added.append(Ordering(anchor, start, tuple(dict.fromkeys(ends[index])), delay))
     calls = tuple(replace(call, release=max(call.release, releases.get(call.index, 0.0))) for call in plan.calls)
-    return replace(plan, calls=calls, orderings=(*plan.orderings, *added))
+    return replace(plan, steps=calls, orderings=(*plan.orderings, *added))
 
 
 @dataclass

@@ -19,12 +19,13 @@ if TYPE_CHECKING:
     from pnm.executor import Executor
     from pnm.expressions import UNKNOWN, Fluent
     from pnm.generation import generate
-    from pnm.knowledge import MISSING, KnowledgeBase, Layered
+    from pnm.knowledge import KnowledgeBase, Layered
     from pnm.machine import OnFailure, PetriNetMachine
     from pnm.marking import Marking
     from pnm.net import Arc, NetBuilder, PetriNet
     from pnm.observer import Observer
     from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+    from pnm.queries import MISSING
     from pnm.results import CallResult, Failure, RunResult
     from pnm.run import Run
     from pnm.semantics import enabled, fire, is_enabled
@@ -107,7 +108,7 @@ _WHERE = {
     "Position": "pnm.errors",
     "Executor": "pnm.executor",
     "generate": "pnm.generation",
-    "MISSING": "pnm.knowledge",
+    "MISSING": "pnm.queries",
     "KnowledgeBase": "pnm.knowledge",
     "Layered": "pnm.knowledge",
     "OnFailure": "pnm.machine",

@@ -17,8 +17,9 @@ from typing import Protocol
 
 from pnm.errors import InputError
 from pnm.expressions import UNDEFINED, Fluent, Unknown, Value, bind
-from pnm.knowledge import MISSING, parse_fluent
+from pnm.knowledge import parse_fluent
 from pnm.plan_graph import GroundAction
+from pnm.queries import MISSING
 from pnm.vocabulary import Vocabulary
 from pnm.yaml_files import Mapped, load_yaml
 
@@ -43,6 +44,8 @@ class Binding:
     """Seconds the server may take to confirm a cancellation."""
     retries: int = 1
     """How often the action is tried again within one plan."""
+    ask: Mapping[str, str] = field(default_factory=dict)
+    """Goal fields, and what a person is asked when nobody knows their value."""
 
 
 DEFAULT = Binding()

@@ -38,6 +38,8 @@ from pnm.expressions import (
     value_of,
     variables_in,
 )
+from pnm.queries import Answers, Data, Uncomputable, compute, fluents_in, parameters_in, substituted, told
+from pnm.queries import truth as is_true
 
 # --- conditions ----------------------------------------------------------------------------
 
@@ -127,7 +129,17 @@ class Exists:
         return f"(exists ({' '.join(map(str, self.variables))}) {self.body})"
 
 
-Condition: TypeAlias = Holds | Compare | Not | All | Any | Implies | ForAll | Exists
+@dataclass(frozen=True, slots=True)
+class Computed:
+    """The value is true: what hand-written plans say of variables. Unknown when it cannot be computed."""
+
+    data: Data
+
+    def __str__(self) -> str:
+        return str(self.data)
+
+
+Condition: TypeAlias = Holds | Compare | Not | All | Any | Implies | ForAll | Exists | Computed
 
 TRUE: Final = All()
 
@@ -164,8 +176,20 @@ def evaluate(condition: Condition, state: State, env: Environment = NOTHING) -> 
             return _all(evaluate(body, state, inner) for inner in choices(variables, state, env))
         case Exists(variables, body):
             return negate(evaluate(ForAll(variables, Not(body)), state, env))
+        case Computed(data):
+            return _test(substituted(data, env), state)
         case _:
             assert_never(condition)
+
+
+def _test(data: Data, state: State) -> Truth:
+    """Raise `Unanswered` if it depends on what has to be asked first."""
+    if not isinstance(state, Answers):
+        return UNKNOWN
+    try:
+        return is_true(compute(data, state))
+    except Uncomputable:
+        return UNKNOWN
 
 
 def negate(truth: Truth) -> Truth:
@@ -229,6 +253,8 @@ def _fluents(condition: Condition, state: State, env: Environment) -> Iterator[F
         case ForAll(variables, body) | Exists(variables, body):
             for inner in choices(variables, state, env):
                 yield from _fluents(body, state, inner)
+        case Computed(data):
+            yield from fluents_in(data, env)
         case _:
             assert_never(condition)
 
@@ -246,6 +272,8 @@ def names(condition: Condition) -> frozenset[str]:
             return frozenset().union(*map(names, operands))
         case Implies(left, right):
             return names(left) | names(right)
+        case Computed(data):
+            return frozenset(fluent[0] for fluent in fluents_in(data))
         case _:
             assert_never(condition)
 
@@ -265,6 +293,8 @@ def free_variables(condition: Condition) -> frozenset[str]:
             return free_variables(left) | free_variables(right)
         case ForAll(variables, body) | Exists(variables, body):
             return free_variables(body) - {variable.name for variable in variables}
+        case Computed(data):
+            return parameters_in(data)
         case _:
             assert_never(condition)
 
@@ -288,6 +318,8 @@ def ground(condition: Condition, env: Environment) -> Condition:
             return ForAll(variables, ground(body, hidden(env, variables)))
         case Exists(variables, body):
             return Exists(variables, ground(body, hidden(env, variables)))
+        case Computed(data):
+            return Computed(substituted(data, env))
         case _:
             assert_never(condition)
 
@@ -313,6 +345,8 @@ class Witness(State, Protocol):
 
 def observed(condition: Condition, state: Witness) -> str:
     """Say what the state has in place of the condition: the value of each fluent in it, and why if it is derived."""
+    if isinstance(condition, Computed) and isinstance(state, Answers):
+        return told(condition.data, state)
     said = sorted(_told(fluent, state) for fluent in fluents(condition, state))
     return ", ".join(said) or "no fluent involved"
 

@@ -11,6 +11,7 @@ from typing import TypeAlias
 from uuid import UUID
 
 from pnm.actions.base import Report, Request
+from pnm.queries import Question
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,15 @@ class Stop:
     reason: str = "cancelled"
 
 
-Event: TypeAlias = Begin | KnowledgeChanged | Tick | Stop | Report
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """What a question of an `Ask` was answered with; `MISSING` when nobody knows, or nobody has answered in time."""
+
+    id: UUID
+    value: object
+
+
+Event: TypeAlias = Begin | KnowledgeChanged | Tick | Stop | Answered | Report
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,4 +69,29 @@ class Wake:
     at: float
 
 
-Command: TypeAlias = Send | Cancel | Wake
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """Ask the question outside of the run; exactly one `Answered` follows."""
+
+    id: UUID
+    question: Question
+
+
+@dataclass(frozen=True, slots=True)
+class Withdraw:
+    """The answer to the question is no longer needed."""
+
+    id: UUID
+
+
+@dataclass(frozen=True, slots=True)
+class Tell:
+    """Store the value outside of the run; one `Ended` follows, as for a request that was sent."""
+
+    id: UUID
+    question: Question
+    """Its name and layer say where the value goes, its meta data go with it."""
+    value: object
+
+
+Command: TypeAlias = Send | Cancel | Wake | Ask | Withdraw | Tell

@@ -16,25 +16,15 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Final
 
 from pnm.consequences import Consequences
 from pnm.effects import Changes
 from pnm.errors import InputError
 from pnm.expressions import UNKNOWN, Constant, Fluent, Unknown, Value, nothing_like, same, show
+from pnm.queries import MISSING
 from pnm.rules import NO_RULES, Rules
 
 Listener = Callable[[Mapping[Fluent, Value | Unknown]], None]
-
-
-class _Missing:
-    """The answer for a variable that no layer has; distinct from every value, None included."""
-
-    def __repr__(self) -> str:
-        return "MISSING"
-
-
-MISSING: Final = _Missing()
 
 
 class KnowledgeBase:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, TypeAlias, assert_never
 
-from pnm.conditions import All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, free_variables, ground, names
+from pnm.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, free_variables, ground, names
 from pnm.errors import PnmError
 from pnm.expressions import Variable
 
@@ -165,7 +165,7 @@ def _signed(condition: Condition, negated: bool) -> Iterator[tuple[str, bool]]:
     match condition:
         case Holds(fluent):
             yield fluent[0], negated
-        case Compare():
+        case Compare() | Computed():
             return
         case Not(operand):
             yield from _signed(operand, not negated)

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from pnm.conditions import All, Exists, Holds, Not, evaluate
 from pnm.errors import InputError
 from pnm.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, Variable
-from pnm.knowledge import MISSING, KnowledgeBase, Layered, parse_fluent, parse_statement, show_statement
+from pnm.knowledge import KnowledgeBase, Layered, parse_fluent, parse_statement, show_statement
+from pnm.queries import MISSING
 from pnm.rules import Rule, Rules
 
 Facts = Mapping[Fluent, Value | Unknown]

@@ -9,8 +9,9 @@ from operator import itemgetter
 from typing import assert_never
 
 from planner_bridge.pddl.layout import Form, flat
-from pnm.conditions import All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not
+from pnm.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
 from pnm.effects import Effect, Effects, ForEach, Set, When
+from pnm.errors import InputError
 from pnm.expressions import DURATION, Arithmetic, Constant, Expression, ValueOf, Variable
 
 # --- typed lists ---------------------------------------------------------------------------
@@ -64,6 +65,8 @@ def condition_form(condition: Condition) -> Form:
             return ["forall", variables_form(variables), condition_form(body)]
         case Exists(variables, body):
             return ["exists", variables_form(variables), condition_form(body)]
+        case Computed():
+            raise InputError(f"PDDL cannot say {condition}: it knows facts and functions, not variables")
         case _:
             assert_never(condition)
 

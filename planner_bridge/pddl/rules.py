@@ -12,7 +12,7 @@ from planner_bridge.pddl.names import Names
 from planner_bridge.pddl.scope import Scope
 from planner_bridge.pddl.sexpr import Group, Node, tolerate, wrong
 from planner_bridge.pddl.words import CONNECTIVES, counted, new_name, operands, show_types
-from pnm.conditions import All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not
+from pnm.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
 from pnm.expressions import Variable
 from pnm.rules import Rule
 
@@ -109,7 +109,7 @@ def _mentioned(condition: Condition, positive: bool) -> Iterator[tuple[str, bool
     match condition:
         case Holds(fluent):
             yield fluent[0], positive
-        case Compare():
+        case Compare() | Computed():
             return
         case Not(operand):
             yield from _mentioned(operand, not positive)

@@ -10,7 +10,7 @@ import unified_planning.shortcuts as up
 
 from planner_bridge.up.declarations import Declarations, Terms
 from pnm import conditions
-from pnm.conditions import All, Compare, Condition, Exists, ForAll, Holds, Implies, Not
+from pnm.conditions import All, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
 from pnm.errors import InputError
 from pnm.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, ValueOf
 
@@ -40,6 +40,8 @@ def condition_there(condition: Condition, declared: Declarations, terms: Terms) 
         case Exists(variables, body):
             chosen, guards, inner = declared.variables(variables, terms)
             return up.Exists(up.And(*guards, condition_there(body, declared, inner)), *chosen)
+        case Computed():
+            raise InputError(f"planners cannot be told {condition}: they know facts and functions, not variables")
         case _:
             assert_never(condition)
 

@@ -1,0 +1,47 @@
+"""Where answers come from that a run does not have itself: the knowledge all runs share, and people.
+
+A source may take its time; runs that have asked wait for it, and others go on meanwhile.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+from uuid import UUID
+
+from pnm.errors import PnmError
+from pnm.queries import Question
+
+
+class SourceError(PnmError):
+    """A source could not be reached, or has refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asker:
+    """Who asks or tells."""
+
+    run: UUID
+    plan: str = ""
+    """What a person may know the run by."""
+
+
+class Source(Protocol):
+    """A knowledge base outside of runs. Every method is called on the event loop, by many runs at once."""
+
+    async def query(self, question: Question, asker: Asker, /) -> object:
+        """Return what the question is answered with, or `MISSING`; cancelled when the answer is no longer needed.
+
+        Raises:
+            SourceError: it could not be asked.
+        """
+
+    async def update(self, question: Question, value: object, asker: Asker, /) -> None:
+        """Store the value; when this returns, every later query finds it.
+
+        Raises:
+            SourceError: it could not be stored.
+        """
+
+    async def close(self) -> None:
+        """Let go of files and connections."""
