@@ -1,0 +1,1 @@
+"""The language: domains and plans that people write in YAML. Knows nothing of planners."""
