@@ -35,7 +35,7 @@ CLASSES: Final = {"ROSAtomicAction": ActionKind.ROS, "RPNAtomicAction": ActionKi
 """The classes that files for the original implementation name; none of them is imported."""
 OPERATION: Final = "operation"
 """The parameter under which the step of a `ActionKind.KB` action says what is done."""
-KEYS: Final = (
+ACTION_KEYS: Final = (
     *("instances", "type", "params", "preconditions", "effects", "duration", "preferences", "recoveries", "resources"),
     *("server", "ros_type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask"),
 )
@@ -117,7 +117,7 @@ def read_action(name: str, entry: Mapped, declared: Declared) -> LanguageAction:
     Raises:
         InputError: it has an unknown key, something malformed, or names that are not there.
     """
-    entry.only(*KEYS)
+    entry.only(*ACTION_KEYS)
     if name in RESERVED:
         raise InputError(f"{name!r} is a word of the language; an action cannot be called so", entry.start)
     kind = _kind(entry)

@@ -77,6 +77,9 @@ class Situation:
     timed: tuple[TimedChange, ...] = ()
 
 
+NOTHING_SO: Final = Situation()
+
+
 def read_declared(top: Mapped, problem: Mapped | None) -> Declared:
     """Read ``types``, ``constants``, ``predicates`` and ``functions``, and the ``objects`` of a problem."""
     types = _names(top, "types", Scope())
