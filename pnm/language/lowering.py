@@ -182,6 +182,7 @@ class Lowering:
             recoveries=(*(self._recovery(one, own, inner) for one in written), *usual_recoveries(step.action)),
             timeout=step.timeout,
             retries=step.action.binding.retries if step.retries is None else step.retries,
+            store=tuple(step.store.items()),
         )
 
     def _recovery(self, written: WrittenRecovery, own: Substitution, around: _Region) -> Recovery:
