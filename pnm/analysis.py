@@ -190,6 +190,9 @@ def _shape(part: Part) -> object:
         for step in part.steps
     )
     marked = tuple((number[place], tokens) for place, tokens in part.initial.items())
-    roles = tuple((place in part.records, place in part.counters, place in part.failures, place in part.early, place in part.restarts) for place in part.places)
+    roles = tuple(
+        (place in part.records, place in part.counters, place in part.failures, place in part.early, place in part.restarts)
+        for place in part.places
+    )
     supplies = tuple(tuple(number[place] for place in supply) for supply in part.supplies)
-    return steps, marked, roles, supplies, part.cancels, part.others_restart
+    return steps, marked, roles, supplies, part.cancels, part.others_restart, part.repeats

@@ -157,6 +157,7 @@ class Anatomy:
             early if rest else frozenset(),
             frozenset(own_records),
             bool(machine.restart_places) and owner is not None,
+            owner is not None and (bool(machine.restart_places) or self.region_of[owner].owner is not None),
         )
         return Block(owner, _counted(part), first, rest, early)
 

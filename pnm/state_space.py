@@ -66,6 +66,8 @@ class Part:
     """Places that ask for the plan to begin anew."""
     others_restart: bool = False
     """Whether other parts may ask for that."""
+    repeats: bool = False
+    """Whether it may be entered again once it was left, with its counters as they then are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +94,8 @@ class _Explorer:
         for number, step in enumerate(self.part.steps):
             for place in step.inputs:
                 self.consumers[self.index[place]].append(number)
+        denied = [any(isinstance(self.part.steps[number].guard, Denied) for number in found) for found in self.consumers]
+        self.deniable = [number for number, is_so in enumerate(denied) if is_so]
         self.failures = [self.index[place] for place in self.part.failures]
         self.restarts = [self.index[place] for place in self.part.restarts]
         self.counters = {self.index[place] for place in self.part.counters if place in self.index}
@@ -108,15 +112,33 @@ class _Explorer:
             for place in self.part.supplies[state.supplied]:
                 tokens[self.index[place]] += 1
             yield "supply", _State(tuple(tokens), state.stop, state.supplied + 1)
+        elif self.part.repeats and self._is_left(state):
+            kept = tuple(
+                tokens if place in self.counters and place not in self.restarts else 0 for place, tokens in enumerate(state.tokens)
+            )
+            yield _AGAIN, _State(self._with_resources(kept), 0 if state.stop == 1 else state.stop)
         for stop in self.stops:
             if stop > state.stop:
                 yield _STOPS[stop], _State(state.tokens, stop, state.supplied)
 
-    def _possible(self, state: _State) -> list[Step]:
-        """Return the enabled steps whose guards may be open, as `pnm.run` asks them: in order, at each marked place."""
+    def _moods(self, state: _State) -> tuple[bool, bool, bool]:
+        """Tell whether the run is failing, ending, and cancelling what runs."""
         failing = state.stop > 1 or any(state.tokens[place] for place in self.failures)
         ending = failing or state.stop > 0 or any(state.tokens[place] for place in self.restarts)
-        cancel = state.stop == 3 or (ending and self.part.cancels)
+        return failing, ending, state.stop == 3 or (ending and self.part.cancels)
+
+    def _is_left(self, state: _State) -> bool:
+        return not self._possible(state)
+
+    def _with_resources(self, tokens: Tokens) -> Tokens:
+        own = self.part.initial
+        return tuple(
+            own.get(place, 0) if place in own and number not in self.counters else tokens[number] for place, number in self.index.items()
+        )
+
+    def _possible(self, state: _State) -> list[Step]:
+        """Return the enabled steps whose guards may be open, as `pnm.run` asks them: in order, at each marked place."""
+        moods = self._moods(state)
         found: dict[int, None] = {}
         enabled: dict[int, bool] = {}
         for place, tokens in enumerate(state.tokens):
@@ -127,7 +149,7 @@ class _Explorer:
                         enabled[number] = self._is_enabled(step, state)
                     if not enabled[number]:
                         continue
-                    is_open = _is_open(step.guard, failing, ending, cancel)
+                    is_open = _is_open(step.guard, *moods)
                     if is_open is not False:
                         found[number] = None
                     if is_open is True:
@@ -137,7 +159,8 @@ class _Explorer:
     def _unanswered(self, place: int, state: _State) -> str:
         """Tell for which condition there is only an exit for when it does not hold, and nothing else is sure to happen."""
         guards = [step.guard for number in self.consumers[place] if self._is_enabled(step := self.part.steps[number], state)]
-        if any(isinstance(guard, Always | After | Due) for guard in guards):
+        moods = self._moods(state)
+        if any(isinstance(guard, After | Due) or _is_open(guard, *moods) for guard in guards):
             return ""
         for guard in guards:
             if isinstance(guard, Denied) and Holding(guard.condition) not in guards:
@@ -160,7 +183,8 @@ class _Explorer:
         for number, tokens in enumerate(state.tokens):
             if tokens > self.most[number]:
                 return f"{self.part.places[number]} holds {tokens} tokens"
-            if tokens and (wrong := self._unanswered(number, state)):
+        for number in self.deniable:
+            if state.tokens[number] and (wrong := self._unanswered(number, state)):
                 return wrong
         if not stuck:
             return ""
@@ -176,6 +200,7 @@ class _Explorer:
 
 
 _STOPS: Final = ("", "restart elsewhere", "stop", "cancel")
+_AGAIN: Final = "enter again"
 
 
 def _is_open(guard: Guard | Inside, failing: bool, ending: bool, cancel: bool) -> bool | None:
@@ -203,18 +228,18 @@ def explore_part(part: Part) -> int:
     start = _State(tuple(part.initial.get(place, 0) for place in part.places))
     path: list[tuple[_State, Iterator[tuple[str, _State]]]] = []
     names: list[str] = []
-    on_path: set[_State] = set()
+    on_path: dict[_State, int] = {}
     seen: set[_State] = set()
 
     def enter(state: _State) -> None:
         nexts = list(explorer.successors(state))
-        stuck = all(name in (*_STOPS, "supply") for name, _ in nexts)
+        stuck = all(name in (*_STOPS, _AGAIN, "supply") for name, _ in nexts)
         if wrong := explorer.check(state, stuck):
             raise Unsound(wrong, names)
         if len(seen) > MAX_STATES:
             raise Unsound(f"more than {MAX_STATES} states")
         seen.add(state)
-        on_path.add(state)
+        on_path[state] = len(names)
         path.append((state, iter(nexts)))
 
     enter(start)
@@ -223,13 +248,15 @@ def explore_part(part: Part) -> int:
         found = next(nexts, None)
         if found is None:
             path.pop()
-            on_path.discard(state)
+            del on_path[state]
             if names:
                 names.pop()
             continue
         name, following = found
         if following in on_path:
-            raise Unsound("it can go round for ever", [*names, name])
+            if _AGAIN not in (*names[on_path[following] :], name):  # how often it is entered, whoever holds it says
+                raise Unsound("it can go round for ever", [*names, name])
+            continue
         if following not in seen:
             names.append(name)
             enter(following)

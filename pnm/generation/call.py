@@ -62,6 +62,9 @@ class CallBlock(Block[ActionCall]):
         announced = self.builder.out_of.get(PlanEvent(self.step.index, Moment.START), [])
         for name in ("running", "overdue", "stopping", "finished", "done", "failed"):
             self.place(name)
+        for phase in ("", "again ") if announced else ("",):
+            for name in ("ready", "requested", "recover", "withdrawing"):
+                self.place(phase + name)
         self.builder.failure_places[self.name("failed")] = self.step.index
         if self.retries:
             self.budget("budget", "spent", self.retries)
@@ -91,7 +94,7 @@ class CallBlock(Block[ActionCall]):
     def _attempt(self, phase: str, announced: list[str]) -> None:
         """From `ready` to acceptance, and from `recover` back or out."""
         call, action = self.step.index, self.step.action
-        ready, requested, recover = (self.place(phase + name) for name in ("ready", "requested", "recover"))
+        ready, requested, recover, withdrawing = (self.name(phase + name) for name in ("ready", "requested", "recover", "withdrawing"))
         out = [self.name("done"), *announced]
         failed = [*out, self.name("failed")]
         may_start = _conjunction(action.precondition, _before_invariant(action, self.builder.plan.rules))
@@ -115,7 +118,6 @@ class CallBlock(Block[ActionCall]):
             add(name, Ends(call, frozenset({kind})), requested, self._after(cause, [recover]))
         unavailable = self._after(Cause.UNAVAILABLE, [recover])
         add("ended_early", Ends(call, frozenset(OutcomeKind) - frozenset(_EARLY)), requested, unavailable)
-        withdrawing = self.place(phase + "withdrawing")
         add("unanswered", After(self.binding.accept), requested, [withdrawing], Deed.CANCEL)
         add("withdrawn", Ends(call, frozenset(OutcomeKind)), withdrawing, unavailable)
         add("unheard", After(self.binding.cancel), withdrawing, failed)
