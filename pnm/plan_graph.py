@@ -270,8 +270,6 @@ class PlanGraph:
     """What derives facts that its conditions mention."""
     due: float = 0.0
     """Seconds after the moment the plan starts from before which the goal is not looked at: time itself does the last part."""
-    restarts: int = 0
-    """How often the plan may begin anew."""
     capacities: Mapping[str, int] = field(default_factory=dict)
     """How many calls may have a resource at the same time; one for those not listed."""
 
