@@ -98,7 +98,7 @@ class Lookup(Protocol):
         """Return a variable that is needed: from wherever it can be had, or `MISSING`."""
 
     def given(self, action: GroundAction, /) -> Mapping[str, object]:
-        """Return the values that the plan gives to goal fields, as far as there are any."""
+        """Return the values that the plan gives to goal fields or leaves open, as far as there are any."""
 
 
 def goal_data(
