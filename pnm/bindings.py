@@ -177,27 +177,51 @@ def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
 
 
 def _binding(entry: Mapped) -> Binding:
-    entry.only("server", "type", "goal", "store", "timeout", "accept", "cancel", "retries")
+    entry.only("server", "type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask")
+    return read_binding(entry)
+
+
+def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAULT.retries) -> Binding:
+    """Read what is said about one action, whatever else the entry says.
+
+    Args:
+        entry: the mapping.
+        type_key: the key under which the type of the ROS action stands.
+        retries: how often the action is tried again when nothing is said about it.
+
+    Raises:
+        InputError: a value is of the wrong kind.
+    """
     goal = entry.plain("goal")
-    store = entry.plain("store")
     if goal is not None and not isinstance(goal, dict):
         raise InputError("expected goal fields and their values", entry.position("goal"))
     _check_fluents(goal, entry)
-    if store is not None and not (isinstance(store, dict) and all(isinstance(name, str) for name in store.values())):
-        raise InputError("expected result fields and the variables to store them in", entry.position("store"))
     server = entry.string("server")
     if server is not None:
         _check_pattern(server, entry)
     return Binding(
         server=server,
-        type=entry.string("type"),
+        type=entry.string(type_key),
         goal=goal,
-        store=store or {},
+        store=read_texts(entry, "store", "expected result fields and the variables to store them in"),
         timeout=entry.number("timeout", None),
         accept=entry.number("accept", DEFAULT.accept),
         cancel=entry.number("cancel", DEFAULT.cancel),
-        retries=entry.whole("retries", DEFAULT.retries),
+        retries=entry.whole("retries", retries),
+        ask=read_texts(entry, "ask", "expected variables, and what a person is asked when nobody knows them"),
     )
+
+
+def read_texts(entry: Mapped, key: str, expected: str) -> dict[str, str]:
+    """Read a mapping of names to texts; empty when the key is not there.
+
+    Raises:
+        InputError: it is something else.
+    """
+    found = entry.plain(key)
+    if found is not None and not (isinstance(found, dict) and all(isinstance(text, str) for text in found.values())):
+        raise InputError(expected, entry.position(key))
+    return found or {}
 
 
 def _check_fluents(source: object, entry: Mapped) -> None:

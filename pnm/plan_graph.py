@@ -131,6 +131,8 @@ class ActionCall:
     """In place of the binding's."""
     retries: int | None = None
     """In place of the binding's."""
+    store: tuple[tuple[str, str], ...] = ()
+    """Result fields and the variables they are stored in, where this is not what the binding says."""
 
     def __str__(self) -> str:
         return f"{self.action}#{self.index}"
