@@ -109,7 +109,7 @@ class KnowledgeServices:
         except SourceError as error:
             fields = _refusal(str(error))
         except TimeoutError:
-            fields = _refusal(f"there was no answer within {limit:g} s")
+            fields = _refusal(f"there was no answer within {round(request.timeout, 2):g} s")
         except Exception as error:
             _log.exception("a request for knowledge failed")
             fields = _refusal(f"{type(error).__name__}: {error}")
