@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-import select
-import subprocess
-import sys
-from collections.abc import Callable, Coroutine, Iterator
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Iterator
 from uuid import UUID, uuid4
 
 import pytest
@@ -23,63 +18,16 @@ from pnm.ros.service_client import ServiceClient, until_true
 from pnm.sources import Asker, SourceError, Sources
 from pnm.sources.memory import MemoryKnowledge
 from tests.ros.executive import Executive, executive
-
-HERE = Path(__file__).parent
-ROOT = HERE.parents[1]
-
-
-class Process:
-    """A script of this folder; its lines are read one by one."""
-
-    def __init__(self, script: str, *arguments: str) -> None:
-        command = [sys.executable, "-m", f"tests.ros.{script}", *arguments]
-        self.process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=0)
-        assert self.line() == "ready"
-
-    def line(self, limit: float = 40.0) -> str:
-        assert self.process.stdout is not None
-        ready, _, _ = select.select([self.process.stdout], [], [], limit)
-        assert ready, "it says nothing"
-        return self.process.stdout.readline().rstrip("\n")
-
-    def kill(self) -> None:
-        self.process.kill()
-        self.process.communicate(timeout=10.0)
-
-    def stop(self) -> str:
-        """End it in order and return what it has said on the standard error."""
-        self.process.terminate()
-        return self.process.communicate(timeout=20.0)[1]
+from tests.ros.scripts import Script, run
 
 
 @pytest.fixture(scope="module")
 def server(names: Callable[[], str]) -> Iterator[str]:
     """A server whose callback is a function and whose executor has one thread."""
     name = names()
-    process = Process("knowing", name)
+    process = Script("knowing", name)
     yield name
     process.kill()
-
-
-@pytest.fixture
-def begin() -> Iterator[Callable[..., Process]]:
-    """Start processes that end with the test."""
-    processes: list[Process] = []
-
-    def start(*arguments: str) -> Process:
-        processes.append(Process(*arguments))
-        return processes[-1]
-
-    yield start
-    for process in processes:
-        process.kill()
-
-
-def run(main: Coroutine[Any, Any, Any], limit: float = 60.0) -> Any:
-    async def bounded() -> Any:
-        return await asyncio.wait_for(main, limit)
-
-    return asyncio.run(bounded())
 
 
 class Person:
