@@ -22,7 +22,7 @@ from planner_bridge.plan import PlanningResult, PlanningStatus
 from planner_bridge.planning import solve
 from planner_bridge.plans import plan_graph
 from planner_bridge.replanning import Decision, GiveUp, History, PlanAgain, Resume, decide
-from planner_bridge.sites import Ros2Site, SimulatedSite, Site
+from planner_bridge.sites import SimulatedSite
 from planner_bridge.state import initial_knowledge, problem_now
 from planner_bridge.tasks import Episode, Settings, TaskObserver, TaskResult
 from pnm.actions.faults import NO_FAULTS, Faults
@@ -37,6 +37,7 @@ from pnm.machine import PetriNetMachine
 from pnm.plan_graph import PlanGraph, PlanGraphError
 from pnm.results import RunResult
 from pnm.run import Run
+from pnm.sites import Ros2Site, Site
 from pnm.state_space import Unsound
 
 Where: TypeAlias = Literal["simulated", "ros2"]

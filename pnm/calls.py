@@ -135,7 +135,7 @@ class Calls:
 
     def store(self, call: int, outcome: Outcome) -> None:
         """Store the fields of the result, by their own names or as the binding says."""
-        store = self.binding(call).store
+        store = {**self.binding(call).store, **dict(self._plan.calls[call].store)}
         self.changed = True
         self._knowledge.local.store({store.get(name, name): value for name, value in outcome.result.items()})
 

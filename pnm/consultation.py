@@ -91,16 +91,17 @@ class Consultation:
         return self.find(bare) if told.startswith("?") else told
 
     def given(self, action: GroundAction, /) -> dict[str, object]:
-        """Return the values that the plan gives to goal fields, as far as there are any."""
-        values = {name: compute(data, self) for name, data in action.given}
+        """Return the values that the plan gives to goal fields, or leaves open for knowledge to fill, as far as there are any."""
+        values = {name: self.parameter(f"?{name}") for name in open_parameters(self.action)}
+        values |= {name: compute(data, self) for name, data in action.given}
         return {name: value for name, value in values.items() if value is not MISSING}
 
     def environment(self) -> Environment:
-        """Return the objects that the plan does not tell for parameters, but knowledge does."""
+        """Return what knowledge has for the parameters that the plan leaves open: names of objects, or other values as JSON text."""
         if not any(value.startswith("?") for value in self.action.arguments):
             return NOTHING
         found = {f"?{name}": self.parameter(f"?{name}") for name in open_parameters(self.action)}
-        return {name: value for name, value in found.items() if isinstance(value, str)}
+        return {name: value if isinstance(value, str) else json.dumps(value) for name, value in found.items() if value is not MISSING}
 
 
 class Questions:
