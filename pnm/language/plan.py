@@ -18,7 +18,7 @@ from pnm.language.calls import Facts
 from pnm.language.data import read_literal
 from pnm.language.declarations import needed, read_facts
 from pnm.language.domain import DOMAIN_KEYS, LanguageDomain, domain_from, read_goal
-from pnm.language.files import read_documents
+from pnm.language.files import parse_documents, read_documents
 from pnm.language.lowering import Lowering
 from pnm.language.scope import read_typed, unknown
 from pnm.language.steps import StepReader
@@ -126,13 +126,25 @@ def read_plans(path: Path, domain: Path | None = None) -> dict[str, HandWrittenP
     return finished(drafts(path, None if domain is None else read_domain(domain)))
 
 
+def parse_plans(text: str, file: str = "plan.yaml", domain: LanguageDomain | None = None) -> dict[str, HandWrittenPlan]:
+    """Read all plans of a text, by name; see `read_plans`.
+
+    >>> parse_plans("actions: {wave: }\\nplan: [wave: , wave: ]")["plan"].graph
+    <PlanGraph 2 calls, 1 orderings>
+    """
+    return finished(_drafts(*parse_documents(text, file), domain))
+
+
 def drafts(path: Path, domain: LanguageDomain | None = None) -> list[Draft]:
     """Read the heads of all plans of a file.
 
     Raises:
         InputError: there is none, or something is malformed.
     """
-    documents, warnings = read_documents(path)
+    return _drafts(*read_documents(path), domain)
+
+
+def _drafts(documents: tuple[Mapped, ...], warnings: tuple[Tolerated, ...], domain: LanguageDomain | None) -> list[Draft]:
     own = _domain_in(documents, warnings)
     found: list[Draft] = []
     for document in documents:

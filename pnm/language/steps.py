@@ -99,9 +99,8 @@ class StepReader:
         if not heads:
             raise InputError(f"the step does nothing; expected an action beside {', '.join(entry.nodes) or 'nothing'}", entry.start)
         strange = next((head for head in heads if head not in self.actions), heads[1])
-        raise InputError(
-            f"a step does one thing; {strange!r} is a second one, and no option ({', '.join(OPTIONS)})", entry.nodes[strange][0]
-        )
+        message = f"a step does one thing; {strange!r} is a second one, and none of the options: {', '.join(OPTIONS)}"
+        raise InputError(message, entry.nodes[strange][0])
 
     def _loop(self, entry: Mapped, place: Place) -> LoopStep:
         entry.only("condition", "actions", "limit")
@@ -128,16 +127,18 @@ class StepReader:
         argument = needed(entry, name)
         told = Mapped(entry.file, entry.start, {}) if argument.is_null else argument.mapped()
         given = {key: self._given(action, key, where, node) for key, where, node in told.entries() if not _is_operation(action, key)}
+        options = Mapped(entry.file, entry.start, {key: value for key, value in entry.nodes.items() if key != name})
+        recoveries = options.node("recoveries")
         return CallStep(
             place,
             action,
             given,
             operation=self._operation(action, told) if action.kind is ActionKind.KB else None,
-            recoveries=None if entry.node("recoveries") is None else self.recoveries(action, needed(entry, "recoveries")),
-            retries=entry.whole("retries", None),
-            timeout=entry.number("timeout", None),
-            resources=tuple(entry.strings("resources")),
-            store=read_texts(entry, "store", "expected result fields and the variables to store them in"),
+            recoveries=None if recoveries is None else self.recoveries(action, recoveries),
+            retries=options.whole("retries", None),
+            timeout=options.number("timeout", None),
+            resources=tuple(options.strings("resources")),
+            store=read_texts(options, "store", "expected result fields and the variables to store them in"),
         )
 
     def recoveries(self, action: LanguageAction, node: Node) -> tuple[WrittenRecovery, ...]:
