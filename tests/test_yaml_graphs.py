@@ -148,16 +148,18 @@ def inner_flows(flow: Flow) -> list[Flow]:
 def blocks(draw: st.DrawFn, parts: st.SearchStrategy[Tree]) -> Block:
     """A block, half of them with an order of its own: any that has no cycle, whatever the order in the file."""
     kind = draw(st.sampled_from(("sequence", "concurrent_actions")))
-    inside = tuple(draw(st.lists(parts, max_size=4)))
+    length = draw(st.sampled_from((0, 1, 2, 2, 3, 3, 4)))
+    inside = tuple(draw(parts) for _ in range(length))
     if not inside or draw(st.booleans()):
         return Block(kind, inside)
-    ranks = draw(st.permutations(range(len(inside))))
-    waits = [
-        tuple(sorted(draw(st.sets(st.sampled_from([one for one in range(len(inside)) if ranks[one] < ranks[number]])))))
-        if ranks[number]
-        else ()
-        for number in range(len(inside))
-    ]
+    ranks = draw(st.permutations(range(length)))
+    waits: list[tuple[int, ...] | None] = []
+    for number, rank in enumerate(ranks):
+        may_be_left_unsaid = kind == "concurrent_actions" or number == 0 or ranks[number - 1] < rank
+        if may_be_left_unsaid and draw(st.booleans()):
+            waits.append(None)
+        else:
+            waits.append(tuple(one for one in range(length) if ranks[one] < rank and draw(st.booleans())))
     return Block(kind, inside, tuple(waits))
 
 
@@ -182,7 +184,7 @@ def named(tree: Tree, numbers: Iterator[int]) -> Tree:
             return Block(kind, tuple(named(part, numbers) for part in parts), waits)
 
 
-trees = st.recursive(st.just(Call("")), holding, max_leaves=12).map(lambda tree: named(tree, count()))
+trees = st.recursive(st.just(Call("")), holding, max_leaves=20).map(lambda tree: named(tree, count()))
 
 
 @given(trees)
