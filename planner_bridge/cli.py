@@ -22,6 +22,7 @@ from pnm.errors import InputError, PnmError
 
 if TYPE_CHECKING:
     from planner_bridge.model import Problem
+    from planner_bridge.pipeline import Where
     from pnm.actions.faults import Faults
     from pnm.bindings import Bindings
 
@@ -161,7 +162,11 @@ def net(domain: Path, problem: Path, written_as: str, output: Path | None, bindi
 
 
 @app.command()
-@files
+@click.argument("domain", type=_FILE, required=False)
+@click.argument("problem", type=_FILE, required=False)
+@click.option("--plan", "plan_file", type=_FILE, help="a hand-written plan in YAML, in place of DOMAIN and PROBLEM")
+@click.option("--name", help="which plan of that file, if there are several")
+@click.option("--set", "given", metavar="NAME=VALUE", multiple=True, help="a parameter of that plan; the value as YAML")
 @click.option("--actions", type=click.Choice(["simulated", "ros2"]), default="simulated", show_default=True, help="who performs actions")
 @bindings_option
 @faults_option
@@ -181,8 +186,11 @@ def net(domain: Path, problem: Path, written_as: str, output: Path | None, bindi
 @_command
 def run(
     *,
-    domain: Path,
-    problem: Path,
+    domain: Path | None,
+    problem: Path | None,
+    plan_file: Path | None,
+    name: str | None,
+    given: tuple[str, ...],
     actions: str,
     bindings: Path | None,
     faults: Path | None,
@@ -193,7 +201,7 @@ def run(
     on_failure: str,
     as_json: bool,
 ) -> int:
-    """Plan, execute, and replan until the goal holds."""
+    """Plan, execute, and replan until the goal holds; or carry out a plan that somebody has written."""
     from planner_bridge.console import ConsoleObserver, Terminal, print_result
     from planner_bridge.pipeline import Stopwatch, achieve
     from planner_bridge.replanning import Limits
@@ -202,6 +210,13 @@ def run(
 
     if faults and actions == "ros2":
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
+    where: Where = "ros2" if actions == "ros2" else "simulated"
+    if plan_file is not None:
+        if domain is not None:
+            raise InputError("--plan comes in the place of DOMAIN and PROBLEM")
+        return _run_written(plan_file, name, given, where, faults, as_json)
+    if domain is None or problem is None:
+        raise InputError("expected DOMAIN and PROBLEM, or --plan and a file")
     stopwatch = Stopwatch()
     with stopwatch.of("parse"):
         loaded = _load(domain, problem)
@@ -211,7 +226,7 @@ def run(
     result = achieve(
         None,
         loaded,
-        actions="ros2" if actions == "ros2" else "simulated",
+        actions=where,
         faults=_faults(faults, loaded),
         settings=Settings(planner, timeout, chosen, limits, OnFailure(on_failure)),
         observer=TaskObserver() if as_json else ConsoleObserver(console),
@@ -222,6 +237,36 @@ def run(
     else:
         print_result(console, result)
     return 0 if result.goal_reached else 1
+
+
+def _run_written(file: Path, name: str | None, given: tuple[str, ...], where: Where, faults: Path | None, as_json: bool) -> int:
+    from planner_bridge.console import ConsoleObserver, Terminal, print_result
+    from planner_bridge.tasks import TaskObserver
+    from planner_bridge.written import carry_out
+    from pnm.actions.faults import NO_FAULTS, read_faults
+
+    console = Terminal()
+    observer = TaskObserver() if as_json else ConsoleObserver(console)
+    chosen = read_faults(faults, None) if faults else NO_FAULTS
+    result = carry_out(file, name, _parameters(given), actions=where, faults=chosen, observer=observer)
+    if as_json:
+        print(json.dumps(result.as_json(), default=str), flush=True)
+    else:
+        print_result(console, result.task)
+    return 0 if result.task.goal_reached else 1
+
+
+def _parameters(given: tuple[str, ...]) -> dict[str, object]:
+    """Read ``name=value``, with values as YAML has them."""
+    from pnm.yaml_files import parse_value
+
+    found: dict[str, object] = {}
+    for one in given:
+        name, equals, text = one.partition("=")
+        if not name or not equals:
+            raise InputError(f"expected NAME=VALUE after --set, found {one!r}")
+        found[name] = parse_value(text, f"--set {name}")
+    return found
 
 
 @app.command()

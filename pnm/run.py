@@ -22,7 +22,7 @@ from pnm.compiled import Engine
 from pnm.conditions import Condition, evaluate, failing, ground, names, observed
 from pnm.consultation import Consultation, Questions
 from pnm.errors import PnmError
-from pnm.events import Answered, Ask, Begin, Command, Event, KnowledgeChanged, Stop, Tick, Wake, Withdraw
+from pnm.events import Answered, Ask, Begin, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake, Withdraw
 from pnm.knowledge import Layered
 from pnm.ledger import Ledger
 from pnm.machine import (
@@ -238,7 +238,7 @@ class Run:
         if outcome.kind is OutcomeKind.SUCCEEDED:
             self._calls.store(call, outcome)
         self._ledger.answered(call, outcome)
-        self._observer.ended(self._calls.call(call), outcome, self._now)
+        self._observer.ended(self._calls.as_sent(call), outcome, self._now)
 
     # --- δ̂ ------------------------------------------------------------------------------------
 
@@ -352,7 +352,7 @@ class Run:
         if rule.call is not None and rule.call < len(self.machine.plan.calls):
             self._note(rule, rule.call, bool(fails))
             if rule.deed is not None:
-                self._calls.do(rule.deed, rule.call, self._consult(rule.call))
+                self._do(rule.deed, rule.call)
                 if self._calls.changed:
                     self._calls.changed = False
                     self._agenda.extend(place for place in self._undecided if self._listening[place])
@@ -369,6 +369,16 @@ class Run:
         if self.ending and not was_ending:
             self._agenda.extend(self._undecided)
         self._observer.fired(compiled.transitions[transition], rule, self._now)
+
+    def _do(self, deed: Deed, call: int) -> None:
+        self._calls.do(deed, call, self._ledger.results[call].attempts, self._consult(call))
+        if deed is Deed.SEND:
+            self._ledger.sent(self._calls.as_sent(call))
+            for command in self._calls.commands:
+                if isinstance(command, Send):
+                    self._observer.sent(self._calls.as_sent(call), command.request, self._now)
+            self._commands += self._calls.commands
+            self._calls.commands.clear()
 
     def _leave(self, place: int) -> None:
         """Forget what the decision at the place was made from."""
