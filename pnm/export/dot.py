@@ -16,14 +16,6 @@ _COLOURS = {
     "ordering": "#1565c0",
     "": "#455a64",
 }
-    "goal": "#2e7d32",
-    "failure": "#c62828",
-    "budget": "#f9a825",
-    "restart": "#ef6c00",
-    "resource": "#6a1b9a",
-    "ordering": "#1565c0",
-    "": "#455a64",
-}
 
 
 def to_dot(machine: PetriNetMachine) -> str:
