@@ -184,7 +184,8 @@ def _entries(document: Mapped) -> list[tuple[str, Mapped]]:
         if recipe is None or recipe.nodes.keys().isdisjoint(RECIPE_KEYS):
             if key in PLAN_KEYS:
                 raise InputError(f"the key 'plan' is missing beside {key!r}", where)
-            raise unknown("key", key, (*DOMAIN_KEYS, *PLAN_KEYS), where)
+            Mapped(document.file, document.start, {key: document.nodes[key]}).only(*PLAN_KEYS, *DOMAIN_KEYS)
+            continue
         recipe.only(*RECIPE_KEYS)
         needed(recipe, "plan")
         found.append((key, recipe))
@@ -236,8 +237,7 @@ def _plan(draft: Draft, others: Mapping[str, Draft]) -> HandWrittenPlan:
     actions = {**domain.actions, **{name: other.action for name, other in others.items()}}
     reader = StepReader(actions, domain.declared)
     steps = reader.steps(needed(entry, "plan"))
-    own = read_facts(entry, "facts", domain.declared.scope(()))
-    facts = {**domain.situation.facts, **own.facts}
+    facts = {**domain.facts, **read_facts(entry, "facts", domain.declared.scope(()))}
     recoveries: dict[str, tuple[WrittenRecovery, ...]] = {
         name: reader.recoveries(action, action.recoveries) for name, action in actions.items() if action.recoveries is not None
     }
@@ -252,7 +252,7 @@ def _plan(draft: Draft, others: Mapping[str, Draft]) -> HandWrittenPlan:
         results=tuple(entry.strings("results")),
         variables=_variables(entry),
         facts=facts,
-        timed=tuple(sorted((*domain.situation.timed, *own.timed), key=lambda change: change.time)),
+        timed=domain.timed,
         objects=domain.declared.objects_by_type,
         timeout=entry.number("timeout", None),
         on_failure=_on_failure(entry),
