@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final, TypeAlias
@@ -131,6 +132,11 @@ def text_of(group: Group) -> str:
         if not depth:
             return text[group.offset : match.end()]
     raise ValueError("the list is not closed")  # cannot be: it was read
+
+
+def tokens(text: str) -> Iterator[tuple[str, int]]:
+    """Yield parentheses, words and comments, each with its offset."""
+    return ((match.group(), match.start()) for match in _TOKEN.finditer(text))
 
 
 def parse(text: str, file: str) -> tuple[Node, ...]:
