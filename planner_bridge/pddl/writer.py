@@ -134,17 +134,18 @@ def _functions(functions: tuple[Declaration, ...]) -> list[Form]:
 def _initial(problem: Problem) -> Iterator[Form]:
     for fluent, value in problem.init.items():
         if value is not False:
-            yield _change(fluent, value)
+            yield change_form(fluent, value)
     for change in problem.timed:
         yield from _timed_change(change)
 
 
 def _timed_change(timed: TimedChange) -> Iterator[Form]:
     for fluent, value in timed.changes.items():
-        yield ["at", number_text(timed.time), _change(fluent, value)]
+        yield ["at", number_text(timed.time), change_form(fluent, value)]
 
 
-def _change(fluent: Fluent, value: Value) -> Form:
+def change_form(fluent: Fluent, value: Value) -> Form:
+    """Return a fact that becomes true or false, or a function that gets a value."""
     match value:
         case True:
             return list(fluent)

@@ -14,7 +14,7 @@ import yaml
 
 _LETTERS: Final = frozenset("yYnN")
 """YAML 1.1 calls them truth values, too; PyYAML does not."""
-_NEWER: Final = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)")
+_NEWER: Final = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)|[-+]?(?:\.\d+|\d+(?:\.\d*)?)(?:[eE][-+]?\d+)?")
 _PLAIN: Final = re.compile(r"(?![-?:](?:\s|\Z))(?![\s,\[\]{}#&*!|>'\"%@`=]|---|\.\.\.)[\x20-\x7e\xa0-\ud7ff\ue000-\ufefe\uff00-\ufffd]*(?<!\s)")
 _BREAKING: Final = re.compile(r":(?:\s|\Z)|\s#|[\u2028\u2029]")
 _IN_FLOW: Final = re.compile(r"[,\[\]{}?:]")
