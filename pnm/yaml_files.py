@@ -108,12 +108,13 @@ class Mapped:
 
     def mapping(self, key: str) -> dict[str, Mapped]:
         """Return a mapping of mappings; empty when the key is not there."""
-        if self._empty(key):
-            return {}
-        inner = Mapped.of(self.nodes[key][1], self.file)
+        return {} if self._empty(key) else Mapped.of(self.nodes[key][1], self.file).mappings()
+
+    def mappings(self) -> dict[str, Mapped]:
+        """Return the mappings that all values must be."""
         return {
             name: Mapped(self.file, where, {}) if is_null(node) else Mapped.of(node, self.file)
-            for name, (where, node) in inner.nodes.items()
+            for name, (where, node) in self.nodes.items()
         }
 
     def sequence(self, key: str) -> list[Mapped]:

@@ -6,11 +6,11 @@ truth of a fact; any other text, number, list or mapping stands for itself, and 
 
 from __future__ import annotations
 
-import math
+import json
 from functools import reduce
 
 from pnm.expressions import ValueOf
-from pnm.language.scope import ANYTHING, Scope, fluent_in, is_variable, read_fluent
+from pnm.language.scope import ANYTHING, Scope, fluent_in, is_variable, read_fluent, shown
 from pnm.language.words import ARITHMETIC, QUERIES, UPDATES, VALUES, Form, form, needed_form, read_operator
 from pnm.queries import Compound, Data, KnowledgeOperation, Literal, Operation, Parameter, Query, Update
 from pnm.yaml_files import Node
@@ -44,7 +44,7 @@ def _whole(items: tuple[Data, ...], keys: tuple[str, ...] | None) -> Data:
 def _scalar(node: Node, scope: Scope) -> Data:
     text = node.text
     if text is None:
-        return _literal(node)
+        return read_literal(node)
     if is_variable(text):
         scope.check_variable(text, node.position)
         return Parameter(text)
@@ -55,10 +55,17 @@ def _scalar(node: Node, scope: Scope) -> Data:
     return Literal.of(text)
 
 
-def _literal(node: Node) -> Literal:
+def read_literal(node: Node) -> Literal:
+    """Read a value as it stands.
+
+    Raises:
+        InputError: it has a number that is not finite.
+    """
     value = node.plain()
-    if isinstance(value, float) and not math.isfinite(value):
-        raise node.wrong(f"expected a finite number, found {node.written}")
+    try:
+        json.dumps(value, allow_nan=False)
+    except ValueError as error:
+        raise node.wrong(f"expected finite numbers, found {shown(node)}") from error
     return Literal.of(value)
 
 
@@ -85,7 +92,7 @@ def _computed(found: Form, scope: Scope) -> Data:
         case "holds" | "value":
             return ValueOf(read_fluent(found.items(1)[0], scope))
         case "literal":
-            return _literal(found.argument)
+            return read_literal(found.argument)
         case _:
             raise found.argument.wrong(f"{found.written} changes knowledge; it is a step of its own, not a value")
 

@@ -115,13 +115,13 @@ class Timed:
     end: Condition = TRUE
 
 
-def read_conditions(node: Node, scope: Scope = ANYTHING) -> Timed:
+def read_conditions(node: Node | None, scope: Scope = ANYTHING) -> Timed:
     """Read preconditions: a condition, or conditions by moment: ``{at_start: c, over_all: c, at_end: c}``.
 
     Raises:
         InputError: they are something else, malformed, or have names that are not there.
     """
-    if node.is_null:
+    if node is None or node.is_null:
         return Timed()
     if not _has_moments(node):
         return Timed(read_condition(node, scope))
@@ -132,13 +132,13 @@ def read_conditions(node: Node, scope: Scope = ANYTHING) -> Timed:
     return Timed(start, always, end)
 
 
-def read_timed_effects(node: Node, scope: Scope = ANYTHING) -> tuple[Effects, Written]:
+def read_timed_effects(node: Node | None, scope: Scope = ANYTHING) -> tuple[Effects, Written]:
     """Read effects: at the end, or by moment: ``{at_start: [...], at_end: [...]}``; return those at the start and the others.
 
     Raises:
         InputError: they are something else, malformed, or have names that are not there.
     """
-    if node.is_null:
+    if node is None or node.is_null:
         return (), Written()
     if not _has_moments(node):
         return (), read_effects(node, scope)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter, deque
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -109,32 +110,41 @@ def read_typed(node: Node, scope: Scope = ANYTHING) -> tuple[Variable, ...]:
         InputError: it is something else, a name is there twice, or a type is not there.
     """
     parts = (node,) if node.items is None else node.items
-    found = tuple(Variable(_named(name), types) for part in parts if not part.is_null for name, types in _typed(part, scope))
-    names = [variable.name for variable in found]
-    if twice := {name for name in names if names.count(name) > 1}:
-        raise node.wrong(f"{min(twice)} is there twice")
+    return _variables([pair for part in parts if not part.is_null for pair in _typed(_text(part), part, scope)], node)
+
+
+def read_typed_text(text: str, node: Node, scope: Scope = ANYTHING) -> tuple[Variable, ...]:
+    """Read variables with their types from a part of the node's text."""
+    return _variables(_typed(text, node, scope), node)
+
+
+def _variables(pairs: list[tuple[str, tuple[str, ...]]], node: Node) -> tuple[Variable, ...]:
+    found = tuple(Variable(name if name.startswith("?") else f"?{name}", types) for name, types in pairs)
+    counted = Counter(variable.name for variable in found)
+    if counted and counted.most_common(1)[0][1] > 1:
+        raise node.wrong(f"{counted.most_common(1)[0][0]} is there twice")
     return found
 
 
 def read_names(node: Node, scope: Scope = ANYTHING) -> dict[str, tuple[str, ...]]:
     """Read names with their types, such as objects: ``r1 r2 - robot kitchen - place``, or a list of such texts."""
     parts = (node,) if node.items is None else node.items
-    return {name: types for part in parts if not part.is_null for name, types in _typed(part, scope)}
+    return {name: types for part in parts if not part.is_null for name, types in _typed(_text(part), part, scope)}
 
 
-def _named(text: str) -> str:
-    return text if text.startswith("?") else f"?{text}"
-
-
-def _typed(node: Node, scope: Scope) -> list[tuple[str, tuple[str, ...]]]:
+def _text(node: Node) -> str:
     if node.text is None:
         hint = f"; write {node.written!r} with quotes" if node.written else ""
         raise node.wrong(f"expected names and types such as '?r - robot ?to - place'{hint}")
-    tokens: list[str] = _TOKEN.findall(node.text)
+    return node.text
+
+
+def _typed(text: str, node: Node, scope: Scope) -> list[tuple[str, tuple[str, ...]]]:
+    tokens: deque[str] = deque(_TOKEN.findall(text))
     found: list[tuple[str, tuple[str, ...]]] = []
     waiting: list[str] = []
     while tokens:
-        token = tokens.pop(0)
+        token = tokens.popleft()
         if token == "-" and waiting:
             types = _types(tokens, node)
             for one in types:
@@ -142,24 +152,24 @@ def _typed(node: Node, scope: Scope) -> list[tuple[str, tuple[str, ...]]]:
             found += [(name, types) for name in waiting]
             waiting = []
         elif token in ("-", "(", ")", "?"):
-            raise node.wrong(f"expected a name in place of {token!r} in {node.text!r}")
+            raise node.wrong(f"expected a name in place of {token!r} in {shown(node)}")
         else:
             waiting.append(token)
     return [*found, *((name, ("object",)) for name in waiting)]
 
 
-def _types(tokens: list[str], node: Node) -> tuple[str, ...]:
+def _types(tokens: deque[str], node: Node) -> tuple[str, ...]:
     """Take one type, or ``(either a b)``, from the tokens."""
-    first = tokens.pop(0) if tokens else ""
+    first = tokens.popleft() if tokens else ""
     if first and first not in "()-":
         return (first,)
-    if first == "(" and tokens and tokens.pop(0) == "either" and ")" in tokens:
-        end = tokens.index(")")
-        types = tuple(tokens[:end])
-        del tokens[: end + 1]
-        if types and not {"(", "-"} & set(types):
-            return types
-    raise node.wrong(f"expected a type, or (either a b), after '-' in {node.text!r}")
+    types: list[str] = []
+    if first == "(" and tokens and tokens.popleft() == "either":
+        while tokens and tokens[0] not in "()-":
+            types.append(tokens.popleft())
+        if types and tokens and tokens.popleft() == ")":
+            return tuple(types)
+    raise node.wrong(f"expected a type, or (either a b), after '-' in {shown(node)}")
 
 
 def shown(node: Node) -> str:

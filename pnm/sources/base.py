@@ -1,7 +1,4 @@
-"""Where answers come from that a run does not have itself: the knowledge all runs share, and people.
-
-A source may take its time; runs that have asked wait for it, and others go on meanwhile.
-"""
+"""What a run asks of anything that has answers, or takes values, outside of it."""
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ from pnm.queries import Question
 
 
 class SourceError(PnmError):
-    """A source could not be reached, or has refused."""
+    """A source could not be reached, has refused, or did not answer in time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +24,7 @@ class Asker:
 
 
 class Source(Protocol):
-    """A knowledge base outside of runs. Every method is called on the event loop, by many runs at once."""
+    """A knowledge base outside of runs, or a person. Every method is called on the event loop, by many runs at once."""
 
     async def query(self, question: Question, asker: Asker, /) -> object:
         """Return what the question is answered with, or `MISSING`; cancelled when the answer is no longer needed.
@@ -37,11 +34,11 @@ class Source(Protocol):
         """
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
-        """Store the value; when this returns, every later query finds it.
+        """Store the value; when this returns, every later query finds it. A person is told, and stores nothing.
 
         Raises:
-            SourceError: it could not be stored.
+            SourceError: it could not be stored; a value that JSON cannot say never is.
         """
 
     async def close(self) -> None:
-        """Let go of files and connections."""
+        """Let go of files and connections; open questions end with a `SourceError`."""
