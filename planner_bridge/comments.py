@@ -138,7 +138,6 @@ class Remark:
     offset: int
 
 
-
 @dataclass(frozen=True, slots=True)
 class Lines:
     """Where the lines of a text begin."""
@@ -198,11 +197,12 @@ def attached(remarks: Iterable[Remark], items: Sequence[Item], lines: Lines, bel
             path, note = beside[0], Note(beside=(remark.text,))
             beside = path, number, column
         else:
-            told = (remark.text, BLANK) if lines.is_blank(number + 1) else (remark.text,)
             under = below(remark, last, after)
             if under is not None:
-                path, note = under, Note(below=told)
+                gap = lines.is_blank(number - 1) and bool(table.get(under, NO_NOTE).below)
+                path, note = under, Note(below=(BLANK, remark.text) if gap else (remark.text,))
             else:
-                path, note = (after or items[-1]).path, Note(before=told)
+                gap = lines.is_blank(number + 1)
+                path, note = (after or items[-1]).path, Note(before=(remark.text, BLANK) if gap else (remark.text,))
         table[path] = table.get(path, NO_NOTE).joined(note)
     return table

@@ -12,7 +12,7 @@ from planner_bridge.pddl.forms import number_text, typed_lines, types_form, vari
 from planner_bridge.pddl.items import ACTION, fact_said, hierarchy_said, rule_said
 from planner_bridge.pddl.layout import flat
 from planner_bridge.pddl.writer import change_form, rule_form
-from planner_bridge.yaml_files.emitter import Entry, Mapping, Sequence, Value, depth, document, items, single
+from planner_bridge.yaml_files.emitter import Bare, Entry, Mapping, Sequence, Value, depth, document, items, single
 from planner_bridge.yaml_files.formulas import conditions, constraints, duration, effects, expression, preferences, typed
 from pnm.conditions import TRUE
 from pnm.effects import TimedChange
@@ -68,9 +68,12 @@ def domain_entries(domain: Domain, notes: Notes) -> list[Entry]:
         _constraints(domain, own),
         Entry(preferences(domain.preferences, NO_NOTES, own.at(":constraints")), "preferences"),
         Entry(Sequence(tuple(Entry(text, note=own.at(*hierarchy_said(text)).take()) for text in domain.hierarchy)), "hierarchy"),
-        Entry(Mapping(tuple(_action(schema, own) for schema in domain.actions.values())), "actions"),
+        Entry(Mapping(_spaced(_action(schema, own) for schema in domain.actions.values())), "actions"),
     ]
-    return [Entry(domain.name, "name", root), *(replace(entry, apart=entry.key != "requirements") for entry in found if not _is_empty(entry))]
+    return [
+        Entry(domain.name, "name", root),
+        *(replace(entry, apart=entry.key != "requirements") for entry in found if not _is_empty(entry)),
+    ]
 
 
 def _is_empty(entry: Entry) -> bool:
@@ -114,7 +117,12 @@ def _constraints(whole: Domain | Problem, notes: Notes) -> Entry:
 
 def _action(schema: ActionSchema, notes: Notes) -> Entry:
     own = notes.at(ACTION, schema.name.lower())
-    return Entry(Mapping(tuple(_parts(schema, own))), schema.name, own.take(), apart=True)
+    return Entry(Mapping(tuple(_parts(schema, own))), schema.name, own.take())
+
+
+def _spaced(entries: Iterable[Entry]) -> tuple[Entry, ...]:
+    """Put empty lines between entries."""
+    return tuple([replace(entry, apart=number > 0) for number, entry in enumerate(entries)])
 
 
 def _parts(schema: ActionSchema, notes: Notes) -> Iterator[Entry]:
@@ -155,8 +163,7 @@ def _problem(problem: Problem, notes: Notes) -> Iterator[Entry]:
     found = [
         _requirements(problem.requirements, notes),
         _names("objects", problem.own_objects.items(), notes),
-        Entry(Sequence(tuple(_facts(problem, facts))), "init", facts.take()),
-        Entry(Mapping(tuple(_timed(change, facts) for change in problem.timed)), "timed"),
+        Entry(Sequence(tuple([*_facts(problem, facts), *(_timed(change, facts) for change in problem.timed)])), "init", facts.take()),
         _constraints(problem, notes),
         Entry(preferences(problem.preferences, goal, notes.at(":constraints")), "preferences"),
     ]
@@ -181,4 +188,5 @@ def _facts(problem: Problem, notes: Notes) -> Iterator[Entry]:
 def _timed(timed: TimedChange, notes: Notes) -> Entry:
     time = number_text(timed.time)
     forms = [change_form(fluent, value) for fluent, value in timed.changes.items()]
-    return Entry(Sequence(tuple([Entry(flat(form), note=notes.at(fact_said(["at", time, form])).take()) for form in forms])), time)
+    facts = [Entry(flat(form), note=notes.at(fact_said(["at", time, form])).take()) for form in forms]
+    return Entry(Mapping((Entry(Bare(time), "at"), Entry(Sequence(tuple(facts)), "facts"))))

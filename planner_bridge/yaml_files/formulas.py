@@ -47,7 +47,9 @@ def _condition(condition: Condition, notes: Notes) -> Value:
         case Holds(fluent):
             return show(fluent)
         case Compare(operation, left, right):
-            return single("Comparison", items([operation, items([expression(left), expression(right)], short=True)], short=True), short=True)
+            return single(
+                "Comparison", items([operation, items([expression(left), expression(right)], short=True)], short=True), short=True
+            )
         case Not(operand):
             entry = _noted(operand, notes)
             return Mapping((Entry(entry.value, "not", entry.note),))

@@ -14,8 +14,12 @@ import yaml
 
 _LETTERS: Final = frozenset("yYnN")
 """YAML 1.1 calls them truth values, too; PyYAML does not."""
-_NEWER: Final = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)|[-+]?(?:\.\d+|\d+(?:\.\d*)?)(?:[eE][-+]?\d+)?")
-_PLAIN: Final = re.compile(r"(?![-?:](?:\s|\Z))(?![\s,\[\]{}#&*!|>'\"%@`=]|---|\.\.\.)[\x20-\x7e\xa0-\ud7ff\ue000-\ufefe\uff00-\ufffd]*(?<!\s)")
+_NEWER: Final = re.compile(
+    r"0o[0-7]+|0x[0-9a-fA-F]+|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)|[-+]?(?:\.\d+|\d+(?:\.\d*)?)(?:[eE][-+]?\d+)?"
+)
+_PLAIN: Final = re.compile(
+    r"(?![-?:](?:\s|\Z))(?![\s,\[\]{}#&*!|>'\"%@`=]|---|\.\.\.)[\x20-\x7e\xa0-\ud7ff\ue000-\ufefe\uff00-\ufffd]*(?<!\s)"
+)
 _BREAKING: Final = re.compile(r":(?:\s|\Z)|\s#|[\u2028\u2029]")
 _IN_FLOW: Final = re.compile(r"[,\[\]{}?:]")
 _ESCAPED: Final = re.compile("[\x7f-\x9f\u2028\u2029\ufeff\ud800-\udfff\ufffe\uffff]")
@@ -38,7 +42,7 @@ def quoted(text: str) -> str:
 
 def is_plain(text: str, *, in_flow: bool = False) -> bool:
     """Tell whether the text needs no quotes, inside brackets and braces or elsewhere."""
-    if not text or _PLAIN.fullmatch(text) is None or _BREAKING.search(text) or (in_flow and _IN_FLOW.search(text)):
+    if not any(map(str.isalnum, text)) or _PLAIN.fullmatch(text) is None or _BREAKING.search(text) or (in_flow and _IN_FLOW.search(text)):
         return False
     return text not in _LETTERS and _NEWER.fullmatch(text) is None and not _means_something(text)
 
