@@ -5,11 +5,12 @@ Comments stand where they belong: above a part, or behind the line it begins in.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import takewhile
 from typing import Final, TypeAlias
 
+from planner_bridge.commented_text import Line, rendered
 from planner_bridge.comments import NO_NOTE, Note
 
 
@@ -41,19 +42,6 @@ WIDTH: Final = 100
 _ONE_A_LINE: Final = (":types", ":constants", ":objects", ":predicates", ":functions", ":init")
 
 
-@dataclass(slots=True)
-class _Line:
-    """A line of text: the mutable state is what it says, to which parentheses are still to be added."""
-
-    indent: int
-    text: str
-    beside: Sequence[str] = ()
-
-    @property
-    def is_comment(self) -> bool:
-        return self.text[:1] == ";"
-
-
 def noted(form: Form, note: Note) -> Form:
     """Return the form with the comments, if there are any."""
     return Noted(form, note) if note else form
@@ -61,10 +49,10 @@ def noted(form: Form, note: Note) -> Form:
 
 def definition_text(head: Form, sections: Iterable[Form], note: Note = NO_NOTE) -> str:
     """Write ``(define HEAD SECTION ...)`` with each section on lines of its own."""
-    first = _Line(0, f"(define {flat(head)}", note.beside)
+    first = Line(0, f"(define {flat(head)}", note.beside)
     lines = [first, *(line for section in sections for line in _lines(section, 2))]
     _close(lines, 0)
-    return "".join(map(_written, [*_comments(note.before, 0), *lines, *_comments(note.below, 0)]))
+    return rendered([*_comments(note.before, 0), *lines, *_comments(note.below, 0)])
 
 
 def flat(form: Form) -> str:
@@ -80,22 +68,16 @@ def flat(form: Form) -> str:
             return f"({' '.join(map(flat, form))})"
 
 
-def _written(line: _Line) -> str:
-    code = " " * line.indent + line.text
-    beside = [f"  {comment}" if number == 0 else f"\n{' ' * (len(code) + 2)}{comment}" for number, comment in enumerate(line.beside)]
-    return f"{code}{''.join(beside)}\n" if line.text else "\n"
+def _comments(texts: Iterable[str], indent: int) -> Iterator[Line]:
+    return (Line(indent, text) for text in texts)
 
 
-def _comments(texts: Iterable[str], indent: int) -> Iterator[_Line]:
-    return (_Line(indent, text) for text in texts)
-
-
-def _lines(form: Form, indent: int, lead: str = "") -> list[_Line]:
+def _lines(form: Form, indent: int, lead: str = "") -> list[Line]:
     """Write a form that begins in this column, behind a keyword if there is one."""
     match form:
         case Noted(inner, note):
             lines = _lines(inner, indent, lead)
-            first = next(line for line in lines if not line.is_comment)
+            first = next(line for line in lines if line.text[:1] not in ("", ";"))
             first.beside = (*note.beside, *first.beside)
             return [*_comments(note.before, indent), *lines, *_comments(note.below, indent)]
         case Keyed(key, inner):
@@ -103,7 +85,7 @@ def _lines(form: Form, indent: int, lead: str = "") -> list[_Line]:
         case list() if not _fits(form, indent, lead):
             return _broken(form, indent, lead)
         case _:
-            return [_Line(indent, lead + flat(form))]
+            return [Line(indent, lead + flat(form))]
 
 
 def _fits(form: list[Form], indent: int, lead: str) -> bool:
@@ -117,17 +99,17 @@ def _is_tall(form: Form) -> bool:
     return not isinstance(form, str) and (not isinstance(form, list) or any(map(_is_tall, form)))
 
 
-def _broken(form: list[Form], indent: int, lead: str) -> list[_Line]:
+def _broken(form: list[Form], indent: int, lead: str) -> list[Line]:
     """Write the first words on this line and each other part on a line of its own."""
     words = 1 if form[0] in _ONE_A_LINE else sum(1 for _ in takewhile(lambda part: isinstance(part, str), form))
     first = " ".join(map(flat, form[:words]))
-    lines = [_Line(indent, f"{lead}({first}"), *(line for part in form[words:] for line in _lines(part, indent + 2))]
+    lines = [Line(indent, f"{lead}({first}"), *(line for part in form[words:] for line in _lines(part, indent + 2))]
     _close(lines, indent)
     return lines
 
 
-def _close(lines: list[_Line], indent: int) -> None:
-    if lines[-1].is_comment or not lines[-1].text:
-        lines.append(_Line(indent, ")"))
+def _close(lines: list[Line], indent: int) -> None:
+    if lines[-1].text[:1] in ("", ";"):
+        lines.append(Line(indent, ")"))
     else:
         lines[-1].text += ")"

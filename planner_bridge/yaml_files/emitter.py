@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
+from planner_bridge.commented_text import Line, rendered
 from planner_bridge.comments import NO_NOTE, Note
 from planner_bridge.yaml_files.scalars import scalar
 
@@ -67,16 +68,9 @@ def single(key: str, value: Value, *, short: bool = False) -> Mapping:
     return Mapping((Entry(value, key),), short)
 
 
-@dataclass(frozen=True, slots=True)
-class _Line:
-    indent: int
-    text: str
-    beside: tuple[str, ...] = ()
-
-
 def document(whole: Mapping) -> str:
     """Write a document."""
-    return "".join(map(_written, _block(whole, 0)))
+    return rendered(_block(whole, 0), commented)
 
 
 def commented(comment: str) -> str:
@@ -84,52 +78,43 @@ def commented(comment: str) -> str:
     return _MARK.sub(lambda marks: "#" * len(marks[0]), _UNPRINTABLE.sub(" ", comment), count=1).rstrip()
 
 
-def _written(line: _Line) -> str:
-    code = " " * line.indent + line.text
-    beside = [
-        f"  {commented(comment)}" if number == 0 else f"\n{' ' * (len(code) + 2)}{commented(comment)}"
-        for number, comment in enumerate(line.beside)
-    ]
-    return f"{code}{''.join(beside)}\n" if line.text else "\n"
+def _comments(texts: Iterable[str], indent: int) -> Iterator[Line]:
+    return (Line(indent, commented(text)) for text in texts)
 
 
-def _comments(texts: Iterable[str], indent: int) -> Iterator[_Line]:
-    return (_Line(indent, commented(text)) for text in texts)
-
-
-def _block(value: Sequence | Mapping, indent: int) -> Iterator[_Line]:
+def _block(value: Sequence | Mapping, indent: int) -> Iterator[Line]:
     for entry in value.entries:
         if entry.apart:
-            yield _Line(0, "")
+            yield Line(0, "")
         yield from _comments(entry.note.before, indent)
         yield from _beside(_entry(entry, "-" if isinstance(value, Sequence) else f"{scalar(entry.key)}:", indent), entry.note.beside)
         yield from _comments(entry.note.below, indent)
 
 
-def _beside(lines: Iterator[_Line], comments: tuple[str, ...]) -> Iterator[_Line]:
+def _beside(lines: Iterator[Line], comments: tuple[str, ...]) -> Iterator[Line]:
     first = next(lines)
-    yield _Line(first.indent, first.text, (*comments, *first.beside))
+    yield Line(first.indent, first.text, (*comments, *first.beside))
     yield from lines
 
 
-def _entry(entry: Entry, head: str, indent: int) -> Iterator[_Line]:
+def _entry(entry: Entry, head: str, indent: int) -> Iterator[Line]:
     value = entry.value
     line = _one_line(value)
     if line is not None and (not isinstance(value, Sequence | Mapping) or not value.entries or indent + len(head) + 1 + len(line) <= WIDTH):
-        yield _Line(indent, f"{head} {line}")
+        yield Line(indent, f"{head} {line}")
     elif isinstance(value, Sequence | Mapping):
         yield from _nested(head, _block(value, indent + 2), indent)
     elif isinstance(value, str):
-        yield _Line(indent, f"{head} |-")
-        yield from (_Line(indent + 2 if text else 0, text) for text in value.split("\n"))
+        yield Line(indent, f"{head} |-")
+        yield from (Line(indent + 2 if text else 0, text) for text in value.split("\n"))
 
 
-def _nested(head: str, lines: Iterator[_Line], indent: int) -> Iterator[_Line]:
+def _nested(head: str, lines: Iterator[Line], indent: int) -> Iterator[Line]:
     first = next(lines)
     if head == "-" and first.text[:1] != "#":
-        yield _Line(indent, f"- {first.text}", first.beside)
+        yield Line(indent, f"- {first.text}", first.beside)
     else:
-        yield _Line(indent, head)
+        yield Line(indent, head)
         yield first
     yield from lines
 

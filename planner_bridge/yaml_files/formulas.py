@@ -136,7 +136,7 @@ def duration(bounds: tuple[DurationConstraint, ...]) -> Value:
         case (DurationConstraint("=", bound),):
             return expression(bound)
         case _:
-            return items((single(bound.operation, expression(bound.bound), short=True) for bound in bounds))
+            return items(single(bound.operation, expression(bound.bound), short=True) for bound in bounds)
 
 
 def constraints(found: Iterable[Constraint], notes: Notes) -> Sequence:

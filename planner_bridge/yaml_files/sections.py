@@ -18,7 +18,7 @@ from pnm.errors import InputError, Position
 from pnm.language.actions import ACTION_KEYS
 from pnm.language.domain import DOMAIN_KEYS
 from pnm.language.plan import PLAN_KEYS
-from pnm.language.words import form, needed_form
+from pnm.language.words import needed_form
 from pnm.yaml_files import Mapped, Node
 
 _LEFT_OUT: Final = ("instances", "external_knowledge_base", "knowledge", "action_types")
