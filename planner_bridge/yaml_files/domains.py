@@ -163,7 +163,7 @@ def _problem(problem: Problem, notes: Notes) -> Iterator[Entry]:
     found = [
         _requirements(problem.requirements, notes),
         _names("objects", problem.own_objects.items(), notes),
-        Entry(Sequence(tuple([*_facts(problem, facts), *(_timed(change, facts) for change in problem.timed)])), "init", facts.take()),
+        Entry(Sequence((*_facts(problem, facts), *(_timed(change, facts) for change in problem.timed))), "init", facts.take()),
         _constraints(problem, notes),
         Entry(preferences(problem.preferences, goal, notes.at(":constraints")), "preferences"),
     ]

@@ -71,7 +71,7 @@ def exported(
     if original:
         return Exported(write_original(whole, found.plan), whole.warnings)
     graph = plan_graph(whole, found.plan)
-    return Exported(write_problem(whole, _both(domain, problem), plan_entries(graph)), whole.warnings)
+    return Exported(write_problem(whole, _both(domain, problem), plan_entries(graph, whole.domain)), whole.warnings)
 
 
 def imported(file: Path) -> Imported:
