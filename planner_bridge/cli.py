@@ -97,9 +97,9 @@ def net(domain: Path, problem: Path, written_as: str, output: Path | None, bindi
 
 
 @app.command()
-@click.argument("domain", type=_FILE, required=False)
-@click.argument("problem", type=_FILE, required=False)
-@click.option("--plan", "plan_file", type=_FILE, help="a hand-written plan in YAML, in place of DOMAIN and PROBLEM")
+@click.argument("domain", type=FILE, required=False)
+@click.argument("problem", type=FILE, required=False)
+@click.option("--plan", "plan_file", type=FILE, help="a hand-written plan in YAML, in place of DOMAIN and PROBLEM")
 @click.option("--name", help="which plan of that file, if there are several")
 @click.option("--set", "given", metavar="NAME=VALUE", multiple=True, help="a parameter of that plan; the value as YAML")
 @click.option("--actions", type=click.Choice(["simulated", "ros2"]), default="simulated", show_default=True, help="who performs actions")
