@@ -83,8 +83,8 @@ class Ros2Site:
         from pnm.ros.sensing import Facts, Sensing
 
         loop = asyncio.get_running_loop()
-        self._ros = RosThread("pnm")
-        self._client = Ros2ActionClient(self._ros, self._bindings, loop)
+        self.ros = RosThread("pnm")
+        self._client = Ros2ActionClient(self.ros, self._bindings, loop)
         lag = self._bindings.lag
 
         ignored: set[str] = set()
@@ -97,14 +97,14 @@ class Ros2Site:
             knowledge.sense(watched, lag=lag)
             knowledge.replace(watched, {fluent: value for fluent, value in facts.items() if fluent[0] in watched})
 
-        self._sensing = Sensing(self._ros, loop, tell)
+        self._sensing = Sensing(self.ros, loop, tell)
         await self._sensing.first(DISCOVERY)
 
     async def prepare(self, actions: Iterable[GroundAction]) -> None:
         """Look for the servers of these actions; wait for them only while this node itself is new."""
-        await self._client.prepare(actions, self._ros.joined + DISCOVERY - monotonic())
+        await self._client.prepare(actions, self.ros.joined + DISCOVERY - monotonic())
 
     async def close(self) -> None:
         """Leave the ROS 2 graph."""
         self._client.close()
-        self._ros.close()
+        self.ros.close()
