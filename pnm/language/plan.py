@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Final
@@ -188,10 +189,14 @@ def _entries(document: Mapped) -> list[tuple[str, Mapped]]:
     if "plan" in document.nodes:
         document.only(*PLAN_KEYS, *DOMAIN_KEYS)
         return [(document.string("name") or Path(document.file).stem, document)]
+    if "plans" in document.nodes:
+        raise InputError("this is a world; expected a plan", document.nodes["plans"][0])
     found: list[tuple[str, Mapped]] = []
     for key, where, node in document.entries():
         if key in DOMAIN_KEYS:
             continue
+        if node.is_mapping and "recipes" in node.mapped().nodes:
+            raise node.wrong("this is a world; expected a plan")
         recipe = node.mapped() if node.is_mapping and key not in PLAN_KEYS else None
         if recipe is None or recipe.nodes.keys().isdisjoint(RECIPE_KEYS):
             if key in PLAN_KEYS:
@@ -221,10 +226,21 @@ def _domain_of(entry: Mapped, own: LanguageDomain | None, given: LanguageDomain 
         return own or given or LanguageDomain()
     if own is not None:
         raise InputError("the file has a domain itself; it cannot name another", entry.position("domain"))
-    file = Path(entry.file).parent / path
-    if not file.is_file():
-        raise InputError(f"there is no file {path!r} beside this one", entry.position("domain"))
-    return read_domain(file)
+    return read_domain(beside(entry, "domain", path))
+
+
+def beside(entry: Mapped, key: str, path: str) -> Path:
+    """Return a file that is named relative to the one the entry stands in.
+
+    Raises:
+        InputError: there is no such file.
+    """
+    found = Path(entry.file).parent / path
+    if not found.is_file():
+        others = sorted(one.name for one in found.parent.glob("*.y*ml")) if found.parent.is_dir() else []
+        near = get_close_matches(found.name, others, 1)
+        raise InputError(f"there is no file {path!r} beside this one{f'; did you mean {near[0]!r}?' if near else ''}", entry.position(key))
+    return found
 
 
 def _check_classes(entry: Mapped) -> None:
