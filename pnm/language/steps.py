@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 from pnm.bindings import read_texts
@@ -36,12 +37,12 @@ class StepReader:
     variables: frozenset[str] = frozenset()
     """In a chain of recovery, the parameters of the call that recovers."""
 
-    @property
+    @cached_property
     def scope(self) -> Scope:
         """What values and conditions may use."""
         return Scope(self.variables, *self._others)
 
-    @property
+    @cached_property
     def _others(self) -> tuple[Mapping[str, int | None] | None, frozenset[str] | None, frozenset[str] | None]:
         scope = self.declared.scope()
         return scope.fluents, scope.objects, scope.types
