@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,7 @@ from pnm.errors import InputError
 if TYPE_CHECKING:
     from planner_bridge.model import Problem
     from planner_bridge.pipeline import Where
+    from planner_bridge.tasks import Settings
     from pnm.actions.faults import Faults
     from pnm.bindings import Bindings
 
@@ -146,24 +148,25 @@ def run(
     if faults and actions == "ros2":
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
     where: Where = "ros2" if actions == "ros2" else "simulated"
+    limits = Limits(replans=replans, seconds=seconds)
+    settings = Settings(planner, timeout, limits=limits, on_failure=OnFailure(on_failure))
     if plan_file is not None:
         if domain is not None:
             raise InputError("--plan comes in the place of DOMAIN and PROBLEM")
-        return _run_written(plan_file, name, given, where, faults, as_json)
+        return _run_written(plan_file, name, given, where, faults, bindings, settings, as_json)
     if domain is None or problem is None:
         raise InputError("expected DOMAIN and PROBLEM, or --plan and a file")
     stopwatch = Stopwatch()
     with stopwatch.of("parse"):
         loaded = _load(domain, problem)
-        chosen = _bindings(bindings, domain, loaded)
-    limits = Limits(replans=replans, seconds=seconds)
+        settings = replace(settings, bindings=_bindings(bindings, domain, loaded))
     console = Terminal()
     result = achieve(
         None,
         loaded,
         actions=where,
         faults=_faults(faults, loaded),
-        settings=Settings(planner, timeout, chosen, limits, OnFailure(on_failure)),
+        settings=settings,
         observer=TaskObserver() if as_json else ConsoleObserver(console),
         stopwatch=stopwatch,
     )
@@ -174,16 +177,28 @@ def run(
     return 0 if result.goal_reached else 1
 
 
-def _run_written(file: Path, name: str | None, given: tuple[str, ...], where: Where, faults: Path | None, as_json: bool) -> int:
+def _run_written(
+    file: Path,
+    name: str | None,
+    given: tuple[str, ...],
+    where: Where,
+    faults: Path | None,
+    bindings: Path | None,
+    settings: Settings,
+    as_json: bool,
+) -> int:
     from planner_bridge.console import ConsoleObserver, Terminal, print_result
     from planner_bridge.tasks import TaskObserver
     from planner_bridge.written import carry_out
     from pnm.actions.faults import NO_FAULTS, read_faults
+    from pnm.bindings import read_bindings
 
+    if bindings:
+        settings = replace(settings, bindings=read_bindings(bindings))
     console = Terminal()
     observer = TaskObserver() if as_json else ConsoleObserver(console)
     chosen = read_faults(faults, None) if faults else NO_FAULTS
-    result = carry_out(file, name, _parameters(given), actions=where, faults=chosen, observer=observer)
+    result = carry_out(file, name, _parameters(given), actions=where, faults=chosen, settings=settings, observer=observer)
     if as_json:
         print(json.dumps(result.as_json(), default=str), flush=True)
     else:
