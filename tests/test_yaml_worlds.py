@@ -78,7 +78,9 @@ def test_what_is_wrong_with_a_world(folder: Path) -> None:
     assert wrong(folder, "w: {domain: domains/one.yaml, recipes: [plans/cuont.yaml]}") == (
         "worlds.yaml:1:40: there is no file 'plans/cuont.yaml' beside this one; did you mean 'count.yaml'?"
     )
-    assert wrong(folder, "w: {recipes: [plans/count.yaml]}").startswith("plans/count.yaml:1:72: there is no action 'a' here")
+    assert wrong(folder, "w: {recipes: [plans/count.yaml]}").startswith(
+        "plans/count.yaml:1:72: there is no domain that would have an action 'a'"
+    )
     assert wrong(folder, "w: {domain: plans/count.yaml, recipes: [plans/count.yaml]}") == (
         "plans/count.yaml:1:1: there is no domain in the file; expected the key 'actions'"
     )

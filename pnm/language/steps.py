@@ -186,8 +186,9 @@ def _check_object(action: LanguageAction, key: str, node: Node, declared: Declar
     if name.startswith(("?", "(")) or not declared.objects:
         return
     types = next(variable.types for variable in action.parameters or () if variable.name == f"?{key}")
-    fitting = {one for kind in types for one in declared.objects_by_type.get(kind, ())}
-    if name not in fitting:
+    kinds = {one for kind in declared.objects.get(name, ()) for one in declared.supertypes(kind)}
+    if kinds.isdisjoint(types):
+        fitting = {one for kind in types for one in declared.objects_by_type.get(kind, ())}
         raise unknown(f"object for {key} of {action.name} (one of type {' or '.join(types)})", name, fitting, node.position)
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from pnm.errors import InputError
 from pnm.language.domain import LanguageDomain
+from pnm.language.drafts import beside, drafts, read_domain
 from pnm.language.files import read_documents
-from pnm.language.plan import HandWrittenPlan, beside, drafts, finished, read_domain
+from pnm.language.plan import HandWrittenPlan, finished
 from pnm.language.scope import unknown
 from pnm.sources.registry import Choice
 from pnm.yaml_files import Mapped
