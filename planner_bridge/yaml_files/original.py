@@ -171,9 +171,7 @@ class _Writer:
                 case Set(fluent) if condition == TRUE:
                     numbers[fluent] = self._number(effect, numbers, alone=len(changes) == 1)
                 case Set():
-                    raise InputError(
-                        f"the first implementation has no way to say a conditional effect on a value, {effect}, of {self.place}"
-                    )
+                    raise self._impossible(f"a conditional effect on a value, {flat(effects_form((effect,)))},")
         for fluent, when in deleted:
             self._store(
                 self._variable(fluent), _FALSE if when is None else _both("and", self._holds(fluent), single("not", _is_true(when)))
