@@ -20,7 +20,8 @@ from typing import Final, assert_never
 
 from planner_bridge.grounding import ground_action
 from planner_bridge.model import ActionSchema, Problem
-from planner_bridge.pddl.forms import number_text
+from planner_bridge.pddl.forms import effects_form, number_text
+from planner_bridge.pddl.layout import flat
 from planner_bridge.plan import Plan, PlanStep
 from planner_bridge.state import initial_knowledge
 from planner_bridge.yaml_files.emitter import Bare, Entry, Mapping, Sequence, Value, document, items, single
