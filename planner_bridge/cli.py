@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,6 +30,8 @@ from pnm.errors import InputError
 
 if TYPE_CHECKING:
     from planner_bridge.model import Problem
+    from planner_bridge.pipeline import Where
+    from planner_bridge.tasks import Settings
     from pnm.actions.faults import Faults
     from pnm.bindings import Bindings
 
@@ -96,7 +99,11 @@ def net(domain: Path, problem: Path, written_as: str, output: Path | None, bindi
 
 
 @app.command()
-@files
+@click.argument("domain", type=FILE, required=False)
+@click.argument("problem", type=FILE, required=False)
+@click.option("--plan", "plan_file", type=FILE, help="a hand-written plan in YAML, in place of DOMAIN and PROBLEM")
+@click.option("--name", help="which plan of that file, if there are several")
+@click.option("--set", "given", metavar="NAME=VALUE", multiple=True, help="a parameter of that plan; the value as YAML")
 @click.option("--actions", type=click.Choice(["simulated", "ros2"]), default="simulated", show_default=True, help="who performs actions")
 @bindings_option
 @faults_option
@@ -116,8 +123,11 @@ def net(domain: Path, problem: Path, written_as: str, output: Path | None, bindi
 @command
 def run(
     *,
-    domain: Path,
-    problem: Path,
+    domain: Path | None,
+    problem: Path | None,
+    plan_file: Path | None,
+    name: str | None,
+    given: tuple[str, ...],
     actions: str,
     bindings: Path | None,
     faults: Path | None,
@@ -128,7 +138,7 @@ def run(
     on_failure: str,
     as_json: bool,
 ) -> int:
-    """Plan, execute, and replan until the goal holds."""
+    """Plan, execute, and replan until the goal holds; or carry out a plan that somebody has written."""
     from planner_bridge.console import ConsoleObserver, Terminal, print_result
     from planner_bridge.pipeline import Stopwatch, achieve
     from planner_bridge.replanning import Limits
@@ -137,18 +147,26 @@ def run(
 
     if faults and actions == "ros2":
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
+    where: Where = "ros2" if actions == "ros2" else "simulated"
+    limits = Limits(replans=replans, seconds=seconds)
+    settings = Settings(planner, timeout, limits=limits, on_failure=OnFailure(on_failure))
+    if plan_file is not None:
+        if domain is not None:
+            raise InputError("--plan comes in the place of DOMAIN and PROBLEM")
+        return _run_written(plan_file, name, given, where, faults, bindings, settings, as_json)
+    if domain is None or problem is None:
+        raise InputError("expected DOMAIN and PROBLEM, or --plan and a file")
     stopwatch = Stopwatch()
     with stopwatch.of("parse"):
         loaded = _load(domain, problem)
-        chosen = _bindings(bindings, domain, loaded)
-    limits = Limits(replans=replans, seconds=seconds)
+        settings = replace(settings, bindings=_bindings(bindings, domain, loaded))
     console = Terminal()
     result = achieve(
         None,
         loaded,
-        actions="ros2" if actions == "ros2" else "simulated",
+        actions=where,
         faults=_faults(faults, loaded),
-        settings=Settings(planner, timeout, chosen, limits, OnFailure(on_failure)),
+        settings=settings,
         observer=TaskObserver() if as_json else ConsoleObserver(console),
         stopwatch=stopwatch,
     )
@@ -157,6 +175,48 @@ def run(
     else:
         print_result(console, result)
     return 0 if result.goal_reached else 1
+
+
+def _run_written(
+    file: Path,
+    name: str | None,
+    given: tuple[str, ...],
+    where: Where,
+    faults: Path | None,
+    bindings: Path | None,
+    settings: Settings,
+    as_json: bool,
+) -> int:
+    from planner_bridge.console import ConsoleObserver, Terminal, print_result
+    from planner_bridge.tasks import TaskObserver
+    from planner_bridge.written import carry_out
+    from pnm.actions.faults import NO_FAULTS, read_faults
+    from pnm.bindings import read_bindings
+
+    if bindings:
+        settings = replace(settings, bindings=read_bindings(bindings))
+    console = Terminal()
+    observer = TaskObserver() if as_json else ConsoleObserver(console)
+    chosen = read_faults(faults, None) if faults else NO_FAULTS
+    result = carry_out(file, name, _parameters(given), actions=where, faults=chosen, settings=settings, observer=observer)
+    if as_json:
+        print(json.dumps(result.as_json(), default=str), flush=True)
+    else:
+        print_result(console, result.task)
+    return 0 if result.task.goal_reached else 1
+
+
+def _parameters(given: tuple[str, ...]) -> dict[str, object]:
+    """Read ``name=value``, with values as YAML has them."""
+    from pnm.yaml_files import parse_value
+
+    found: dict[str, object] = {}
+    for one in given:
+        name, equals, text = one.partition("=")
+        if not name or not equals:
+            raise InputError(f"expected NAME=VALUE after --set, found {one!r}")
+        found[name] = parse_value(text, f"--set {name}")
+    return found
 
 
 @app.command()

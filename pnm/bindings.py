@@ -66,6 +66,10 @@ class Bindings:
         """Return the binding of the action, or the default one."""
         return self.actions.get(action, DEFAULT)
 
+    def before(self, others: Bindings) -> Bindings:
+        """Return these bindings and, for actions that they do not speak of, others."""
+        return Bindings({**others.actions, **self.actions}, self.assumed | others.assumed, max(self.lag, others.lag))
+
     def server(self, action: GroundAction) -> str:
         """Return the name of the server that performs the ground action.
 
@@ -78,6 +82,10 @@ class Bindings:
             if name not in own:
                 raise InputError(f"the server {pattern!r} of {action.name} names {{{name}}}, which is not a parameter ({', '.join(own)})")
         return pattern.format_map(own)
+
+    def names_server(self, action: GroundAction) -> bool:
+        """Tell whether the name of the server is known, or has a part that is only known when the call starts."""
+        return not set(placeholders(self.of(action.name).server or "")) & set(open_parameters(action))
 
     def timeout(self, action: GroundAction) -> float:
         """Return how many seconds the action may run."""
@@ -98,7 +106,7 @@ class Lookup(Protocol):
         """Return a variable that is needed: from wherever it can be had, or `MISSING`."""
 
     def given(self, action: GroundAction, /) -> Mapping[str, object]:
-        """Return the values that the plan gives to goal fields, as far as there are any."""
+        """Return the values that the plan gives to goal fields or leaves open, as far as there are any."""
 
 
 def goal_data(

@@ -69,13 +69,13 @@ class Calls:
 
     # --- what is asked about a call -----------------------------------------------------------
 
-    def call(self, call: int) -> ActionCall:
-        """Return the call as the plan has it."""
-        return self._plan.calls[call]
-
     def action(self, call: int) -> GroundAction:
         """Return the action as it was sent last."""
         return self._actions.get(call, self._plan.calls[call].action)
+
+    def as_sent(self, call: int) -> ActionCall:
+        """Return the call with what its parameters had for values when it was sent last."""
+        return replace(self._plan.calls[call], action=self.action(call))
 
     def binding(self, call: int) -> Binding:
         """Return the binding of the call's action."""
@@ -110,11 +110,11 @@ class Calls:
 
     # --- deeds --------------------------------------------------------------------------------
 
-    def do(self, deed: Deed, call: int, consulted: Consultation) -> None:
-        """Do what the firing of a transition brings about."""
+    def do(self, deed: Deed, call: int, attempt: int, consulted: Consultation) -> None:
+        """Do what the firing of a transition brings about; `attempt` counts the requests each time the call is reached."""
         match deed:
             case Deed.SEND:
-                self._send(call, consulted)
+                self._send(call, attempt, consulted)
             case Deed.CANCEL:
                 self.commands.append(Cancel(self._requests[call]))
             case Deed.BEGIN:
@@ -135,11 +135,11 @@ class Calls:
 
     def store(self, call: int, outcome: Outcome) -> None:
         """Store the fields of the result, by their own names or as the binding says."""
-        store = self.binding(call).store
+        store = {**self.binding(call).store, **dict(self._plan.calls[call].store)}
         self.changed = True
         self._knowledge.local.store({store.get(name, name): value for name, value in outcome.result.items()})
 
-    def _send(self, call: int, consulted: Consultation) -> None:
+    def _send(self, call: int, attempt: int, consulted: Consultation) -> None:
         action = self.ready(call, consulted)
         self._actions[call] = action
         self._begun.pop(call, None)
@@ -151,7 +151,7 @@ class Calls:
         if action.operation is not None:
             self._operate(identity, action.operation, consulted)
         else:
-            self.commands.append(Send(Request(identity, action, self.goal(call, consulted)[0], self._sent[call])))
+            self.commands.append(Send(Request(identity, action, self.goal(call, consulted)[0], attempt)))
 
     def identity(self, what: str) -> UUID:
         """Return an identity that follows from the run's and what it is for; the first four bytes are the run's, to be found by."""

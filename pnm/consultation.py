@@ -7,7 +7,7 @@ token leaves the place at which it is being decided.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from uuid import UUID
 
@@ -91,23 +91,25 @@ class Consultation:
         return self.find(bare) if told.startswith("?") else told
 
     def given(self, action: GroundAction, /) -> dict[str, object]:
-        """Return the values that the plan gives to goal fields, as far as there are any."""
-        values = {name: compute(data, self) for name, data in action.given}
+        """Return the values that the plan gives to goal fields, or leaves open for knowledge to fill, as far as there are any."""
+        values = {name: self.parameter(f"?{name}") for name in open_parameters(self.action)}
+        values |= {name: compute(data, self) for name, data in action.given}
         return {name: value for name, value in values.items() if value is not MISSING}
 
     def environment(self) -> Environment:
-        """Return the objects that the plan does not tell for parameters, but knowledge does."""
+        """Return what knowledge has for the parameters that the plan leaves open: names of objects, or other values as JSON text."""
         if not any(value.startswith("?") for value in self.action.arguments):
             return NOTHING
         found = {f"?{name}": self.parameter(f"?{name}") for name in open_parameters(self.action)}
-        return {name: value for name, value in found.items() if isinstance(value, str)}
+        return {name: value if isinstance(value, str) else json.dumps(value) for name, value in found.items() if value is not MISSING}
 
 
 class Questions:
-    """The questions that a run has asked outside, and their answers. The mutable state is both dictionaries."""
+    """The questions that a run has asked outside, and their answers. The mutable state is the dictionaries."""
 
     def __init__(self) -> None:
         self._answers: dict[int, dict[Question, object]] = {}
+        self._silence: dict[int, list[str]] = {}
         self._asked: dict[UUID, tuple[int, Question]] = {}
 
     def answers_at(self, place: int) -> Mapping[Question, object]:
@@ -122,16 +124,23 @@ class Questions:
         """Note that the question is being asked."""
         self._asked[identity] = (place, question)
 
-    def answered(self, identity: UUID, value: object) -> int | None:
-        """Note an answer; return the place that waits for it, if any still does."""
+    def silence_at(self, place: int | None) -> Sequence[str]:
+        """Return why questions for the decision at a place have no answers."""
+        return () if place is None else self._silence.get(place, ())
+
+    def answered(self, identity: UUID, value: object, message: str) -> int | None:
+        """Note an answer, or why there is none; return the place that waits for it, if any still does."""
         place, question = self._asked.pop(identity, (None, None))
         if place is not None and question is not None:
             self._answers.setdefault(place, {})[question] = value
+            if message:
+                self._silence.setdefault(place, []).append(message)
         return place
 
     def left(self, place: int) -> Iterator[UUID]:
         """Forget all that concerns the place; yield the questions whose answers are no longer needed."""
         self._answers.pop(place, None)
+        self._silence.pop(place, None)
         for identity in [one for one, (where, _) in self._asked.items() if where == place]:
             del self._asked[identity]
             yield identity

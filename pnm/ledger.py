@@ -49,6 +49,7 @@ class Ledger:
     """
 
     def __init__(self, plan: PlanGraph) -> None:
+        self._calls = plan.calls
         self._steps = {step.index: step for step in plan.every_step}
         self._outermost = frozenset(step.index for step in plan.steps)
         self._is_flat = len(plan.steps) == len(plan.every_step) == len(plan.calls)
@@ -79,7 +80,7 @@ class Ledger:
         result = self.results[call]
         if rule.name in ("join", "overtaken") and result.outcome != "waiting":
             self.rounds.append(result)
-            self.results[call] = CallResult(result.call)
+            self.results[call] = CallResult(self._calls[call])
             self._causes.pop(call, None)
         elif rule.deed is Deed.SEND:
             started = now if result.started is None else result.started
@@ -91,6 +92,10 @@ class Ledger:
             self.results[call] = replace(result, outcome=f"{cause}, passed over", ended=now)
         if rule.name in _CAUSES:
             self.caused(call, (_CAUSES[rule.name], *self._expectation(rule.name, call, missing)))
+
+    def sent(self, call: ActionCall) -> None:
+        """Note with which values for its parameters the call was sent."""
+        self.results[call.index] = replace(self.results[call.index], call=call)
 
     def caused(self, call: int, why: tuple[str, str, str]) -> None:
         """Note why the call is about to recover: the cause, what was expected and what was seen."""
@@ -116,7 +121,8 @@ class Ledger:
             cause, expected, observed = self._causes[step]
             why = (why[0], why[1], f"{why[2]}; so it was not tried again after {cause}: expected {expected}, observed {observed}")
         told = why or self._causes.get(step) or (how, "", "")
-        failure = Failure(self._steps[step], *told, unconfirmed=unconfirmed, replan=how == Then.REPLAN.value)
+        failed = self.results[step].call if step < len(self.results) else self._steps[step]
+        failure = Failure(failed, *told, unconfirmed=unconfirmed, replan=how == Then.REPLAN.value)
         self.failures.append(failure)
         if isinstance(failure.call, ActionCall):
             self.results[step] = replace(self.results[step], outcome=failure.cause, ended=now)

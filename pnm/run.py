@@ -22,7 +22,7 @@ from pnm.compiled import Engine
 from pnm.conditions import Condition, evaluate, failing, ground, names, observed
 from pnm.consultation import Consultation, Questions
 from pnm.errors import PnmError
-from pnm.events import Answered, Ask, Begin, Command, Event, KnowledgeChanged, Stop, Tick, Wake, Withdraw
+from pnm.events import Answered, Ask, Begin, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake, Withdraw
 from pnm.knowledge import Layered
 from pnm.ledger import Ledger
 from pnm.machine import (
@@ -194,8 +194,8 @@ class Run:
                 if self._stop is None or event.cancel:
                     self._stop = event
                 self._agenda.extend(self._undecided)
-            case Answered(identity, value):
-                place = self._questions.answered(identity, value)
+            case Answered(identity, value, message):
+                place = self._questions.answered(identity, value, message)
                 self._agenda.extend([] if place is None else [place])
             case Accepted() | Ended():
                 self._report(event)
@@ -238,7 +238,7 @@ class Run:
         if outcome.kind is OutcomeKind.SUCCEEDED:
             self._calls.store(call, outcome)
         self._ledger.answered(call, outcome)
-        self._observer.ended(self._calls.call(call), outcome, self._now)
+        self._observer.ended(self._calls.as_sent(call), outcome, self._now)
 
     # --- δ̂ ------------------------------------------------------------------------------------
 
@@ -352,7 +352,7 @@ class Run:
         if rule.call is not None and rule.call < len(self.machine.plan.calls):
             self._note(rule, rule.call, bool(fails))
             if rule.deed is not None:
-                self._calls.do(rule.deed, rule.call, self._consult(rule.call))
+                self._do(rule.deed, rule.call)
                 if self._calls.changed:
                     self._calls.changed = False
                     self._agenda.extend(place for place in self._undecided if self._listening[place])
@@ -369,6 +369,16 @@ class Run:
         if self.ending and not was_ending:
             self._agenda.extend(self._undecided)
         self._observer.fired(compiled.transitions[transition], rule, self._now)
+
+    def _do(self, deed: Deed, call: int) -> None:
+        self._calls.do(deed, call, self._ledger.results[call].attempts, self._consult(call))
+        if deed is Deed.SEND:
+            self._ledger.sent(self._calls.as_sent(call))
+            for command in self._calls.commands:
+                if isinstance(command, Send):
+                    self._observer.sent(self._calls.as_sent(call), command.request, self._now)
+            self._commands += self._calls.commands
+            self._calls.commands.clear()
 
     def _leave(self, place: int) -> None:
         """Forget what the decision at the place was made from."""
@@ -401,7 +411,8 @@ class Run:
                 return rule.name, f"(not {condition})", observed(condition, self._consult(step))
             case DataMissing():
                 missing = self._calls.goal(step, self._consult(step))[1]
-                return rule.name, f"values for {', '.join(missing)}", "no argument, variable or constant of that name"
+                why = "".join(f"; {message}" for message in self._questions.silence_at(self._deciding))
+                return rule.name, f"values for {', '.join(missing)}", f"no argument, variable or constant of that name{why}"
             case Due(seconds):
                 return rule.name, f"an end within {seconds:g} s of the plan's start", f"{self._now - (self._origin or 0.0):g} s have passed"
             case _:
@@ -410,7 +421,8 @@ class Run:
     def _explain(self, condition: Condition, call: int | None) -> tuple[str, str]:
         consulted = self._consult(call)
         missing = failing(_grounded(condition, consulted), consulted)
-        return " ".join(map(str, missing)), "; ".join(observed(part, consulted) for part in missing)
+        seen = (*(observed(part, consulted) for part in missing), *self._questions.silence_at(self._deciding))
+        return " ".join(map(str, missing)), "; ".join(seen)
 
 
 _CHECKS: Final = frozenset({"precondition_false", "data_missing", "before", "after"})

@@ -50,6 +50,19 @@ def parse_yaml(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = 
     return tuple([Mapped.of(node, file) for node in compose(text, file, anchors)])
 
 
+def parse_value(text: str, origin: str) -> object:
+    """Read a single value, such as one from a command line; nothing is an empty text.
+
+    Args:
+        text: the value.
+        origin: where it comes from, for errors.
+
+    Raises:
+        InputError: it is not YAML, or too large.
+    """
+    return _plain(compose(text, origin)[0], origin) if text.strip() else ""
+
+
 def _plain(node: yaml.Node, file: str) -> object:
     if isinstance(node, yaml.MappingNode):
         return {key: _plain(value, file) for key, (_, value) in Mapped.of(node, file).nodes.items()}

@@ -17,7 +17,7 @@ from planner_bridge.yaml_files.nodes import Parts, needed
 from pnm.errors import InputError, Position
 from pnm.language.actions import ACTION_KEYS
 from pnm.language.domain import DOMAIN_KEYS
-from pnm.language.plan import PLAN_KEYS
+from pnm.language.drafts import PLAN_KEYS
 from pnm.language.words import needed_form
 from pnm.yaml_files import Mapped, Node
 

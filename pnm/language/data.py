@@ -22,9 +22,9 @@ def read_data(node: Node, scope: Scope = ANYTHING) -> Data:
     Raises:
         InputError: it is malformed, or has names that are not there.
     """
-    found = form(node, (*VALUES, *UPDATES))
+    found = form(node, (*VALUES, *UPDATES), in_value=True)
     if found is not None:
-        return _computed(found, scope)
+        return read_form(found, scope)
     if node.items is not None:
         return _whole(tuple(read_data(item, scope) for item in node.items), None)
     if node.is_mapping:
@@ -69,7 +69,8 @@ def read_literal(node: Node) -> Literal:
     return Literal.of(value)
 
 
-def _computed(found: Form, scope: Scope) -> Data:
+def read_form(found: Form, scope: Scope) -> Data:
+    """Read a value that is computed."""
     word = found.word
     if word in QUERIES:
         return _query(found, scope)
@@ -82,13 +83,13 @@ def _computed(found: Form, scope: Scope) -> Data:
             left, right = (read_data(one, scope) for one in found.items(2))
             return Operation("or", (Operation("not", (left,)), right))
         case "exists":
-            return read_exists(found, scope)
+            return _exists(found, scope)
         case "comparison":
-            return read_comparison(found, scope)
+            return _compared(found, scope)
         case "operation":
             return _operation(found, scope)
         case "booleanAssertion":
-            return read_assertion(found, scope)
+            return _assertion(found, scope)
         case "holds" | "value":
             return ValueOf(read_fluent(found.items(1)[0], scope))
         case "literal":
@@ -111,13 +112,13 @@ def _name(node: Node, scope: Scope) -> Data:
     return found
 
 
-def read_exists(found: Form, scope: Scope) -> Operation:
+def _exists(found: Form, scope: Scope) -> Operation:
     """Read whether a variable has a value: ``Exists: [Query: v]`` or ``Exists: {Query: v}``."""
     (inner,) = found.items(1)
     return Operation("exists", (_query(needed_form(inner, QUERIES, "a query"), scope),))
 
 
-def read_comparison(found: Form, scope: Scope) -> Operation:
+def _compared(found: Form, scope: Scope) -> Operation:
     """Read ``Comparison: [operator, [a, b]]``."""
     name, left, right = comparison_parts(found)
     return Operation(read_operator(name), (read_data(left, scope), read_data(right, scope)))
@@ -151,7 +152,7 @@ def _operation(found: Form, scope: Scope, *, changing: bool = False) -> Operatio
     return Operation(name, operands)
 
 
-def read_assertion(found: Form, scope: Scope) -> Operation:
+def _assertion(found: Form, scope: Scope) -> Operation:
     """Read ``BooleanAssertion: [e, true]``: e is true; with false, that it is false."""
     inner, wanted = found.items(2)
     value = wanted.plain()

@@ -14,7 +14,7 @@ from typing import Final
 from pnm.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.errors import InputError
 from pnm.expressions import DURATION, Arithmetic, Constant, Expression, ValueOf, Variable
-from pnm.language.data import comparison_parts, operation_parts, read_assertion, read_data, read_exists
+from pnm.language.data import comparison_parts, operation_parts, read_form
 from pnm.language.scope import ANYTHING, Scope, fluent_in, is_variable, read_fluent, read_typed, shown
 from pnm.language.words import ARITHMETIC, COMPARISONS, QUERIES, TESTS, Form, form, needed_form, read_operator
 from pnm.queries import Parameter
@@ -36,7 +36,7 @@ def read_condition(node: Node, scope: Scope = ANYTHING) -> Condition:
     if node.items is not None:
         return conjunction(read_condition(item, scope) for item in node.items)
     if node.is_mapping:
-        return TRUE if not node.mapped().nodes else _condition(needed_form(node, TESTS, "a condition"), node, scope)
+        return TRUE if not node.mapped().nodes else _condition(needed_form(node, TESTS, "a condition"), scope)
     if node.text is not None and is_variable(node.text):
         scope.check_variable(node.text, node.position)
         return Computed(Parameter(node.text))
@@ -53,7 +53,7 @@ def conjunction(parts: Iterable[Condition]) -> Condition:
     return flat[0] if len(flat) == 1 else All(flat)
 
 
-def _condition(found: Form, node: Node, scope: Scope) -> Condition:
+def _condition(found: Form, scope: Scope) -> Condition:
     match found.word:
         case "and":
             return conjunction(read_condition(one, scope) for one in found.operands())
@@ -72,17 +72,13 @@ def _condition(found: Form, node: Node, scope: Scope) -> Condition:
         case "exists" if found.argument.is_mapping and form(found.argument, QUERIES) is None:
             variables, body = read_quantified(found, "condition", scope)
             return Exists(variables, read_condition(body, scope.inside(variables)))
-        case "exists":
-            return Computed(read_exists(found, scope))
         case "comparison":
-            return _comparison(node, *comparison_parts(found), scope)
-        case "operation":
-            operator, operands = operation_parts(found)
-            return _comparison(node, operator, *operands, scope) if len(operands) == 2 else Computed(read_data(node, scope))
-        case "booleanAssertion":
-            return Computed(read_assertion(found, scope))
+            return _comparison(found, *comparison_parts(found), scope)
+        case "operation" if len(operation_parts(found)[1]) == 2:
+            operator, (left, right) = operation_parts(found)
+            return _comparison(found, operator, left, right, scope)
         case _:
-            return Computed(read_data(node, scope))
+            return Computed(read_form(found, scope))
 
 
 def read_quantified(found: Form, inner: str, scope: Scope) -> tuple[tuple[Variable, ...], Node]:
@@ -102,15 +98,25 @@ def _needed(entry: Mapped, key: str) -> Node:
 # --- comparisons ---------------------------------------------------------------------------
 
 
-def _comparison(whole: Node, operator: Node, left: Node, right: Node, scope: Scope) -> Condition:
+def _comparison(found: Form, operator: Node, left: Node, right: Node, scope: Scope) -> Condition:
     """Compare numbers or objects as PDDL does if both sides are of its kinds, and any values else."""
     name = read_operator(operator)
     first, second = _expression(left), _expression(right)
+    if isinstance(first, ValueOf) or isinstance(second, ValueOf):
+        _check_truth(left)
+        _check_truth(right)
     if name not in COMPARISONS or first is None or second is None or not _comparable(name, (first, second)):
-        return Computed(read_data(whole, scope))
+        return Computed(read_form(found, scope))
     for side, expression in ((left, first), (right, second)):
         _check(side, expression, scope, objects=isinstance(first, ValueOf) or isinstance(second, ValueOf))
     return Not(Compare("=", first, second)) if name == "ne" else Compare(COMPARISONS[name], first, second)
+
+
+def _check_truth(node: Node) -> None:
+    """Refuse an ``on`` without quotes beside a function: an object is meant, and YAML takes it for a truth value."""
+    written = node.written.lower()
+    if node.text is None and written and isinstance(node.plain(), bool) and written not in ("true", "false"):
+        raise node.wrong(f"{node.written} is a truth value; write {node.written!r} with quotes, or true or false")
 
 
 def _comparable(name: str, sides: tuple[Expression, Expression]) -> bool:

@@ -1,6 +1,7 @@
 """The words of formulas, and taking apart the mappings with one key that formulas are made of.
 
-A word may begin with a capital letter or with a small one: ``Comparison`` is ``comparison``.
+A word may begin with a capital letter or with a small one: ``Comparison`` is ``comparison``. Only in values, where a
+mapping may be one as it stands, words that could well be the names of fields are written with a capital letter.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ LOGIC: Final = ("and", "or", "not", "imply", "forall", "exists")
 TESTS: Final = (*LOGIC, "comparison", "operation", "booleanAssertion", "holds", *QUERIES)
 """What a condition begins with."""
 _CAPITAL: Final = frozenset({"comparison", "operation", "booleanAssertion", "holds", "value", "literal", *QUERIES, *UPDATES})
+_FIELDS: Final = frozenset({"comparison", "operation", "holds", "exists", "value", "literal", "query", "update"})
+"""In values, mappings with these keys are data."""
 VALUES: Final = (*(word for word in TESTS if word != "forall"), "value", "literal")
 """What a value that is computed begins with."""
 
@@ -66,7 +69,7 @@ class Form:
         return (self.argument,) if self.argument.items is None else self.argument.items
 
 
-def form(node: Node, words: Collection[str]) -> Form | None:
+def form(node: Node, words: Collection[str], *, in_value: bool = False) -> Form | None:
     """Take apart a mapping that is one of the forms; None for anything else.
 
     Raises:
@@ -77,11 +80,21 @@ def form(node: Node, words: Collection[str]) -> Form | None:
     entries = node.mapped().entries()
     for key, position, argument in entries:
         word = _word(key)
-        if word in words:
+        if word in words and not (in_value and key in _FIELDS):
             if len(entries) > 1:
                 raise InputError(f"{key!r} stands beside other keys; expected it alone, or a list of such entries", position)
             return Form(word, position, argument, key)
+    if in_value and len(entries) == 1:
+        _check_spelling(*entries[0][:2], words)
     return None
+
+
+def _check_spelling(key: str, position: Position, words: Collection[str]) -> None:
+    """Refuse what can hardly be meant as a mapping that stands for itself."""
+    near = get_close_matches(_word(key), sorted(_CAPITAL & frozenset(words)), 1, 0.8)
+    if near and key[:1].isupper() and key not in _FIELDS:
+        meant = f"did you mean {_spelled(near[0])!r}? A mapping that stands for itself is {{Literal: ...}}"
+        raise InputError(f"unknown word {key!r}; {meant}", position)
 
 
 def needed_form(node: Node, words: Collection[str], what: str) -> Form:

@@ -25,6 +25,7 @@ from pnm.bindings import Binding, Bindings
 from pnm.plan_graph import GroundAction
 from pnm.ros.action_client import Ros2ActionClient
 from pnm.ros.node import RosThread
+from tests.ros.scripts import Script
 
 # Before the first ROS context of this process, and inherited by all of its servers. Killed processes leave
 # shared memory behind, so everything goes over UDP.
@@ -123,6 +124,20 @@ def start() -> Iterator[Callable[..., Server]]:
     yield begin
     for server in servers:
         server.kill()
+
+
+@pytest.fixture
+def begin() -> Iterator[Callable[..., Script]]:
+    """Start scripts of this folder that end with the test."""
+    scripts: list[Script] = []
+
+    def start_script(*arguments: str) -> Script:
+        scripts.append(Script(*arguments))
+        return scripts[-1]
+
+    yield start_script
+    for script in scripts:
+        script.kill()
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,121 @@
+"""A client of a service that may be missing, slow or dead: every call has a limit."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from difflib import get_close_matches
+from functools import partial
+from typing import Any, Final
+
+from pnm.ros.messages import FieldError, import_type, to_message
+from pnm.ros.node import RosThread
+from pnm.sources.base import SourceError
+
+IN_FLIGHT: Final = 8
+"""Requests that are unanswered at a time; services keep 10 by default and lose others without a word."""
+_LOOK: Final = 0.1
+"""Seconds between two looks for something that is not there."""
+
+
+async def until_true(ros: RosThread, check: Callable[[], object]) -> None:
+    """Wait until the function says so, asked again and again on the ROS thread; the limit is the caller's."""
+    while True:
+        if await ros.ask(check):
+            return
+        await asyncio.sleep(_LOOK)
+
+
+class ServiceClient:
+    """A client of one service, connected when it is first needed.
+
+    The mutable state is the client, on the ROS thread, and how many requests may still be sent.
+
+    Args:
+        type_name: such as ``std_srvs/srv/Trigger``.
+        name: relative to the node's namespace.
+
+    Raises:
+        InputError: the type is not installed.
+    """
+
+    def __init__(self, ros: RosThread, type_name: str, name: str) -> None:
+        self._ros = ros
+        self._type = import_type(type_name)
+        self._name = name
+        self._client: Any = None
+        self._free = asyncio.Semaphore(IN_FLIGHT)
+
+    def __repr__(self) -> str:
+        return f"<ServiceClient {self._name}>"
+
+    async def call(self, request: Mapping[str, object], limit: float) -> Any:
+        """Send the request as soon as the service is there, and return the response.
+
+        Raises:
+            SourceError: there is no such service, it does not answer in time, or the request does not fit it.
+        """
+        there = False
+        try:
+            async with asyncio.timeout(limit), self._free:
+                message = to_message(self._type.Request, request)
+                await until_true(self._ros, self._ready)
+                there = True
+                return await self._answer(message)
+        except FieldError as error:
+            raise SourceError(f"{self._name}: {error}") from error
+        except TimeoutError as error:
+            if there:
+                raise SourceError(f"the service {self._name} did not answer within {limit:g} s") from error
+            raise SourceError(await self._ros.ask(self._absence)) from error
+
+    async def close(self) -> None:
+        """Let go of the service."""
+        await self._ros.ask(self._destroy)
+
+    async def _answer(self, message: Any) -> Any:
+        loop = asyncio.get_running_loop()
+        answered: asyncio.Future[Any] = loop.create_future()
+
+        def take(future: Any) -> None:
+            if not answered.done():
+                answered.set_result(future.result())
+
+        def hand_over(future: Any) -> None:
+            loop.call_soon_threadsafe(take, future)
+
+        sent = await self._ros.ask(partial(self._send, message, hand_over))
+        try:
+            return await answered
+        finally:
+            self._ros.call(partial(self._forget, sent))
+
+    # on the ROS thread
+
+    def _ready(self) -> bool:
+        from rclpy.qos import QoSProfile
+
+        if self._client is None:
+            self._client = self._ros.node.create_client(self._type, self._name, qos_profile=QoSProfile(depth=100))
+        return bool(self._client.service_is_ready())
+
+    def _send(self, message: Any, hand_over: Any) -> Any:
+        future = self._client.call_async(message)
+        future.add_done_callback(hand_over)
+        return future
+
+    def _forget(self, future: Any) -> None:
+        if self._client is not None:
+            self._client.remove_pending_request(future)
+
+    def _absence(self) -> str:
+        full = str(self._ros.node.resolve_service_name(self._name))
+        known = [name for name, _ in self._ros.node.get_service_names_and_types()]
+        near = [name for name in get_close_matches(full, known, 4) if name != full]
+        similar = f"; similar are {', '.join(near)}" if near else ""
+        return f"there is no service {full}{similar}"
+
+    def _destroy(self) -> None:
+        if self._client is not None:
+            self._ros.node.destroy_client(self._client)
+            self._client = None

@@ -1,0 +1,115 @@
+"""An executive as far as action servers see it: sends goals, and answers what they ask. Run as a script, it never answers."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import sys
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from typing import Any
+from uuid import UUID, uuid4, uuid5
+
+from pnm.actions.base import Ended, Outcome, Report, Request
+from pnm.bindings import Binding, Bindings
+from pnm.knowledge import KnowledgeBase, Layered
+from pnm.plan_graph import GroundAction
+from pnm.queries import Question
+from pnm.ros.action_client import Ros2ActionClient
+from pnm.ros.goal_ids import service_prefix
+from pnm.ros.knowledge_services import KnowledgeServices
+from pnm.ros.node import RosThread
+from pnm.sources import Asker, Source, Sources
+from pnm.sources.memory import MemoryKnowledge
+
+
+@dataclass
+class Executive:
+    """One run, whose local variables are `local`, and its goals."""
+
+    ros: RosThread
+    sources: Source
+    local: KnowledgeBase = field(default_factory=KnowledgeBase)
+    mark: bytes = field(default_factory=lambda: os.urandom(4))
+    goals: dict[UUID, asyncio.Task[Outcome]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        loop = asyncio.get_running_loop()
+        self.run = self.new_id()
+        self.name = service_prefix(self.mark)
+        self.services = KnowledgeServices(self.ros, loop, self.name, self.find, self.sources)
+        self.clients: dict[str, Ros2ActionClient] = {}
+
+    def new_id(self) -> UUID:
+        """Return an id as the runs and goals of this executive have them."""
+        return UUID(bytes=self.mark + uuid5(uuid4(), "goal").bytes[4:])
+
+    def find(self, goal: UUID) -> tuple[Layered, Asker] | None:
+        return (Layered(KnowledgeBase(), self.local), Asker(self.run, "tour")) if goal in self.goals else None
+
+    def send(self, server: str, action: str, *arguments: object, id: UUID | None = None) -> asyncio.Task[Outcome]:
+        """Send a goal; the task ends with its outcome."""
+        request = Request(id or self.new_id(), GroundAction("do"), {"action": action, "arguments": [json.dumps(one) for one in arguments]})
+        reports: asyncio.Queue[Report] = asyncio.Queue()
+        self.client(server).send(request, reports.put_nowait)
+        self.goals[request.id] = asyncio.ensure_future(self._ended(request, reports))
+        return self.goals[request.id]
+
+    async def _ended(self, request: Request, reports: asyncio.Queue[Report]) -> Outcome:
+        try:
+            while True:
+                report = await reports.get()
+                if isinstance(report, Ended):
+                    return report.outcome
+        finally:
+            del self.goals[request.id]
+            self.services.end(request.id)
+
+    def client(self, server: str) -> Ros2ActionClient:
+        if server not in self.clients:
+            bindings = Bindings({"do": Binding(server=server, type="pnm_interfaces/action/GroundAction")})
+            self.clients[server] = Ros2ActionClient(self.ros, bindings, asyncio.get_running_loop())
+        return self.clients[server]
+
+    async def said(self, server: str, action: str, *arguments: object) -> Any:
+        """Send a goal and return what came of it: a list with the value or nothing in it, or the text of an error."""
+        return json.loads((await self.send(server, action, *arguments)).message)
+
+    async def close(self) -> None:
+        await self.services.close()
+        for client in self.clients.values():
+            client.close()
+        await self.sources.close()
+
+
+@asynccontextmanager
+async def executive(ros: RosThread, shared: Sequence[Source] | None = None, person: Source | None = None) -> AsyncIterator[Executive]:
+    """Open an executive with global knowledge in memory, or these."""
+    one = Executive(ros, Sources([MemoryKnowledge()] if shared is None else shared, person))
+    await one.services.open()
+    try:
+        yield one
+    finally:
+        await one.close()
+
+
+class Never(MemoryKnowledge):
+    """Global knowledge that never answers; says so on the standard output when it is asked."""
+
+    async def query(self, question: Question, asker: Asker, /) -> object:
+        sys.stdout.write("asked\n")
+        sys.stdout.flush()
+        return await asyncio.get_running_loop().create_future()
+
+
+async def main(server: str) -> None:
+    async with executive(RosThread("executive"), [Never()]) as one:
+        sys.stdout.write("ready\n")
+        sys.stdout.flush()
+        await one.send(server, "query", "global", "spam", None, 3.0)
+
+
+if __name__ == "__main__":
+    asyncio.run(main(*sys.argv[1:]))

@@ -1,0 +1,107 @@
+"""What lives in other processes: global knowledge, or a person. Run as a script; prints "ready" and then what it hears.
+
+knowledge NAME      keeps variables; the one called "slow" is never answered, "broken" is no JSON, "no" is refused
+person NAME WAY     answers questions: "reversed" two at a time, the second first; "never"; "late" only once withdrawn;
+                    "wrong" with what is no JSON, with answers to nothing, and then as it should
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import rclpy
+from pnm_interfaces.msg import Answer, Question
+from pnm_interfaces.srv import QueryKnowledge, UpdateKnowledge
+from rclpy.executors import ExternalShutdownException
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.task import Future
+
+
+def say(*what: object) -> None:
+    sys.stdout.write(f"{json.dumps(what)}\n")
+    sys.stdout.flush()
+
+
+class Knowledge:
+    """Keeps the JSON texts it is sent."""
+
+    def __init__(self, node: Any, name: str) -> None:
+        self.values: dict[str, str] = {"broken": "{"}
+        node.create_service(QueryKnowledge, f"{name}/query", self.query)
+        node.create_service(UpdateKnowledge, f"{name}/update", self.update)
+
+    async def query(self, request: Any, response: Any) -> Any:
+        say("query", request.layer, request.name, request.meta, bytes(request.goal_id.uuid).hex())
+        if request.name == "slow":
+            await Future()
+        response.success = request.name != "no"
+        response.message = "" if response.success else "not for you"
+        response.value = self.values.get(request.name, "")
+        response.found = request.name in self.values
+        return response
+
+    def update(self, request: Any, response: Any) -> Any:
+        say("update", request.layer, request.name, request.value)
+        response.success = request.name != "no"
+        self.values[request.name] = request.value
+        return response
+
+
+class Person:
+    """Answers in one of the ways."""
+
+    def __init__(self, node: Any, name: str, way: str) -> None:
+        self.way: Callable[[Any], None] = getattr(self, way)
+        self.waiting: list[Any] = []
+        self.answers = node.create_publisher(Answer, f"{name}/answers", 100)
+        latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        node.create_subscription(Question, f"{name}/questions", self.hear, latched)
+
+    def hear(self, question: Any) -> None:
+        known = next((one for one in self.waiting if one.id == question.id), question)
+        say(("ask", "withdraw", "tell")[question.kind], known.name, question.text, question.plan, question.meta, question.value)
+        self.way(question)
+
+    def never(self, question: Any) -> None:
+        self.waiting.append(question)
+
+    def reversed(self, question: Any) -> None:
+        if question.kind == Question.ASK:
+            self.waiting.append(question)
+            if len(self.waiting) == 2:
+                for one in reversed(self.waiting):
+                    self.answer(one.id, f'"{one.name} it is"')
+
+    def late(self, question: Any) -> None:
+        self.waiting.append(question)
+        if question.kind == Question.WITHDRAW:
+            self.answer(question.id, "1")
+
+    def wrong(self, question: Any) -> None:
+        if question.kind == Question.ASK:
+            self.answer("nobody", "1")
+            self.answer(question.id, "[1")
+            self.answers.publish(Answer(id=question.id, value="ignored", unknown=True))
+            self.answer(question.id, "2")
+
+    def answer(self, own: str, value: str) -> None:
+        self.answers.publish(Answer(id=own, value=value))
+
+
+def main(kind: str, name: str, *rest: str) -> None:
+    rclpy.init()
+    node = rclpy.create_node(f"somewhere_{name}")
+    kept = Knowledge(node, name) if kind == "knowledge" else Person(node, name, *rest)
+    sys.stdout.write("ready\n")
+    sys.stdout.flush()
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(node)
+    del kept
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
