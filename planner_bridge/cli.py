@@ -21,6 +21,7 @@ from planner_bridge.cli_options import (
     command,
     faults_option,
     files,
+    knowledge_option,
     planning,
     tell,
     write,
@@ -105,6 +106,7 @@ def net(domain: Path, problem: Path, written_as: str, output: Path | None, bindi
 @click.option("--actions", type=click.Choice(["simulated", "ros2"]), default="simulated", show_default=True, help="who performs actions")
 @bindings_option
 @faults_option
+@knowledge_option
 @planning
 @click.option("--replans", type=click.IntRange(0), default=10, show_default=True, help="how many new machines may follow the first")
 @click.option(
@@ -129,6 +131,7 @@ def run(
     actions: str,
     bindings: Path | None,
     faults: Path | None,
+    knowledge: Path | None,
     planner: str,
     timeout: float,
     replans: int,
@@ -147,9 +150,11 @@ def run(
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
     where: Where = "ros2" if actions == "ros2" else "simulated"
     if plan_file is not None:
+        from planner_bridge.cli_written import run_written
+
         if domain is not None:
             raise InputError("--plan comes in the place of DOMAIN and PROBLEM")
-        return _run_written(plan_file, name, given, where, faults, as_json)
+        return run_written(plan_file, name, given, actions=where, faults=faults, knowledge=knowledge, as_json=as_json)
     if domain is None or problem is None:
         raise InputError("expected DOMAIN and PROBLEM, or --plan and a file")
     stopwatch = Stopwatch()
@@ -174,34 +179,21 @@ def run(
     return 0 if result.goal_reached else 1
 
 
-def _run_written(file: Path, name: str | None, given: tuple[str, ...], where: Where, faults: Path | None, as_json: bool) -> int:
-    from planner_bridge.console import ConsoleObserver, Terminal, print_result
-    from planner_bridge.tasks import TaskObserver
-    from planner_bridge.written import carry_out
-    from pnm.actions.faults import NO_FAULTS, read_faults
+@app.command()
+@click.option("--world", "file", type=FILE, required=True, help="a world of plans: a YAML file that names a domain and files with plans")
+@click.option("--name", help="which world of that file, if there are several")
+@knowledge_option
+@command
+def serve(file: Path, name: str | None, knowledge: Path | None) -> int:
+    """Offer every plan of a world as a ROS 2 action server, until interrupted."""
+    from planner_bridge.console import Terminal
+    from planner_bridge.serving import serve
+    from pnm.language.world import read_world
 
-    console = Terminal()
-    observer = TaskObserver() if as_json else ConsoleObserver(console)
-    chosen = read_faults(faults, None) if faults else NO_FAULTS
-    result = carry_out(file, name, _parameters(given), actions=where, faults=chosen, observer=observer)
-    if as_json:
-        print(json.dumps(result.as_json(), default=str), flush=True)
-    else:
-        print_result(console, result.task)
-    return 0 if result.task.goal_reached else 1
-
-
-def _parameters(given: tuple[str, ...]) -> dict[str, object]:
-    """Read ``name=value``, with values as YAML has them."""
-    from pnm.yaml_files import parse_value
-
-    found: dict[str, object] = {}
-    for one in given:
-        name, equals, text = one.partition("=")
-        if not name or not equals:
-            raise InputError(f"expected NAME=VALUE after --set, found {one!r}")
-        found[name] = parse_value(text, f"--set {name}")
-    return found
+    world = read_world(file, name)
+    tell(dict.fromkeys(warning for plan in world.plans.values() for warning in plan.warnings))
+    serve(world, file.parent, knowledge, Terminal())
+    return 0
 
 
 @app.command()

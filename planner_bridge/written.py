@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,7 +20,8 @@ from pnm.knowledge import KnowledgeBase
 from pnm.language.plan import HandWrittenPlan, read_plans
 from pnm.performing import Performer, Program
 from pnm.sites import RobotsSite, Ros2Site, Site
-from pnm.sources.registry import Surroundings, open_sources
+from pnm.sources.chain import Sources
+from pnm.sources.registry import Choice, Surroundings, open_sources
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ def carry_out(
     actions: Where = "simulated",
     faults: Faults = NO_FAULTS,
     observer: TaskObserver | None = None,
+    knowledge: Path | None = None,
 ) -> PlanResult:
     """Carry out a plan of a file.
 
@@ -68,6 +70,7 @@ def carry_out(
         actions: simulated robots under virtual time, or the action servers of ROS 2.
         faults: what goes wrong in simulation.
         observer: is told what happens.
+        knowledge: the file in which global knowledge is kept, in place of what the plan chose.
 
     Raises:
         InputError: an input is wrong; nothing was started.
@@ -80,7 +83,11 @@ def carry_out(
         programs = {name: Program.of(plan) for name, plan in plans.items()}
     bindings = together(plans.values())
     site: Site = Ros2Site(bindings) if actions == "ros2" else simulated_site(plans[chosen], bindings, faults)
-    performing = _perform(programs, chosen, parameters or {}, site, observer or TaskObserver(), seconds, file.parent)
+
+    def sources() -> Sources:
+        return open_sources(sources_of(plans.values()), Surroundings(getattr(site, "ros", None), file.parent), knowledge)
+
+    performing = _perform(programs, chosen, parameters or {}, site, observer or TaskObserver(), seconds, sources)
     return run_async(performing, virtual=actions == "simulated")
 
 
@@ -91,7 +98,7 @@ async def _perform(
     site: Site,
     observer: TaskObserver,
     seconds: Stopwatch,
-    folder: Path,
+    opened: Callable[[], Sources],
 ) -> PlanResult:
     program = programs[name]
     plan = program.plan
@@ -99,7 +106,7 @@ async def _perform(
     began = asyncio.get_running_loop().time()
     try:
         await site.open(world)
-        sources = open_sources(plan.sources, Surroundings(ros=getattr(site, "ros", None), folder=folder))
+        sources = opened()
         try:
             performer = Performer(programs, site, world, sources)
             performance = performer.perform(name, parameters, observer)
@@ -118,6 +125,14 @@ async def _perform(
 def together(plans: Iterable[HandWrittenPlan]) -> Bindings:
     """Return the bindings of all plans, which are those of their domains."""
     return Bindings({name: binding for plan in plans for name, binding in plan.bindings.actions.items()})
+
+
+def sources_of(plans: Iterable[HandWrittenPlan]) -> tuple[Choice, ...]:
+    """Return the sources of knowledge that any of the plans chose, each once."""
+    found: dict[str, Choice] = {}
+    for choice in (choice for plan in plans for choice in plan.sources):
+        found.setdefault(f"{choice.name} {choice.options}", choice)
+    return tuple(found.values())
 
 
 def simulated_site(plan: HandWrittenPlan, bindings: Bindings, faults: Faults = NO_FAULTS) -> RobotsSite:

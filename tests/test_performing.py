@@ -76,6 +76,11 @@ def test_a_plan_has_a_limit(tmp_path: Path) -> None:
     assert "the plan's limit of 3 s is reached" in failure.observed
 
 
+def test_a_plan_that_is_called_may_take_long(tmp_path: Path) -> None:
+    slow = GUIDE.replace("duration: 5", "duration: 5000").replace("timeout: 60", "timeout: 80000")
+    assert carry_out(written(tmp_path, slow), parameters={"shop": "pharmacy"}).task.goal_reached
+
+
 def test_names_of_plans_and_parameters_are_checked(tmp_path: Path) -> None:
     file = written(tmp_path, GUIDE)
     with pytest.raises(InputError, match=r"outer has no parameter 'shp'; did you mean 'shop'\?"):

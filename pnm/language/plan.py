@@ -40,6 +40,8 @@ RECIPE_KEYS: Final = ("server", "action", *_ALWAYS)
 _ONLY_DOMAINS: Final = frozenset(DOMAIN_KEYS) - frozenset(PLAN_KEYS)
 _SERVERS: Final = ("ActionServer", "SimpleActionServer", "BasicControllerPluginServer", "DAPluginServer")
 """The classes that files for the original implementation name; every plan becomes a ROS 2 action server."""
+_CALLED: Final = Binding(retries=0, timeout=86_400.0, cancel=60.0)
+"""How a plan is called by another: its own limits, and those of what it calls, end it sooner than these."""
 
 
 @dataclass(frozen=True)
@@ -247,7 +249,7 @@ def _plan(draft: Draft, others: Mapping[str, Draft]) -> HandWrittenPlan:
     return HandWrittenPlan(
         draft.name,
         graph,
-        Bindings({name: Binding(retries=0) if action.kind is ActionKind.PLAN else action.binding for name, action in actions.items()}),
+        Bindings({name: _CALLED if action.kind is ActionKind.PLAN else action.binding for name, action in actions.items()}),
         parameters=None if draft.parameters is None else tuple(variable.name[1:] for variable in draft.parameters),
         results=tuple(entry.strings("results")),
         variables=_variables(entry),
