@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
+from itertools import count
 from typing import Any, Final
 
 import yaml
@@ -13,6 +14,7 @@ from pnm.errors import InputError, Position
 MAX_NODES: Final = 200_000
 """Values in a file, those behind an alias counted at every use: an alias bomb is refused."""
 MAX_DEPTH: Final = 60
+MAX_DOCUMENTS: Final = 100
 NO_ANCHORS: Final[Mapping[str, Mapping[str, str]]] = {}
 
 CORE: Final = "tag:yaml.org,2002:"
@@ -64,7 +66,11 @@ class _Loader(yaml.SafeLoader):
 
     def documents(self) -> Iterator[yaml.Node]:
         """Yield the documents that are not empty."""
-        while self.check_node():
+        for number in count(1):
+            if not self.check_node():
+                return
+            if number > MAX_DOCUMENTS:
+                raise yaml.MarkedYAMLError(problem=f"more than {MAX_DOCUMENTS} documents", problem_mark=self.get_mark())
             node = self.get_node()
             if node is not None and not (is_null(node) and not node.value):
                 yield node
@@ -92,12 +98,12 @@ def _given(entries: Mapping[str, str], event: Any) -> yaml.Node:
 
 def _check_bounds(roots: list[yaml.Node], file: str) -> None:
     stack = [(root, 0) for root in reversed(roots)]
-    count = 0
+    seen = 0
     while stack:
         node, depth = stack.pop()
-        count += 1
-        if count > MAX_NODES or depth > MAX_DEPTH:
-            what = f"more than {MAX_NODES} values" if count > MAX_NODES else f"nested deeper than {MAX_DEPTH}"
+        seen += 1
+        if seen > MAX_NODES or depth > MAX_DEPTH:
+            what = f"more than {MAX_NODES} values" if seen > MAX_NODES else f"nested deeper than {MAX_DEPTH}"
             raise InputError(what, position(node, file))
         if kind(node) not in _PLAIN:
             raise InputError(f"the tag {node.tag.replace(CORE, '!!')} is not allowed; expected plain data", position(node, file))

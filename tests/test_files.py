@@ -151,7 +151,7 @@ BAD_BINDINGS = [
     ("actions:\n  move: {timout: 3}", "FILE:2:10: unknown key 'timout'; did you mean 'timeout'?"),
     (
         "actions: {move: {x: 3}}",
-        "FILE:1:18: unknown key 'x'; expected one of server, type, goal, store, timeout, accept, cancel, retries",
+        "FILE:1:18: unknown key 'x'; expected one of server, type, goal, store, timeout, accept, cancel, retries, ask",
     ),
     ("actions:\n  move: {}\n  move: {}", "FILE:3:3: the key 'move' is there twice"),
     ("assumed: at", "FILE:1:10: expected a list of names under 'assumed'"),

@@ -69,17 +69,6 @@ class Declared:
 NOTHING_DECLARED: Final = Declared()
 
 
-@dataclass(frozen=True)
-class Situation:
-    """What is so at the beginning, and what changes by itself later."""
-
-    facts: Mapping[Fluent, Value] = field(default_factory=dict)
-    timed: tuple[TimedChange, ...] = ()
-
-
-NOTHING_SO: Final = Situation()
-
-
 def read_declared(top: Mapped, problem: Mapped | None) -> Declared:
     """Read ``types``, ``constants``, ``predicates`` and ``functions``, and the ``objects`` of a problem."""
     types = _names(top, "types", Scope())
@@ -95,14 +84,11 @@ def _names(top: Mapped, key: str, scope: Scope) -> dict[str, tuple[str, ...]]:
 
 
 def _fluents(top: Mapped, key: str, scope: Scope) -> Iterator[tuple[str, tuple[Variable, ...]]]:
-    node = top.node(key)
-    if node is None or node.is_null:
-        return
-    for item in (node,) if node.items is None else node.items:
+    for item in _items(top.node(key)):
         found = _DECLARED.match(item.text.strip()) if item.text is not None else None
         if found is None:
             raise item.wrong("expected something like (at ?r - robot ?p - place)")
-        yield found[1], read_typed_text(found[2], item, scope)
+        yield found[1], read_typed_text(found[2], item, scope, distinct=False)
 
 
 def read_derived(top: Mapped, declared: Declared) -> Rules:
@@ -136,25 +122,33 @@ def needed(entry: Mapped, key: str) -> Node:
     return node
 
 
-def read_facts(top: Mapped, key: str, scope: Scope) -> Situation:
-    """Read what is so at the beginning: a list of texts ``(at r1 hall)``, ``(= (battery r1) 80)``, ``(not (at r1 hall))``.
+def read_facts(top: Mapped, key: str, scope: Scope) -> dict[Fluent, Value]:
+    """Read what is so: a list of texts ``(at r1 hall)``, ``(= (battery r1) 80)``, ``(not (at r1 hall))``.
 
-    An entry ``{at: 5, facts: [...]}`` says what changes by itself after so many seconds.
+    Raises:
+        InputError: it is something else, or has names that are not there.
     """
-    node = top.node(key)
-    items = () if node is None or node.is_null else (node,) if node.items is None else node.items
+    return dict([_statement(item, scope) for item in _items(top.node(key))])
+
+
+def read_initial(problem: Mapped, scope: Scope) -> tuple[dict[Fluent, Value], tuple[TimedChange, ...]]:
+    """Read ``init``: what is so at the beginning, and, as ``{at: 5, facts: [...]}``, what becomes so by itself after so many seconds.
+
+    Raises:
+        InputError: it is something else, or has names that are not there.
+    """
+    items = _items(problem.node("init"))
     timed: list[TimedChange] = []
-    for item in items:
-        if item.is_mapping:
-            entry = item.mapped()
-            entry.only("at", "facts")
-            changes = needed(entry, "facts")
-            timed.append(TimedChange(entry.number("at", 0.0), _facts((changes,) if changes.items is None else changes.items, scope)))
-    return Situation(_facts((item for item in items if not item.is_mapping), scope), tuple(sorted(timed, key=lambda change: change.time)))
+    for entry in [item.mapped() for item in items if item.is_mapping]:
+        entry.only("at", "facts")
+        needed(entry, "at")
+        timed.append(TimedChange(entry.number("at", 0.0), read_facts(entry, "facts", scope)))
+    facts = dict([_statement(item, scope) for item in items if not item.is_mapping])
+    return facts, tuple(sorted(timed, key=lambda change: change.time))
 
 
-def _facts(nodes: Iterable[Node], scope: Scope) -> dict[Fluent, Value]:
-    return dict([_statement(node, scope) for node in nodes])
+def _items(node: Node | None) -> tuple[Node, ...]:
+    return () if node is None or node.is_null else (node,) if node.items is None else node.items
 
 
 def _statement(node: Node, scope: Scope) -> tuple[Fluent, Value]:

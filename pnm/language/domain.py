@@ -7,9 +7,11 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from pnm.conditions import TRUE, Condition
+from pnm.effects import TimedChange
 from pnm.errors import Tolerated
+from pnm.expressions import Fluent, Value
 from pnm.language.actions import ACTION_KEYS, LanguageAction, read_action, read_class
-from pnm.language.declarations import NOTHING_DECLARED, NOTHING_SO, Declared, Situation, read_declared, read_derived, read_facts
+from pnm.language.declarations import NOTHING_DECLARED, Declared, read_declared, read_derived, read_initial
 from pnm.language.formulas import read_condition
 from pnm.language.scope import shown
 from pnm.rules import NO_RULES, Rules
@@ -32,8 +34,10 @@ class LanguageDomain:
     declared: Declared = NOTHING_DECLARED
     rules: Rules = NO_RULES
     """What derives facts."""
-    situation: Situation = NOTHING_SO
-    """The facts of the section ``problem``."""
+    facts: Mapping[Fluent, Value] = field(default_factory=dict)
+    """What is so at the beginning, as the section ``problem`` says."""
+    timed: tuple[TimedChange, ...] = ()
+    """What changes by itself later."""
     goal: Condition = TRUE
     """The goal of the section ``problem``."""
     sources: tuple[Choice, ...] = ()
@@ -54,12 +58,14 @@ def domain_from(top: Mapped, warnings: tuple[Tolerated, ...] = ()) -> LanguageDo
         problem.only(*_PROBLEM_KEYS)
     declared = read_declared(top, problem)
     _check_action_types(top)
+    facts, timed = ({}, ()) if problem is None else read_initial(problem, declared.scope(()))
     return LanguageDomain(
         name=top.string("name") or "",
         actions={name: read_action(name, entry, declared) for name, entry in top.mapping("actions").items()},
         declared=declared,
         rules=read_derived(top, declared),
-        situation=NOTHING_SO if problem is None else read_facts(problem, "init", declared.scope(())),
+        facts=facts,
+        timed=timed,
         goal=TRUE if problem is None else read_goal(problem, declared),
         sources=(*_external(top), *_chosen(top)),
         warnings=warnings,

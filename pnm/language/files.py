@@ -17,6 +17,8 @@ from pnm.yaml_files import MAX_BYTES, Mapped, parse_yaml
 
 ANCHORS: Final = {"base_action": {}, **{kind.value: {"type": kind.value} for kind in CLASSES.values()}}
 """What ``*ros_action`` and the like stand for in files that do not define them."""
+MAX_EXCERPT: Final = 100_000
+"""Characters of an excerpt; longer texts are not mended."""
 _LONE_KEY: Final = re.compile(r"( *)-( +)[^\s#'\"\[{][^#'\"\[{]*:\s*\Z")
 
 
@@ -38,7 +40,7 @@ def parse_documents(text: str, file: str) -> tuple[tuple[Mapped, ...], tuple[Tol
     try:
         return parse_yaml(text, file, ANCHORS), ()
     except InputError as error:
-        meant, changed = _as_meant(text)
+        meant, changed = _as_meant(text) if len(text) <= MAX_EXCERPT else (text, [])
         if not changed:
             raise
         try:

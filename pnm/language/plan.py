@@ -236,8 +236,7 @@ def _plan(draft: Draft, others: Mapping[str, Draft]) -> HandWrittenPlan:
     actions = {**domain.actions, **{name: other.action for name, other in others.items()}}
     reader = StepReader(actions, domain.declared)
     steps = reader.steps(needed(entry, "plan"))
-    own = read_facts(entry, "facts", domain.declared.scope(()))
-    facts = {**domain.situation.facts, **own.facts}
+    facts = {**domain.facts, **read_facts(entry, "facts", domain.declared.scope(()))}
     recoveries: dict[str, tuple[WrittenRecovery, ...]] = {
         name: reader.recoveries(action, action.recoveries) for name, action in actions.items() if action.recoveries is not None
     }
@@ -252,7 +251,7 @@ def _plan(draft: Draft, others: Mapping[str, Draft]) -> HandWrittenPlan:
         results=tuple(entry.strings("results")),
         variables=_variables(entry),
         facts=facts,
-        timed=tuple(sorted((*domain.situation.timed, *own.timed), key=lambda change: change.time)),
+        timed=domain.timed,
         objects=domain.declared.objects_by_type,
         timeout=entry.number("timeout", None),
         on_failure=_on_failure(entry),

@@ -113,15 +113,15 @@ def read_typed(node: Node, scope: Scope = ANYTHING) -> tuple[Variable, ...]:
     return _variables([pair for part in parts if not part.is_null for pair in _typed(_text(part), part, scope)], node)
 
 
-def read_typed_text(text: str, node: Node, scope: Scope = ANYTHING) -> tuple[Variable, ...]:
-    """Read variables with their types from a part of the node's text."""
-    return _variables(_typed(text, node, scope), node)
+def read_typed_text(text: str, node: Node, scope: Scope = ANYTHING, *, distinct: bool = True) -> tuple[Variable, ...]:
+    """Read variables with their types from a part of the node's text; where they only say how many there are, names may repeat."""
+    return _variables(_typed(text, node, scope), node, distinct=distinct)
 
 
-def _variables(pairs: list[tuple[str, tuple[str, ...]]], node: Node) -> tuple[Variable, ...]:
+def _variables(pairs: list[tuple[str, tuple[str, ...]]], node: Node, *, distinct: bool = True) -> tuple[Variable, ...]:
     found = tuple(Variable(name if name.startswith("?") else f"?{name}", types) for name, types in pairs)
     counted = Counter(variable.name for variable in found)
-    if counted and counted.most_common(1)[0][1] > 1:
+    if distinct and counted and counted.most_common(1)[0][1] > 1:
         raise node.wrong(f"{counted.most_common(1)[0][0]} is there twice")
     return found
 
