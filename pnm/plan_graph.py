@@ -59,6 +59,8 @@ class GroundAction:
     """What is done to knowledge; no server is needed then."""
     resources: tuple[str, ...] = ()
     """What the action has for itself from start to end, such as an arm."""
+    returns: tuple[tuple[str, Data], ...] = ()
+    """What a simulated server answers: result fields, computed from the goal and from the world at the end."""
 
     def __str__(self) -> str:
         return f"{self.name}({', '.join(self.arguments)})"
