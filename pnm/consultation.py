@@ -7,7 +7,7 @@ token leaves the place at which it is being decided.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from uuid import UUID
 
@@ -105,10 +105,11 @@ class Consultation:
 
 
 class Questions:
-    """The questions that a run has asked outside, and their answers. The mutable state is both dictionaries."""
+    """The questions that a run has asked outside, and their answers. The mutable state is the dictionaries."""
 
     def __init__(self) -> None:
         self._answers: dict[int, dict[Question, object]] = {}
+        self._silence: dict[int, list[str]] = {}
         self._asked: dict[UUID, tuple[int, Question]] = {}
 
     def answers_at(self, place: int) -> Mapping[Question, object]:
@@ -123,16 +124,23 @@ class Questions:
         """Note that the question is being asked."""
         self._asked[identity] = (place, question)
 
-    def answered(self, identity: UUID, value: object) -> int | None:
-        """Note an answer; return the place that waits for it, if any still does."""
+    def silence_at(self, place: int | None) -> Sequence[str]:
+        """Return why questions for the decision at a place have no answers."""
+        return () if place is None else self._silence.get(place, ())
+
+    def answered(self, identity: UUID, value: object, message: str) -> int | None:
+        """Note an answer, or why there is none; return the place that waits for it, if any still does."""
         place, question = self._asked.pop(identity, (None, None))
         if place is not None and question is not None:
             self._answers.setdefault(place, {})[question] = value
+            if message:
+                self._silence.setdefault(place, []).append(message)
         return place
 
     def left(self, place: int) -> Iterator[UUID]:
         """Forget all that concerns the place; yield the questions whose answers are no longer needed."""
         self._answers.pop(place, None)
+        self._silence.pop(place, None)
         for identity in [one for one, (where, _) in self._asked.items() if where == place]:
             del self._asked[identity]
             yield identity

@@ -101,14 +101,16 @@ class Executor:
 
     async def _ask(self, identity: UUID, question: Question) -> None:
         answer: object = MISSING
+        message = ""
         try:
             if self._source:
                 answer = await self._source.query(question, self._asker)
         except SourceError as error:
-            _log.warning("%s: %s", question, error)
+            message = str(error)
         except Exception:  # of somebody else's knowledge base: the run waits for an answer
             _log.exception("%s cannot be asked", question)
-        self._inbox.put_nowait(Answered(identity, answer))
+            message = f"{question} cannot be asked"
+        self._inbox.put_nowait(Answered(identity, answer, message))
 
     async def _tell(self, identity: UUID, question: Question, value: object) -> None:
         outcome = Outcome(OutcomeKind.SUCCEEDED)

@@ -194,8 +194,8 @@ class Run:
                 if self._stop is None or event.cancel:
                     self._stop = event
                 self._agenda.extend(self._undecided)
-            case Answered(identity, value):
-                place = self._questions.answered(identity, value)
+            case Answered(identity, value, message):
+                place = self._questions.answered(identity, value, message)
                 self._agenda.extend([] if place is None else [place])
             case Accepted() | Ended():
                 self._report(event)
@@ -411,7 +411,8 @@ class Run:
                 return rule.name, f"(not {condition})", observed(condition, self._consult(step))
             case DataMissing():
                 missing = self._calls.goal(step, self._consult(step))[1]
-                return rule.name, f"values for {', '.join(missing)}", "no argument, variable or constant of that name"
+                why = "".join(f"; {message}" for message in self._questions.silence_at(self._deciding))
+                return rule.name, f"values for {', '.join(missing)}", f"no argument, variable or constant of that name{why}"
             case Due(seconds):
                 return rule.name, f"an end within {seconds:g} s of the plan's start", f"{self._now - (self._origin or 0.0):g} s have passed"
             case _:
@@ -420,7 +421,8 @@ class Run:
     def _explain(self, condition: Condition, call: int | None) -> tuple[str, str]:
         consulted = self._consult(call)
         missing = failing(_grounded(condition, consulted), consulted)
-        return " ".join(map(str, missing)), "; ".join(observed(part, consulted) for part in missing)
+        seen = (*(observed(part, consulted) for part in missing), *self._questions.silence_at(self._deciding))
+        return " ".join(map(str, missing)), "; ".join(seen)
 
 
 _CHECKS: Final = frozenset({"precondition_false", "data_missing", "before", "after"})

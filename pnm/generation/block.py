@@ -23,6 +23,11 @@ class Block(Generic[AnyStep]):
     context: Context
 
     @cached_property
+    def title(self) -> str:
+        """How the step is called."""
+        return str(self.step)
+
+    @cached_property
     def awaited(self) -> list[str]:
         """What the end of the step waits for besides the step itself."""
         return self.builder.into.get(PlanEvent(self.step.index, Moment.END), [])
@@ -81,4 +86,4 @@ class Block(Generic[AnyStep]):
 
     def name(self, name: str) -> str:
         """Return the full name of a place or transition of this block."""
-        return f"{self.step} {name}"
+        return f"{self.title} {name}"

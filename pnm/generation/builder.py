@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from pnm.bindings import Bindings
 from pnm.machine import OnFailure, PetriNetMachine, Region, Rule
@@ -45,6 +46,12 @@ class Builder:
     """For every event, the places it marks."""
     waiting: deque[tuple[Step, Context]] = field(default_factory=deque)
     """Steps whose blocks are still to be built."""
+
+    @cached_property
+    def starts_anew(self) -> bool:
+        """Whether some recovery has the whole plan begin anew."""
+        calls = self.plan.calls
+        return any(one.then is Then.RESTART_PLAN for call in calls for one in call.recoveries)
 
     def machine(self, goal: str, failed: str, on_failure: OnFailure) -> PetriNetMachine:
         """Return what was collected."""
@@ -110,11 +117,6 @@ class Builder:
             self.orderings[place] = ordering
             self.out_of.setdefault(before, []).append(place)
             self.into.setdefault(after, []).append(place)
-
-
-def restarts(plan: PlanGraph) -> bool:
-    """Tell whether some recovery has the whole plan begin anew."""
-    return any(one.then is Then.RESTART_PLAN for step in plan.every_step if isinstance(step, ActionCall) for one in step.recoveries)
 
 
 def resources_of(step: Step) -> tuple[str, ...]:

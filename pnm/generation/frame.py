@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import assert_never
 
 from pnm.bindings import Bindings
-from pnm.generation.builder import Builder, Context, resources_of, restarts
+from pnm.generation.builder import Builder, Context, resources_of
 from pnm.generation.call import CallBlock
 from pnm.generation.control import ChoiceBlock, JunctionBlock, LoopBlock
 from pnm.machine import Always, Denied, Due, Ending, Failing, Holding, OnFailure, PetriNetMachine, Rule
@@ -22,7 +22,7 @@ def generate(plan: PlanGraph, bindings: Bindings | None = None, *, on_failure: O
         place = builder.net.place(f"resource {name}")
         builder.resource_places.add(place)
         builder.initial[place] = plan.capacities.get(name, 1)
-    whole = builder.region(plan.flow, None, "begin", "finish", Context(repeated=restarts(plan)))
+    whole = builder.region(plan.flow, None, "begin", "finish", Context(repeated=builder.starts_anew))
     builder.transition("begin", Rule("begin"), [start], whole.first)
     while builder.waiting:
         _build(builder, *builder.waiting.popleft())

@@ -13,7 +13,6 @@ from typing import Final, assert_never
 
 from pnm.conditions import Condition
 from pnm.generation.block import Block
-from pnm.generation.builder import restarts
 from pnm.machine import Always, Ending, Failing
 from pnm.plan_graph import EMPTY, ActionCall, Cause, PlanGraphError, Recovery, Then
 
@@ -101,7 +100,7 @@ def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> list[
 def abandon(block: Block[ActionCall], place: str, *announced: str, phase: str = "") -> None:
     """Let the call fail when the run does; when the plan begins anew, it has not failed."""
     done, failed = block.name("done"), block.name("failed")
-    starts_anew = restarts(block.builder.plan)
+    starts_anew = block.builder.starts_anew
     name, source = f"{phase}abandon{f' {place}' if place != 'recover' else ''}", block.name(phase + place)
     block.add(name, Failing() if starts_anew else Ending(), [source], [done, *announced, failed])
     if starts_anew:
