@@ -184,7 +184,8 @@ def _entries(document: Mapped) -> list[tuple[str, Mapped]]:
         if recipe is None or recipe.nodes.keys().isdisjoint(RECIPE_KEYS):
             if key in PLAN_KEYS:
                 raise InputError(f"the key 'plan' is missing beside {key!r}", where)
-            raise unknown("key", key, (*DOMAIN_KEYS, *PLAN_KEYS), where)
+            Mapped(document.file, document.start, {key: document.nodes[key]}).only(*PLAN_KEYS, *DOMAIN_KEYS)
+            continue
         recipe.only(*RECIPE_KEYS)
         needed(recipe, "plan")
         found.append((key, recipe))
