@@ -66,6 +66,10 @@ class Bindings:
         """Return the binding of the action, or the default one."""
         return self.actions.get(action, DEFAULT)
 
+    def before(self, others: Bindings) -> Bindings:
+        """Return these bindings and, for actions that they do not speak of, others."""
+        return Bindings({**others.actions, **self.actions}, self.assumed | others.assumed, max(self.lag, others.lag))
+
     def server(self, action: GroundAction) -> str:
         """Return the name of the server that performs the ground action.
 

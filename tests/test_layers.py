@@ -15,7 +15,7 @@ ONLY = {
     "rclpy": "pnm/ros/",
     "unified_planning": "planner_bridge/up/",
     "kairos": "planner_bridge/planning.py",
-    "click": "planner_bridge/cli.py",
+    "click": "planner_bridge/cli",
 }
 
 

@@ -70,6 +70,8 @@ class HandWrittenPlan:
     """The other plans it calls."""
     warnings: tuple[Tolerated, ...] = ()
     """What in the files was not as it should be."""
+    domain_file: str = ""
+    """Where its domain was read from; empty if it has none."""
 
     @property
     def goal(self) -> Condition:
@@ -259,6 +261,7 @@ def _plan(draft: Draft, others: Mapping[str, Draft]) -> HandWrittenPlan:
         sources=domain.sources,
         calls=frozenset(call.action.name for call in graph.calls) & others.keys(),
         warnings=draft.warnings,
+        domain_file=domain.file,
     )
 
 

@@ -121,9 +121,16 @@ class StepReader:
 
     # --- calls ---
 
+    def _unknown_action(self, name: str, position: Position) -> InputError:
+        if all(action.kind is ActionKind.PLAN for action in self.actions.values()):
+            return InputError(
+                f"there is no domain that would have an action {name!r}; expected 'actions', or 'domain' and a file", position
+            )
+        return unknown("action", name, self.actions.keys(), position)
+
     def _call(self, name: str, entry: Mapped, place: Place) -> CallStep:
         if name not in self.actions:
-            raise unknown("action", name, self.actions.keys(), entry.nodes[name][0])
+            raise self._unknown_action(name, entry.nodes[name][0])
         action = self.actions[name]
         argument = needed(entry, name)
         told = Mapped(entry.file, entry.start, {}) if argument.is_null else argument.mapped()
