@@ -17,7 +17,7 @@ from planner_bridge.yaml_files.nodes import Parts, needed
 from pnm.errors import InputError, Position
 from pnm.language.actions import ACTION_KEYS
 from pnm.language.domain import DOMAIN_KEYS
-from pnm.language.plan import PLAN_KEYS
+from pnm.language.drafts import PLAN_KEYS
 from pnm.language.words import needed_form
 from pnm.yaml_files import Mapped, Node
 
@@ -109,7 +109,9 @@ class _Cutter:
                 tolerate(self.parts.atom(key, self._key_offset(top, key)), f"{key!r} is left out: PDDL has nothing like it")
         yield from self._declared(top, "requirements", "types", "constants", "predicates", "functions")
         yield from self._each(top, "derived", self._rule)
-        yield from self._constraints(top, "condition")
+        for preference in self._listed(top, "preferences"):
+            needed(preference.mapped(), "constraints")  # no state that could be preferred is known here
+        yield from self._constraints(top)
         yield from self._each(top, "hierarchy", lambda node: self._verbatim(node, HIERARCHY))
         actions = top.node("actions")
         if actions is not None and not actions.is_null:
@@ -122,7 +124,7 @@ class _Cutter:
         if "init" in entry.nodes:
             yield self._section(entry, "init", self._facts(needed(entry, "init")))
         yield from self._goal(entry)
-        yield from self._constraints(entry, "constraints")
+        yield from self._constraints(entry)
         metric = entry.node("metric")
         if metric is not None and not metric.is_null:
             found = needed_form(metric, ("minimize", "maximize"), "a metric")
@@ -171,7 +173,7 @@ class _Cutter:
 
     # --- constraints and preferences ---
 
-    def _constraints(self, entry: Mapped, key: str) -> Iterator[Group]:
+    def _constraints(self, entry: Mapped) -> Iterator[Group]:
         """Read what must be so all the time, and what should."""
         found = [self._constraint(one) for one in self._listed(entry, "constraints")]
         found += [self._preference(one) for one in self._listed(entry, "preferences") if "constraints" in one.mapped().nodes]

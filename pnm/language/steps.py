@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 from pnm.bindings import read_texts
@@ -36,12 +37,12 @@ class StepReader:
     variables: frozenset[str] = frozenset()
     """In a chain of recovery, the parameters of the call that recovers."""
 
-    @property
+    @cached_property
     def scope(self) -> Scope:
         """What values and conditions may use."""
         return Scope(self.variables, *self._others)
 
-    @property
+    @cached_property
     def _others(self) -> tuple[Mapping[str, int | None] | None, frozenset[str] | None, frozenset[str] | None]:
         scope = self.declared.scope()
         return scope.fluents, scope.objects, scope.types
@@ -99,9 +100,8 @@ class StepReader:
         if not heads:
             raise InputError(f"the step does nothing; expected an action beside {', '.join(entry.nodes) or 'nothing'}", entry.start)
         strange = next((head for head in heads if head not in self.actions), heads[1])
-        raise InputError(
-            f"a step does one thing; {strange!r} is a second one, and no option ({', '.join(OPTIONS)})", entry.nodes[strange][0]
-        )
+        message = f"a step does one thing; {strange!r} is a second one, and none of the options: {', '.join(OPTIONS)}"
+        raise InputError(message, entry.nodes[strange][0])
 
     def _loop(self, entry: Mapped, place: Place) -> LoopStep:
         entry.only("condition", "actions", "limit")
@@ -135,16 +135,18 @@ class StepReader:
         argument = needed(entry, name)
         told = Mapped(entry.file, entry.start, {}) if argument.is_null else argument.mapped()
         given = {key: self._given(action, key, where, node) for key, where, node in told.entries() if not _is_operation(action, key)}
+        options = Mapped(entry.file, entry.start, {key: value for key, value in entry.nodes.items() if key != name})
+        recoveries = options.node("recoveries")
         return CallStep(
             place,
             action,
             given,
             operation=self._operation(action, told) if action.kind is ActionKind.KB else None,
-            recoveries=None if entry.node("recoveries") is None else self.recoveries(action, needed(entry, "recoveries")),
-            retries=entry.whole("retries", None),
-            timeout=entry.number("timeout", None),
-            resources=tuple(entry.strings("resources")),
-            store=read_texts(entry, "store", "expected result fields and the variables to store them in"),
+            recoveries=None if recoveries is None else self.recoveries(action, recoveries),
+            retries=options.whole("retries", None),
+            timeout=options.number("timeout", None),
+            resources=tuple(options.strings("resources")),
+            store=read_texts(options, "store", "expected result fields and the variables to store them in"),
         )
 
     def recoveries(self, action: LanguageAction, node: Node) -> tuple[WrittenRecovery, ...]:
@@ -184,8 +186,9 @@ def _check_object(action: LanguageAction, key: str, node: Node, declared: Declar
     if name.startswith(("?", "(")) or not declared.objects:
         return
     types = next(variable.types for variable in action.parameters or () if variable.name == f"?{key}")
-    fitting = {one for kind in types for one in declared.objects_by_type.get(kind, ())}
-    if name not in fitting:
+    kinds = {one for kind in declared.objects.get(name, ()) for one in declared.supertypes(kind)}
+    if kinds.isdisjoint(types):
+        fitting = {one for kind in types for one in declared.objects_by_type.get(kind, ())}
         raise unknown(f"object for {key} of {action.name} (one of type {' or '.join(types)})", name, fitting, node.position)
 
 
