@@ -254,6 +254,17 @@ def from_yaml(file: Path, output: Path) -> int:
 
 
 @app.command()
+@click.option("-o", "--output", type=FILE, help="a file; by default the terminal")
+@command
+def schema(output: Path | None) -> int:
+    """Write the JSON Schema of the language's YAML files, for editors to complete and check them by."""
+    from pnm.language.files import SCHEMA
+
+    write(output, SCHEMA.read_text(encoding="utf-8"))
+    return 0
+
+
+@app.command()
 @command
 def demo() -> int:
     """Show the whole story on simulated robots: plan, machine, run, failure, replan, goal."""

@@ -105,6 +105,7 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tu
             given=tuple(given.items()),
             operation=operation,
             resources=tuple(dict.fromkeys((*action.resources, *step.resources))),
+            returns=action.returns,
         ),
         own,
     )
