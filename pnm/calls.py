@@ -234,8 +234,9 @@ def _unknown_values(operation: KnowledgeOperation, consulted: Consultation) -> t
             case Update(name, data, _, meta):
                 named(name, consulted)
                 compute(meta, consulted)
-                copied = compute(data, consulted) is MISSING and isinstance(data, Query)
-                return (asked(data, consulted).name,) if copied and isinstance(data, Query) else ()
+                if compute(data, consulted) is not MISSING:
+                    return ()
+                return (asked(data, consulted).name,) if isinstance(data, Query) else (str(data).removeprefix("?"),)
             case _:
                 compute(operation, consulted)
                 return ()

@@ -105,9 +105,10 @@ class Consultation:
 
     def uncomputable(self, names: Iterable[str], /) -> Iterator[str]:
         """Say for which of the parameters, without ``?``, the plan gives what cannot be computed, and why."""
-        for name in names:
+        given = dict(self.action.given)
+        for name in given.keys() & {*names}:
             try:
-                self.parameter(f"?{name}")
+                compute(given[name], self)
             except Uncomputable as error:
                 yield str(error)
 

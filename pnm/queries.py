@@ -16,7 +16,7 @@ from enum import Enum
 from typing import Final, Protocol, TypeAlias, assert_never, runtime_checkable
 
 from pnm.errors import PnmError
-from pnm.expressions import NOTHING, Environment, Fluent, Unknown, Value, ValueOf, bind, show, variables_in
+from pnm.expressions import NOTHING, UNDEFINED, Environment, Fluent, Unknown, Value, ValueOf, bind, show, variables_in
 
 
 class _Missing:
@@ -188,7 +188,7 @@ def compute(data: Data, answers: Answers) -> object:
             return answers.parameter(name)
         case ValueOf(fluent):
             found = answers.value(fluent)
-            return MISSING if isinstance(found, Unknown) else found
+            return MISSING if found in (None, UNDEFINED) or isinstance(found, Unknown) else found
         case Query(_, layer):
             question = asked(data, answers)
             if layer in (Layer.LOCAL, Layer.ALL):
@@ -198,7 +198,7 @@ def compute(data: Data, answers: Answers) -> object:
             return answers.answer(question)
         case Compound(items, keys):
             found_items = [_null(compute(item, answers)) for item in items]
-            return found_items if keys is None else dict(zip(keys, found_items, strict=True))
+            return _bounded(found_items if keys is None else dict(zip(keys, found_items, strict=True)))
         case Operation(name, operands) if name in _LAZY:
             return _LAZY[name](compute(operand, answers) for operand in operands)
         case Operation(name, operands):
@@ -248,9 +248,27 @@ def operate(name: str, operands: list[object]) -> object:
         found = OPERATORS[name](*operands)
         if isinstance(found, complex) or (isinstance(found, int) and found.bit_length() > MAX_BITS):
             raise ValueError("the result is no number that JSON can say")
+        _bounded(found)
     except (TypeError, ValueError, ArithmeticError, LookupError, RecursionError) as error:
         raise Uncomputable(f"{name}({_shown(operands)}): {error}") from error
     return found
+
+
+def _bounded(value: object) -> object:
+    """Return a list or mapping that can be written; a few that hold the one before twice would fill any memory.
+
+    Raises:
+        Uncomputable: it is too large, or nested too deep.
+    """
+    waiting, size = [(value, 0)], 0
+    while waiting:
+        part, depth = waiting.pop()
+        size += len(part) if isinstance(part, str) else 1
+        if size > MAX_SIZE or depth > MAX_DEPTH:
+            raise Uncomputable("the list or mapping would be too large, or nested too deep")
+        if isinstance(part, list | dict):
+            waiting += [(one, depth + 1) for one in (part.values() if isinstance(part, dict) else part)]
+    return value
 
 
 def _shown(operands: list[object]) -> str:
@@ -281,6 +299,7 @@ def _delitem(container: object, key: object) -> object:
 
 
 MAX_SIZE: Final = 1_000_000
+MAX_DEPTH: Final = 100
 MAX_BITS: Final = 14_000
 """Of a whole number: Python writes none of more than 4300 digits."""
 _PLAIN: Final = (

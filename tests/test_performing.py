@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from pathlib import Path
 
 import pytest
@@ -285,3 +286,55 @@ def test_a_source_that_was_cancelled_by_somebody_else_is_a_failure(tmp_path: Pat
         await site.close()
 
     run_async(asyncio.wait_for(performed(), 100), virtual=True)
+
+
+GROWING = """
+initial_knowledge: {v: [1]}
+actions: {note: {type: kb_action}}
+plan:
+  - while: {limit: 1000, condition: true, actions: [note: {operation: {LocalUpdate: [v, %s]}}]}
+"""
+
+
+@pytest.mark.parametrize("value", ["[{Query: v}, {Query: v}]", "{again: {Query: v}}", "{Operation: [concat, [{Query: v}, {Query: v}]]}"])
+def test_a_value_does_not_grow_without_limit(tmp_path: Path, value: str) -> None:
+    result = carry_out(written(tmp_path, GROWING % value), knowledge=tmp_path / "k.sqlite")
+    assert [failure.cause for failure in result.task.failures] == ["aborted"]
+    assert len(json.dumps(result.as_json())) < 10_000_000
+
+
+FACTS = """
+predicates: [(free), (shut)]
+functions: [(level)]
+facts: [(shut)]
+actions: {yes: {params: [x]}, no: {}, note: {type: kb_action}}
+plan: [%s]
+"""
+
+
+@pytest.mark.parametrize(
+    "condition",
+    [
+        "{Comparison: [eq, ['(free)', false]]}",
+        "{Comparison: [ne, [true, '(free)']]}",
+        "{BooleanAssertion: ['(free)', false]}",
+        "{BooleanAssertion: ['(shut)', true]}",
+        "{Operation: [is_, ['(free)', false]]}",
+    ],
+)
+def test_a_fact_that_nobody_has_recorded_is_false(tmp_path: Path, condition: str) -> None:
+    text = FACTS % f"{{if: {condition}, then: [yes: {{x: 1}}], else: [no: ]}}"
+    calls = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite").task.calls
+    assert [call.call.action.name for call in calls] == ["yes"]
+
+
+def test_a_fact_that_is_given_is_true_or_false(tmp_path: Path) -> None:
+    text = FACTS % "yes: {x: ['(free)', '(shut)', {Holds: (free)}]}"
+    (call,) = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite").task.calls
+    assert call.call.action.arguments == ("[false, true, false]",)
+
+
+@pytest.mark.parametrize("step", ["yes: {x: (level)}", "note: {operation: {LocalUpdate: [v, (level)]}}"])
+def test_a_function_without_a_value_is_missing_data(tmp_path: Path, step: str) -> None:
+    (failure,) = carry_out(written(tmp_path, FACTS % step), knowledge=tmp_path / "k.sqlite").task.failures
+    assert failure.cause == "data_missing"

@@ -178,7 +178,7 @@ goal: (free r1)
 timeout: 90
 on_failure: cancel
 resources: {arm: 2, floor: }
-actions: {a: }
+actions: {a: {resources: [arm, floor]}}
 types: place - object
 constants: hall - place
 predicates: ['(free ?r)', '(battery ?r)']
@@ -564,6 +564,11 @@ WRONG = [
     ("plan: []\ntimeout: soon", "2:10: expected a number of at least 0 under 'timeout', found 'soon'"),
     ("plan: []\non_failure: drian", "2:13: there is no way to end 'drian' here; did you mean 'drain'?"),
     ("plan: []\nresources: {arm: 0}", "2:18: expected how many calls may have arm at the same time, at least 1"),
+    ("plan: [say: {text: hello}, say: {text: hello}]\nresources: {arm: 2}", "2:13: there is no resource 'arm' here"),
+    ("plan: [{say: {text: hello}, resources: [arm]}]\nresources: {amr: 2}", "2:13: there is no resource 'amr' here; did you mean 'arm'?"),
+    ("plan: [Say: {text: hello}]", "1:8: there is no action 'Say' here; did you mean 'say'?"),
+    ("plan: [While: {condition: true, actions: [say: {text: hello}]}]", "1:8: there is no action 'While' here; did you mean 'while'?"),
+    ("plan: [concurrent: [say: {text: hello}]]", "1:8: there is no action 'concurrent' here; did you mean 'concurrent_actions'?"),
     ("plan: []\ndomain: other.yaml", "2:9: the file has a domain itself; it cannot name another"),
     ("plan: []\nparams: [on]", "2:10: expected names and types such as"),
     ("other: {plan: [], server: {module: os, class: system}}", "1:27: there is no kind of server 'system' here"),

@@ -51,7 +51,7 @@ def _scalar(node: Node, scope: Scope) -> Data:
     fluent = fluent_in(text)
     if fluent is not None:
         scope.check_fluent(fluent, node.position)
-        return ValueOf(fluent)
+        return _truth(ValueOf(fluent)) if fluent[0] in scope.predicates else ValueOf(fluent)
     return Literal.of(text)
 
 
@@ -90,7 +90,9 @@ def read_form(found: Form, scope: Scope) -> Data:
             return _operation(found, scope)
         case "booleanAssertion":
             return _assertion(found, scope)
-        case "holds" | "value":
+        case "holds":
+            return _truth(ValueOf(read_fluent(found.items(1)[0], scope)))
+        case "value":
             return ValueOf(read_fluent(found.items(1)[0], scope))
         case "literal":
             return read_literal(found.argument)
@@ -121,7 +123,21 @@ def _exists(found: Form, scope: Scope) -> Operation:
 def _compared(found: Form, scope: Scope) -> Operation:
     """Read ``Comparison: [operator, [a, b]]``."""
     name, left, right = comparison_parts(found)
-    return Operation(read_operator(name), (read_data(left, scope), read_data(right, scope)))
+    return Operation(read_operator(name), _compared_values(read_data(left, scope), read_data(right, scope)))
+
+
+def _compared_values(left: Data, right: Data) -> tuple[Data, Data]:
+    """Return both values; where one is true or false, so is the other."""
+    return (_truth(left) if _is_flag(right) else left), (_truth(right) if _is_flag(left) else right)
+
+
+def _is_flag(data: Data) -> bool:
+    return isinstance(data, Literal) and isinstance(data.value, bool)
+
+
+def _truth(data: Data) -> Data:
+    """Return the truth of a fact, which is false when nobody has recorded it; anything else as it is."""
+    return Operation("truth", (data,)) if isinstance(data, ValueOf) else data
 
 
 def comparison_parts(found: Form) -> tuple[Node, Node, Node]:
@@ -158,7 +174,7 @@ def _assertion(found: Form, scope: Scope) -> Operation:
     value = wanted.plain()
     if not isinstance(value, bool):
         raise wanted.wrong("expected true or false")
-    return Operation("eq", (read_data(inner, scope), Literal.of(value)))
+    return Operation("eq", _compared_values(read_data(inner, scope), Literal.of(value)))
 
 
 def read_operation(node: Node, scope: Scope = ANYTHING) -> KnowledgeOperation:

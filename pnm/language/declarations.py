@@ -34,6 +34,8 @@ class Declared:
     """For every constant and object, its types."""
     fluents: Mapping[str, tuple[Variable, ...]] = field(default_factory=dict)
     """Predicates and functions with their parameters."""
+    predicates: frozenset[str] = frozenset()
+    """Which of them are predicates."""
 
     def scope(self, variables: Iterable[Variable] | None = None) -> Scope:
         """Return what a formula may use where these variables are bound; any if None."""
@@ -42,6 +44,7 @@ class Declared:
             fluents={name: len(parameters) for name, parameters in self.fluents.items()} or None,
             objects=frozenset(self.objects) or None,
             types=frozenset(self.types) or None,
+            predicates=self.predicates,
         )
 
     @cached_property
@@ -75,7 +78,8 @@ def read_declared(top: Mapped, problem: Mapped | None) -> Declared:
     types = {**{parent: ("object",) for parents in types.values() for parent in parents if parent != "object"}, **types}
     scope = Scope(types=frozenset(types) or None)
     objects = _names(top, "constants", scope) | (_names(problem, "objects", scope) if problem else {})
-    return Declared(types, objects, dict([*_fluents(top, "predicates", scope), *_fluents(top, "functions", scope)]))
+    predicates = dict(_fluents(top, "predicates", scope))
+    return Declared(types, objects, {**predicates, **dict(_fluents(top, "functions", scope))}, frozenset(predicates))
 
 
 def _names(top: Mapped, key: str, scope: Scope) -> dict[str, tuple[str, ...]]:

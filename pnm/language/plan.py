@@ -13,7 +13,7 @@ from pnm.conditions import TRUE, Condition
 from pnm.effects import TimedChange
 from pnm.errors import InputError, Tolerated
 from pnm.expressions import Fluent, Value
-from pnm.language.actions import ActionKind
+from pnm.language.actions import ActionKind, LanguageAction
 from pnm.language.calls import Facts
 from pnm.language.data import read_literal
 from pnm.language.declarations import needed, read_facts
@@ -134,6 +134,7 @@ def _plan(draft: Draft, others: Mapping[str, Draft]) -> HandWrittenPlan:
     lowering = Lowering(lambda action: recoveries.get(action.name, ()), Facts(facts), max(1, entry.whole("restarts", 1)))
     goal = read_goal(entry, domain.declared)
     graph = lowering.graph(steps, domain.goal if goal == TRUE else goal, domain.rules, _capacities(entry))
+    _check_capacities(entry, graph, actions)
     return HandWrittenPlan(
         draft.name,
         graph,
@@ -170,6 +171,15 @@ def _capacities(entry: Mapped) -> dict[str, int]:
         if capacity < 1:
             raise InputError(f"expected how many calls may have {name} at the same time, at least 1", resources.position(name))
     return found
+
+
+def _check_capacities(entry: Mapped, graph: PlanGraph, actions: Mapping[str, LanguageAction]) -> None:
+    """Refuse what is said of a resource that neither the plan nor any action of the domain uses."""
+    described = {name for action in actions.values() for name in action.resources}
+    used = described | {name for call in graph.calls for name in call.action.resources}
+    for name in graph.capacities:
+        if name not in used:
+            raise unknown("resource", name, used, needed(entry, "resources").mapped().nodes[name][0])
 
 
 def _on_failure(entry: Mapped) -> OnFailure:

@@ -28,6 +28,8 @@ class Scope:
     """Predicates and functions, each with how many arguments it takes, if that is known."""
     objects: frozenset[str] | None = None
     types: frozenset[str] | None = None
+    predicates: frozenset[str] = frozenset()
+    """Which of the fluents are known to be true or false."""
 
     def inside(self, variables: Iterable[Variable]) -> Scope:
         """Return the scope inside of a quantifier."""

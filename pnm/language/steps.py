@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
 from typing import Final
 
 from pnm.bindings import read_texts
 from pnm.errors import InputError, Position
-from pnm.language.actions import OPERATION, ActionKind, LanguageAction
+from pnm.language.actions import OPERATION, RESERVED, ActionKind, LanguageAction
 from pnm.language.data import read_data, read_operation
 from pnm.language.declarations import Declared, needed
 from pnm.language.formulas import read_condition
@@ -42,12 +42,7 @@ class StepReader:
     @cached_property
     def scope(self) -> Scope:
         """What values and conditions may use."""
-        return Scope(self.variables, *self._others)
-
-    @cached_property
-    def _others(self) -> tuple[Mapping[str, int | None] | None, frozenset[str] | None, frozenset[str] | None]:
-        scope = self.declared.scope()
-        return scope.fluents, scope.objects, scope.types
+        return replace(self.declared.scope(), variables=self.variables)
 
     def steps(self, node: Node) -> SequenceStep:
         """Read a list of steps.
@@ -128,7 +123,7 @@ class StepReader:
             return InputError(
                 f"there is no domain that would have an action {name!r}; expected 'actions', or 'domain' and a file", position
             )
-        return unknown("action", name, self.actions.keys(), position)
+        return unknown("action", name, self.actions.keys() | RESERVED - {"then", "else"}, position)
 
     def _call(self, name: str, entry: Mapped, place: Place) -> CallStep:
         if name not in self.actions:
@@ -157,7 +152,9 @@ class StepReader:
     def recoveries(self, action: LanguageAction, node: Node) -> tuple[WrittenRecovery, ...]:
         """Read what is done when calls of the action fail."""
         parameters = frozenset(variable.name for variable in action.parameters or ())
-        return read_recoveries(node, Scope(parameters, *self._others), StepReader(self.actions, self.declared, parameters).sequence)
+        return read_recoveries(
+            node, replace(self.scope, variables=parameters), StepReader(self.actions, self.declared, parameters).sequence
+        )
 
     def _given(self, action: LanguageAction, key: str, where: Position, node: Node) -> Given:
         if action.parameters is not None and f"?{key}" not in {variable.name for variable in action.parameters}:
@@ -172,7 +169,7 @@ class StepReader:
         if node is None:
             raise InputError(f"{action.name} works on knowledge; expected the key {OPERATION!r}", told.start)
         own = frozenset(variable.name for variable in action.parameters or ())
-        return read_operation(node, Scope(self.variables | own, *self._others))
+        return read_operation(node, replace(self.scope, variables=self.variables | own))
 
 
 def _is_operation(action: LanguageAction, key: str) -> bool:

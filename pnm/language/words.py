@@ -137,7 +137,7 @@ def read_operator(node: Node, *, changing: bool = False) -> str:
     if name not in known:
         if name in CHANGING:
             raise node.wrong(f"{name} changes knowledge; it is a step of its own, not a value")
-        near = get_close_matches(name, sorted(known - LOGICAL), 1)
+        near = get_close_matches(name, sorted({*(known - LOGICAL), *_NAMES}), 1)
         hint = f"did you mean {near[0]!r}?" if near else f"expected one of: {', '.join(sorted(known))}"
         raise node.wrong(f"there is no operator {shown(node)}; {hint}")
     return name
