@@ -52,7 +52,7 @@ plan:
   - go: {r: r1, p: kitchen}
 """,
     )
-    assert result.variables == {"arrived": True}
+    assert result.variables == {"arrived": True, "elsewhere": False}
 
 
 def test_what_has_no_value_is_not_returned(tmp_path: Path) -> None:
