@@ -54,5 +54,10 @@ def _parameters(given: tuple[str, ...]) -> dict[str, object]:
         name, equals, text = one.partition("=")
         if not name or not equals:
             raise InputError(f"expected NAME=VALUE after --set, found {one!r}")
-        found[name] = parse_value(text, f"--set {name}")
+        value = parse_value(text, f"--set {name}")
+        try:
+            json.dumps(value, allow_nan=False)
+        except ValueError as error:
+            raise InputError(f"expected finite numbers after --set {name}, found {text!r}") from error
+        found[name] = value
     return found

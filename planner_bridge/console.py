@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from contextlib import ExitStack
+from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
@@ -18,6 +19,7 @@ from pnm.analysis import Proof
 from pnm.machine import PetriNetMachine
 from pnm.plan_graph import ActionCall
 from pnm.results import Failure, RunResult
+from pnm.sources.people import printable
 
 
 class Terminal(Console):
@@ -26,6 +28,14 @@ class Terminal(Console):
     def on_broken_pipe(self) -> None:
         """Write nowhere from now on."""
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print texts without what could make a terminal do something, or cannot be written at all."""
+        super().print(*(_printable(one) if isinstance(one, str) else one for one in objects), **options)
+
+
+def _printable(text: str) -> str:
+    return "\n".join(map(printable, text.split("\n")))
 
 
 class ConsoleObserver(TaskObserver):

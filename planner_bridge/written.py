@@ -9,6 +9,7 @@ import asyncio
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import reduce
+from math import isfinite
 from pathlib import Path
 
 from planner_bridge.forbidding import ForbiddenCall
@@ -46,7 +47,20 @@ class PlanResult:
 
     def as_json(self) -> dict[str, object]:
         """Return the result as `pnm run --json` prints it."""
-        return {**self.task.as_json(), "results": dict(self.results), "variables": dict(self.variables)}
+        return {**self.task.as_json(), "results": _sayable(dict(self.results)), "variables": _sayable(dict(self.variables))}
+
+
+def _sayable(value: object) -> object:
+    """Return the value as JSON can say it: there is no NaN, and no infinity, but servers may answer with them."""
+    match value:
+        case float() if not isfinite(value):
+            return str(value)
+        case dict():
+            return {name: _sayable(one) for name, one in value.items()}
+        case list() | tuple():
+            return [_sayable(one) for one in value]
+        case _:
+            return value
 
 
 def chosen_plan(plans: Mapping[str, HandWrittenPlan], name: str | None) -> str:

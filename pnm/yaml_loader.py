@@ -63,6 +63,7 @@ class _Loader(yaml.SafeLoader):
     def __init__(self, text: str, known: Mapping[str, Mapping[str, str]]) -> None:
         super().__init__(text)
         self._known = known
+        self._composed = 0
 
     def documents(self) -> Iterator[yaml.Node]:
         """Yield the documents that are not empty."""
@@ -85,6 +86,9 @@ class _Loader(yaml.SafeLoader):
                     raise yaml.MarkedYAMLError(problem=f"found undefined alias {event.anchor!r}{hint}", problem_mark=event.start_mark)
                 self.get_event()  # type: ignore[no-untyped-call]
                 return _given(self._known[event.anchor], event)
+        self._composed += 1
+        if self._composed > MAX_NODES:  # the bounds are checked once all is there, which may take minutes
+            raise yaml.MarkedYAMLError(problem=f"more than {MAX_NODES} values", problem_mark=self.get_mark())
         return super().compose_node(parent, index)
 
 

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import json
+from io import StringIO
+from math import inf
 from pathlib import Path
 
 import pytest
 
+from planner_bridge.cli_written import run_written
+from planner_bridge.console import Terminal
 from planner_bridge.tasks import Settings
 from planner_bridge.written import carry_out, chosen_plan, simulated_site, together
 from pnm.actions.faults import Fault, FaultKind, Faults
@@ -338,3 +342,30 @@ def test_a_fact_that_is_given_is_true_or_false(tmp_path: Path) -> None:
 def test_a_function_without_a_value_is_missing_data(tmp_path: Path, step: str) -> None:
     (failure,) = carry_out(written(tmp_path, FACTS % step), knowledge=tmp_path / "k.sqlite").task.failures
     assert failure.cause == "data_missing"
+
+
+def test_a_result_is_json_whatever_is_in_it(tmp_path: Path) -> None:
+    result = carry_out(written(tmp_path, COMPUTED % (0, "note: {operation: {LocalUpdate: [v, [{Operation: [mul, [1.0e+308, 10]]}]]}}")))
+    assert result.variables["v"] == [inf]
+    assert json.loads(json.dumps(result.as_json(), allow_nan=False))["variables"]["v"] == ["inf"]
+
+
+def test_parameters_of_the_command_line_are_finite() -> None:
+    with pytest.raises(InputError, match=r"expected finite numbers after --set x, found '\[1, .nan\]'"):
+        run_written(
+            Path("nowhere.yaml"),
+            None,
+            ("x=[1, .nan]",),
+            actions="simulated",
+            faults=None,
+            bindings=None,
+            settings=Settings(),
+            knowledge=None,
+            as_json=True,
+        )
+
+
+def test_a_terminal_is_told_nothing_that_makes_it_do_something() -> None:
+    shown = StringIO()
+    Terminal(file=shown).print("start\n  go(\x1b[31m\ud800)", markup=False)
+    assert shown.getvalue() == "start\n  go(\ufffd[31m\ufffd)\n"

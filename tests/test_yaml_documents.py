@@ -158,6 +158,11 @@ def test_evil_files_are_refused(text: str, message: str) -> None:
     assert message in wrong(text)
 
 
+def test_a_file_is_not_read_further_than_its_values_may_be_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pnm.yaml_loader.MAX_NODES", 10)
+    assert wrong("a: [" + "1, " * 20 + "}").endswith("not YAML: more than 10 values")
+
+
 def test_documents_are_counted() -> None:
     assert wrong("---\na: 1\n" * (MAX_DOCUMENTS + 1)).endswith(f"not YAML: more than {MAX_DOCUMENTS} documents")
     assert len(parse_documents("---\na: 1\n" * MAX_DOCUMENTS, "F")[0]) == MAX_DOCUMENTS
