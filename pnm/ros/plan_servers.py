@@ -93,10 +93,13 @@ class PlanServers:
         for goal in self._tasks.values():
             if goal.performance is not None:
                 goal.performance.executor.stop(reason="whoever serves the plan is being shut down")
-        if self._tasks:
-            _, late = await asyncio.wait(tuple(self._tasks), timeout=limit)
-            for task in late:
-                _log.warning("%s did not end within %g s; what it runs is left alone", self._tasks[task].plan, limit)
+        try:
+            if self._tasks:
+                await asyncio.wait(tuple(self._tasks), timeout=limit)
+        finally:
+            for task, goal in self._tasks.items():
+                _log.warning("%s has not ended; what it runs is left alone", goal.plan)
+                task.cancel()
         with suppress(TimeoutError):
             async with asyncio.timeout(_FAREWELL):
                 await until_true(self._ros, lambda: not self._open)

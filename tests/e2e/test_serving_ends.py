@@ -110,6 +110,20 @@ def test_an_action_server_that_does_not_let_go_is_not_waited_for_without_end(pla
     assert client.result()["reason"] == "cancelled"
 
 
+def test_who_asks_twice_does_not_have_to_wait(plan_scene):
+    plan_scene.write(
+        {**FILES, "plans.yaml": "clings: {plan: [stubborn: {time: 1000}]}", "domain.yaml": "actions: {stubborn: {cancel: 500}}"}
+    )
+    workers = plan_scene.workers("stubborn").ready()
+    serving = plan_scene.serve().ready()
+    plan_scene.client("clings")
+    workers.happens("start", "stubborn")
+    serving.process.send_signal(signal.SIGTERM)
+    plan_scene.cancel_all("stubborn")
+    serving.stop()
+    assert "clings has not ended; what it runs is left alone" in serving.err
+
+
 def test_a_plan_of_pnm_run_is_in_touch_with_its_action_servers_too(plan_scene):
     plan_scene.write({"all.yaml": DOMAIN + PLANS})
     plan_scene.workers("wait").ready()
