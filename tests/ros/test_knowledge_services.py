@@ -190,7 +190,7 @@ def test_cancelling_a_goal_that_asks_ends_it_and_withdraws_the_question(ros, nam
         person = Person()
         async with executive(ros, person=person) as one:
             goal = one.new_id()
-            ended = one.send(name, "query", "person", "shop", None, 30.0, id=goal)
+            ended = one.send(name, "query", "person", "shop", None, 300.0, id=goal)
             await person.asked.get()
             one.client(name).cancel(goal)
             outcome = await ended
