@@ -7,92 +7,33 @@ takes to begin.
 from __future__ import annotations
 
 import json
-import os
 import sys
-import traceback
-from collections.abc import Callable
-from functools import wraps
-from math import isfinite
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec
+from typing import TYPE_CHECKING
 
 import click
 
-from pnm.errors import InputError, PnmError
+from planner_bridge.cli_options import (
+    FILE,
+    Seconds,
+    as_json_option,
+    bindings_option,
+    command,
+    faults_option,
+    files,
+    planning,
+    tell,
+    write,
+)
+from pnm.errors import InputError
 
 if TYPE_CHECKING:
     from planner_bridge.model import Problem
+    from planner_bridge.pipeline import Where
+    from planner_bridge.tasks import Settings
     from pnm.actions.faults import Faults
     from pnm.bindings import Bindings
-
-P = ParamSpec("P")
-Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
-
-_FILE = click.Path(path_type=Path)
-
-
-class Seconds(click.FloatRange):
-    """A finite number."""
-
-    name = "number"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Refuse what is not a finite number of at least the minimum."""
-        number = super().convert(value, param, ctx)
-        if not isfinite(number):
-            self.fail(f"{value} is not a finite number", param, ctx)
-        return number
-
-
-def _command(function: Callable[P, int]) -> Callable[P, None]:
-    """Turn the returned status into the exit status, and errors into one message without a traceback."""
-
-    @wraps(function)
-    def run(*args: P.args, **kwargs: P.kwargs) -> None:
-        try:
-            status = function(*args, **kwargs)
-            sys.stdout.flush()
-        except InputError as error:
-            print(error, file=sys.stderr)
-            status = 2
-        except PnmError as error:
-            print(error, file=sys.stderr)
-            status = 1
-        except BrokenPipeError:  # nobody reads what we print: not our fault, and no more can be said
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            status = 1
-        except KeyboardInterrupt:
-            print("cancelled", file=sys.stderr)
-            status = 1
-        except Exception as error:  # a fault of ours, but nobody wants to read our stack
-            where = traceback.extract_tb(error.__traceback__)[-1]
-            place = f"{Path(where.filename).name}:{where.lineno}"
-            print(f"internal error, please report it: {type(error).__name__} at {place}: {error}", file=sys.stderr)
-            status = 1
-        sys.exit(status)
-
-    return run
-
-
-def _options(*options: Decorator) -> Decorator:
-    """Combine options that several commands share."""
-
-    def add(function: Callable[..., Any]) -> Callable[..., Any]:
-        for option in reversed(options):
-            function = option(function)
-        return function
-
-    return add
-
-
-files = _options(click.argument("domain", type=_FILE), click.argument("problem", type=_FILE))
-planning = _options(
-    click.option("--planner", default="kairos", show_default=True, help="kairos, any engine of unified-planning, race, or race:NAME,NAME"),
-    click.option("--timeout", type=Seconds(0.01), default=30.0, show_default=True, help="seconds the planner may take"),
-)
-as_json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object as the last line, and nothing else")
-bindings_option = click.option("--bindings", type=_FILE, help="how actions are bound to servers; by default bindings.yaml beside DOMAIN")
-faults_option = click.option("--faults", type=_FILE, help="what goes wrong in simulation")
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -105,7 +46,7 @@ def app() -> None:
 @files
 @planning
 @as_json_option
-@_command
+@command
 def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: bool) -> int:
     """Find and print a plan."""
     from planner_bridge.plan import PlanningStatus
@@ -133,10 +74,10 @@ def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: boo
 @app.command()
 @files
 @click.option("--format", "written_as", type=click.Choice(["json", "dot"]), default="json", show_default=True, help="how it is written")
-@click.option("-o", "--output", type=_FILE, help="a file; by default the terminal")
+@click.option("-o", "--output", type=FILE, help="a file; by default the terminal")
 @bindings_option
 @planning
-@_command
+@command
 def net(domain: Path, problem: Path, written_as: str, output: Path | None, bindings: Path | None, planner: str, timeout: float) -> int:
     """Plan, and write the machine."""
     from planner_bridge.planning import solve
@@ -153,15 +94,16 @@ def net(domain: Path, problem: Path, written_as: str, output: Path | None, bindi
         return 1
     machine = generate(plan_graph(loaded, found.plan), chosen)
     text = to_json(machine) if written_as == "json" else to_dot(machine)
-    if output is None:
-        print(text, end="")
-    else:
-        _write(output, text)
+    write(output, text)
     return 0
 
 
 @app.command()
-@files
+@click.argument("domain", type=FILE, required=False)
+@click.argument("problem", type=FILE, required=False)
+@click.option("--plan", "plan_file", type=FILE, help="a hand-written plan in YAML, in place of DOMAIN and PROBLEM")
+@click.option("--name", help="which plan of that file, if there are several")
+@click.option("--set", "given", metavar="NAME=VALUE", multiple=True, help="a parameter of that plan; the value as YAML")
 @click.option("--actions", type=click.Choice(["simulated", "ros2"]), default="simulated", show_default=True, help="who performs actions")
 @bindings_option
 @faults_option
@@ -178,11 +120,14 @@ def net(domain: Path, problem: Path, written_as: str, output: Path | None, bindi
     help="what running actions do when one has failed",
 )
 @as_json_option
-@_command
+@command
 def run(
     *,
-    domain: Path,
-    problem: Path,
+    domain: Path | None,
+    problem: Path | None,
+    plan_file: Path | None,
+    name: str | None,
+    given: tuple[str, ...],
     actions: str,
     bindings: Path | None,
     faults: Path | None,
@@ -193,7 +138,7 @@ def run(
     on_failure: str,
     as_json: bool,
 ) -> int:
-    """Plan, execute, and replan until the goal holds."""
+    """Plan, execute, and replan until the goal holds; or carry out a plan that somebody has written."""
     from planner_bridge.console import ConsoleObserver, Terminal, print_result
     from planner_bridge.pipeline import Stopwatch, achieve
     from planner_bridge.replanning import Limits
@@ -202,18 +147,26 @@ def run(
 
     if faults and actions == "ros2":
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
+    where: Where = "ros2" if actions == "ros2" else "simulated"
+    limits = Limits(replans=replans, seconds=seconds)
+    settings = Settings(planner, timeout, limits=limits, on_failure=OnFailure(on_failure))
+    if plan_file is not None:
+        if domain is not None:
+            raise InputError("--plan comes in the place of DOMAIN and PROBLEM")
+        return _run_written(plan_file, name, given, where, faults, bindings, settings, as_json)
+    if domain is None or problem is None:
+        raise InputError("expected DOMAIN and PROBLEM, or --plan and a file")
     stopwatch = Stopwatch()
     with stopwatch.of("parse"):
         loaded = _load(domain, problem)
-        chosen = _bindings(bindings, domain, loaded)
-    limits = Limits(replans=replans, seconds=seconds)
+        settings = replace(settings, bindings=_bindings(bindings, domain, loaded))
     console = Terminal()
     result = achieve(
         None,
         loaded,
-        actions="ros2" if actions == "ros2" else "simulated",
+        actions=where,
         faults=_faults(faults, loaded),
-        settings=Settings(planner, timeout, chosen, limits, OnFailure(on_failure)),
+        settings=settings,
         observer=TaskObserver() if as_json else ConsoleObserver(console),
         stopwatch=stopwatch,
     )
@@ -224,13 +177,55 @@ def run(
     return 0 if result.goal_reached else 1
 
 
+def _run_written(
+    file: Path,
+    name: str | None,
+    given: tuple[str, ...],
+    where: Where,
+    faults: Path | None,
+    bindings: Path | None,
+    settings: Settings,
+    as_json: bool,
+) -> int:
+    from planner_bridge.console import ConsoleObserver, Terminal, print_result
+    from planner_bridge.tasks import TaskObserver
+    from planner_bridge.written import carry_out
+    from pnm.actions.faults import NO_FAULTS, read_faults
+    from pnm.bindings import read_bindings
+
+    if bindings:
+        settings = replace(settings, bindings=read_bindings(bindings))
+    console = Terminal()
+    observer = TaskObserver() if as_json else ConsoleObserver(console)
+    chosen = read_faults(faults, None) if faults else NO_FAULTS
+    result = carry_out(file, name, _parameters(given), actions=where, faults=chosen, settings=settings, observer=observer)
+    if as_json:
+        print(json.dumps(result.as_json(), default=str), flush=True)
+    else:
+        print_result(console, result.task)
+    return 0 if result.task.goal_reached else 1
+
+
+def _parameters(given: tuple[str, ...]) -> dict[str, object]:
+    """Read ``name=value``, with values as YAML has them."""
+    from pnm.yaml_files import parse_value
+
+    found: dict[str, object] = {}
+    for one in given:
+        name, equals, text = one.partition("=")
+        if not name or not equals:
+            raise InputError(f"expected NAME=VALUE after --set, found {one!r}")
+        found[name] = parse_value(text, f"--set {name}")
+    return found
+
+
 @app.command()
 @files
 @bindings_option
 @faults_option
 @click.option("--speed", type=Seconds(0.001), help="seconds simulated per real second; default 20, or 1 if facts change by themselves")
-@click.option("--log", type=_FILE, help="write what truly happens, a JSON object per line")
-@_command
+@click.option("--log", type=FILE, help="write what truly happens, a JSON object per line")
+@command
 def simulate(domain: Path, problem: Path, bindings: Path | None, faults: Path | None, speed: float | None, log: Path | None) -> int:
     """Play the robots: offer a ROS 2 action server per action, and publish what sensors see."""
     from planner_bridge.simulate import play
@@ -240,7 +235,45 @@ def simulate(domain: Path, problem: Path, bindings: Path | None, faults: Path | 
 
 
 @app.command()
-@_command
+@click.argument("domain", type=FILE)
+@click.argument("problem", type=FILE, required=False)
+@click.option("-o", "--output", type=FILE, help="a file; by default the terminal")
+@click.option("--plan", "with_plan", is_flag=True, help="find a plan for the problem, and write it as well")
+@click.option(
+    "--seed-compatible", "original", is_flag=True, help="write the plan as the first implementation of Petri Net Machines loads it"
+)
+@planning
+@command
+def export(domain: Path, problem: Path | None, output: Path | None, with_plan: bool, original: bool, planner: str, timeout: float) -> int:
+    """Write a domain, a problem and a plan for it as YAML."""
+    from planner_bridge.yaml_files.export import exported
+
+    found = exported(domain, problem, with_plan=with_plan, original=original, planner=planner, timeout=timeout)
+    tell(found.warnings)
+    if found.reason:
+        print(f"no plan: {found.reason}", file=sys.stderr)
+        return 1
+    write(output, found.text)
+    return 0
+
+
+@app.command("import")
+@click.argument("file", type=FILE)
+@click.option("-o", "--output", type=FILE, required=True, help="a folder, for domain.pddl and problem.pddl")
+@command
+def from_yaml(file: Path, output: Path) -> int:
+    """Write the domain of a YAML file, and its problem if there is one, as PDDL."""
+    from planner_bridge.yaml_files.export import imported
+
+    found = imported(file)
+    tell(found.warnings)
+    for name, text in found.texts.items():
+        write(output / name, text)
+    return 0
+
+
+@app.command()
+@command
 def demo() -> int:
     """Show the whole story on simulated robots: plan, machine, run, failure, replan, goal."""
     from planner_bridge.console import Terminal
@@ -251,11 +284,10 @@ def demo() -> int:
 
 def _load(domain: Path, problem: Path) -> Problem:
     """Read the problem, and say on stderr what in its files was not as it should be."""
-    from planner_bridge.loading import load, told
+    from planner_bridge.loading import load
 
     loaded = load(domain, problem)
-    for line in told(loaded.warnings):
-        print(line, file=sys.stderr)
+    tell(loaded.warnings)
     return loaded
 
 
@@ -272,13 +304,6 @@ def _bindings(file: Path | None, domain: Path, problem: Problem) -> Bindings:
     if file is None and not beside.is_file():
         return Bindings()
     return read_bindings(file or beside, problem.vocabulary)
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def main() -> None:

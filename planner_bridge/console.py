@@ -73,9 +73,12 @@ class ConsoleObserver(TaskObserver):
 
     def failed(self, failure: Failure, now: float) -> None:
         """Print that a failure place is marked."""
-        self._line(
-            now, "[bold red]failed[/]", f"{failure.call.action}: {failure.cause}; expected {failure.expected}; observed {failure.observed}"
-        )
+        step = failure.call.action if isinstance(failure.call, ActionCall) else failure.call
+        self._line(now, "[bold red]failed[/]", f"{step}: {failure.cause}; expected {failure.expected}; observed {failure.observed}")
+
+    def resigned(self, reason: str) -> None:
+        """Print that a planner takes over."""
+        self._console.print(f"[bold yellow]replan[/]   {escape(reason)}", highlight=False, soft_wrap=True)
 
     def replanning(self, decision: Resume | PlanAgain, result: RunResult) -> None:
         """Print what follows a failed run."""

@@ -22,7 +22,7 @@ from planner_bridge.plan import PlanningResult, PlanningStatus
 from planner_bridge.planning import solve
 from planner_bridge.plans import plan_graph
 from planner_bridge.replanning import Decision, GiveUp, History, PlanAgain, Resume, decide
-from planner_bridge.sites import Ros2Site, SimulatedSite, Site
+from planner_bridge.sites import SimulatedSite
 from planner_bridge.state import initial_knowledge, problem_now
 from planner_bridge.tasks import Episode, Settings, TaskObserver, TaskResult
 from pnm.actions.faults import NO_FAULTS, Faults
@@ -32,11 +32,12 @@ from pnm.conditions import evaluate
 from pnm.errors import InputError
 from pnm.executor import Executor
 from pnm.generation import generate
-from pnm.knowledge import Layered
+from pnm.knowledge import KnowledgeBase, Layered
 from pnm.machine import PetriNetMachine
 from pnm.plan_graph import PlanGraph, PlanGraphError
 from pnm.results import RunResult
 from pnm.run import Run
+from pnm.sites import Ros2Site, Site
 from pnm.state_space import Unsound
 
 Where: TypeAlias = Literal["simulated", "ros2"]
@@ -84,6 +85,20 @@ async def pursue(problem: Problem, site: Site, settings: Settings, observer: Tas
         await site.close()
 
 
+async def pursue_on(
+    problem: Problem,
+    site: Site,
+    settings: Settings,
+    observer: TaskObserver,
+    seconds: Stopwatch,
+    *,
+    knowledge: KnowledgeBase,
+    history: History,
+) -> TaskResult:
+    """Plan, execute and replan at a site that is open and keeps the knowledge up to date, after what has happened before."""
+    return await _Task(problem, site, settings, observer, seconds, Layered(knowledge), opens=False, history=history).pursue()
+
+
 class Stopwatch:
     """Adds up where the time of a task goes, in seconds of the wall clock."""
 
@@ -110,6 +125,8 @@ class _Task:
     observer: TaskObserver
     seconds: Stopwatch
     knowledge: Layered
+    opens: bool = True
+    """Whether the site is still to be opened."""
     episodes: list[Episode] = field(default_factory=list)
     history: History = field(default_factory=History)
     plans: int = 0
@@ -130,7 +147,8 @@ class _Task:
     async def pursue(self) -> TaskResult:
         with ExitStack() as at_the_end:
             try:
-                await self.site.open(self.knowledge.world)
+                if self.opens:
+                    await self.site.open(self.knowledge.world)
                 self._watch_the_clock(at_the_end)
                 self._watch_the_constraints(at_the_end)
                 return await self._pursue()
@@ -176,7 +194,7 @@ class _Task:
             self.executor.stop(reason=str(violation))
 
     async def _pursue(self) -> TaskResult:
-        forbidden: frozenset[ForbiddenCall] = frozenset()
+        forbidden = self.history.forbidden(self.settings.limits)
         graph: PlanGraph | None = None
         origin = self.began
         await self._settle()

@@ -15,7 +15,7 @@ from planner_bridge.plans import in_causal_order
 from pnm.conditions import evaluate
 from pnm.knowledge import KnowledgeBase
 from pnm.ledger import UNCONFIRMED
-from pnm.plan_graph import PlanEvent, PlanGraph
+from pnm.plan_graph import ActionCall, PlanEvent, PlanGraph
 from pnm.results import CallResult, Failure
 from pnm.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
 
@@ -58,14 +58,15 @@ class History:
         """Return the history with one more failed run."""
         calls, failures = tuple(calls), tuple(failures)
         failed = dict(self.failed)
-        for failure in failures:
+        of_calls = [(one, one.call) for one in failures if isinstance(one.call, ActionCall)]
+        for failure, failed_call in of_calls:
             if failure.cause not in _WORLD:
-                call = ForbiddenCall.of(failure.call.action)
+                call = ForbiddenCall.of(failed_call.action)
                 failed[call] = failed.get(call, 0) + 1
         for one in calls:
             if one.outcome == "succeeded":
                 failed.pop(ForbiddenCall.of(one.call.action), None)
-        at_work = [failure.call for failure in failures if failure.unconfirmed]
+        at_work = [call for failure, call in of_calls if failure.unconfirmed]
         at_work += [one.call for one in calls if one.outcome == UNCONFIRMED]
         progress = any(one.outcome == "succeeded" for one in calls)
         return History(

@@ -6,10 +6,12 @@ but on record places; no place ever holds two tokens, a budget never more than i
 
 `explore` walks through all states: the oracle, for machines of a few calls. `verify` is linear
 in the number of calls, and trusts nothing but the net and the rules. Every block (the transitions
-of one call) is explored on its own, once per shape, with its inputs supplied at any moment; at
-every place some exit opens in finite time for any answer; every place between blocks has one
-writing and one reading block; and what the blocks wait for has no cycle. By induction along that
-order each block gets its inputs once and gives its outputs once.
+of one step) is explored on its own, once per shape, with its inputs supplied at any moment and
+what it holds taken as one step that comes to an end; at every place some exit opens in finite
+time for any answer; every place between blocks has one writing and one reading block, neighbours
+or a step and what holds it; and what neighbours wait for has no cycle. By induction along that
+order, and from the innermost steps outwards, each block gets its inputs once and gives its outputs
+once whenever it is entered. Resources are taken by blocks that hold nothing yet, all at once.
 """
 
 from __future__ import annotations
@@ -18,9 +20,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from math import isfinite
-from typing import Final, TypeAlias
 
 from pnm.actions.base import OutcomeKind
+from pnm.blocks import Anatomy, Event, step_of
+from pnm.conditions import Condition
 from pnm.machine import (
     Accepts,
     After,
@@ -36,9 +39,7 @@ from pnm.machine import (
     OnFailure,
     PetriNetMachine,
 )
-from pnm.net import Weights
-from pnm.plan_graph import Moment
-from pnm.state_space import Part, Step, Unsound, explore_part
+from pnm.state_space import Inside, Part, Unsound, explore_part
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,21 +60,16 @@ def verify(machine: PetriNetMachine) -> Proof:
     """Prove the machine sound.
 
     Raises:
-        Unsound: it is not, or not of the form that `pnm.generate` makes.
+        Unsound: it is not, or not of the form that `pnm.generation` makes.
     """
-    owner = {name: rule.call for name, rule in machine.rules.items()}
-    writers, readers = _blocks_at(machine, machine.net.outputs, owner), _blocks_at(machine, machine.net.inputs, owner)
-    _check_channels(machine, writers, readers)
-    steps: dict[int | None, list[str]] = {}
-    for name, call in owner.items():
-        steps.setdefault(call, []).append(name)
+    anatomy = Anatomy(machine)
     shapes: dict[object, int] = {}
-    waits: dict[_Event, set[_Event]] = {}
-    for call, names in steps.items():
-        block = _block(machine, call, names, writers, readers)
+    waits: dict[Event, set[Event]] = {}
+    for owner, names in anatomy.transitions.items():
+        block = anatomy.block(owner)
         _check_exits(block.part)
-        _check_rules(machine, call, names)
-        _note_channels(block, writers, waits)
+        _check_rules(machine, owner, names)
+        anatomy.note_waits(block, waits)
         shape = _shape(block.part)
         if shape not in shapes:
             shapes[shape] = explore_part(block.part)
@@ -92,7 +88,7 @@ def explore(machine: PetriNetMachine) -> int:
     def is_proper(left: Mapping[str, int]) -> str:
         return "" if left in ({goal: 1}, {failed: 1}) else f"it ends in {dict(left)}"
 
-    steps = tuple(_step(machine, name) for name in machine.rules)
+    steps = tuple(step_of(machine, name) for name in machine.rules)
     records = machine.record_places
     return explore_part(
         Part(
@@ -102,33 +98,15 @@ def explore(machine: PetriNetMachine) -> int:
             (),
             frozenset(machine.failure_places),
             records,
+            machine.counter_places,
             machine.on_failure is OnFailure.CANCEL,
             is_proper,
+            restarts=frozenset(machine.restart_places),
         )
     )
 
 
-# --- blocks --------------------------------------------------------------------------------
-
-
-def _blocks_at(machine: PetriNetMachine, weights: Mapping[str, Weights], owner: Mapping[str, int | None]) -> dict[str, set[int | None]]:
-    """Return, for every place, the blocks whose transitions write it, or read it."""
-    found: dict[str, set[int | None]] = {place: set() for place in machine.net.places}
-    for transition, connected in weights.items():
-        for place in connected:
-            found[place].add(owner[transition])
-    return found
-
-
-def _check_channels(machine: PetriNetMachine, writers: Mapping[str, set[int | None]], readers: Mapping[str, set[int | None]]) -> None:
-    for place in machine.net.places:
-        outside = writers[place] - readers[place]
-        if len(readers[place]) > 1 or len(outside) > 1 or len(writers[place]) > 2:
-            raise Unsound(f"{place} connects more than two blocks")
-        if place in machine.orderings:
-            ordering = machine.orderings[place]
-            if outside != {ordering.before.call} or readers[place] != {ordering.after.call}:
-                raise Unsound(f"{place} does not connect the calls of its ordering {ordering}")
+# --- checks --------------------------------------------------------------------------------
 
 
 def _check_exits(part: Part) -> None:
@@ -136,19 +114,31 @@ def _check_exits(part: Part) -> None:
     exits: dict[str, list[Guard]] = {}
     for step in part.steps:
         for place in step.inputs:
-            if place not in part.records:
+            if place not in part.records and not isinstance(step.guard, Inside):
                 exits.setdefault(place, []).append(step.guard)
     for place, guards in exits.items():
         outcomes = [guard.kinds for guard in guards if isinstance(guard, Ends)]
         if outcomes and frozenset().union(*outcomes) != frozenset(OutcomeKind):
             raise Unsound(f"{place} has no exit for {set(OutcomeKind) - frozenset().union(*outcomes)}")
+        if any(isinstance(guard, Always) or _is_timed(guard) or _completes(guard, guards) for guard in guards):
+            continue
         for guard in guards:
-            if isinstance(guard, Holding) and Denied(guard.condition) not in guards:
+            if isinstance(guard, Holding):
                 raise Unsound(f"{place} has no exit for when {guard.condition} does not hold")
-            if isinstance(guard, EffectsSeen) and EffectsMissing(guard.call) not in guards:
+            if isinstance(guard, EffectsSeen):
                 raise Unsound(f"{place} has no exit for when the effects are not seen")
-        if not any(isinstance(guard, _SURE) or (_is_timed(guard)) for guard in guards):
-            raise Unsound(f"{place} has no exit that is sure to open in finite time")
+        raise Unsound(f"{place} has no exit that is sure to open in finite time")
+
+
+def _completes(guard: Guard, guards: list[Guard]) -> bool:
+    """Tell whether the guard opens, in finite time, whenever another one does not."""
+    match guard:
+        case Denied(condition):
+            return Holding(condition) in guards
+        case EffectsMissing(call):
+            return EffectsSeen(call) in guards
+        case _:
+            return False
 
 
 def _is_timed(guard: Guard) -> bool:
@@ -159,10 +149,6 @@ def _is_timed(guard: Guard) -> bool:
             return all(map(isfinite, (seconds, *(delay for _, delay in since))))
         case _:
             return False
-
-
-_SURE: Final = (Always, Denied, EffectsMissing)
-"""Guards of which it is certain that they, or the guards they complement, open in finite time."""
 
 
 def _check_rules(machine: PetriNetMachine, call: int | None, names: list[str]) -> None:
@@ -180,115 +166,33 @@ def _check_rules(machine: PetriNetMachine, call: int | None, names: list[str]) -
             raise Unsound(f"{name} marks the goal place without asking for the goal")
 
 
-_Event: TypeAlias = tuple[int | None, str]
-"""The start or the end of a block; that of the frame around all calls is None."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Block:
-    """A block and what connects it to others."""
-
-    call: int | None
-    part: Part
-    first: tuple[str, ...]
-    """Inputs that its start waits for."""
-    rest: tuple[str, ...]
-    """Inputs that only its end waits for."""
-    early: frozenset[str]
-    """Outputs that its start gives."""
-
-
-def _note_channels(block: _Block, writers: Mapping[str, set[int | None]], waits: dict[_Event, set[_Event]]) -> None:
-    """Note which events of other blocks the events of this block wait for."""
-    start, end = (block.call, "start"), (block.call, "end")
-    waits.setdefault(end, set()).add(start)
-    for places, event in ((block.first, end if block.call is None else start), (block.rest, end)):
-        for place in places:
-            (writer,) = writers[place] - {block.call}
-            waits.setdefault(event, set()).add((writer, f"start of {place}"))
-    for place in block.part.places:
-        waits.setdefault((block.call, f"start of {place}"), set()).add(start if place in block.early else end)
-
-
-def _check_order(waits: Mapping[_Event, set[_Event]]) -> None:
+def _check_order(waits: Mapping[Event, set[Event]]) -> None:
     try:
         TopologicalSorter(waits).prepare()
     except CycleError as error:
         raise Unsound(f"blocks wait for each other: {error.args[1]}") from error
 
 
-def _block(
-    machine: PetriNetMachine,
-    call: int | None,
-    names: list[str],
-    writers: Mapping[str, set[int | None]],
-    readers: Mapping[str, set[int | None]],
-) -> _Block:
-    """Cut the block of one call, or the frame around all calls, out of the machine."""
-    steps = tuple(_step(machine, name) for name in names)
-    places = tuple(dict.fromkeys(place for step in steps for place in (*step.inputs, *step.outputs)))
-    inputs = [place for place in places if call in readers[place] and writers[place] - {call}]
-    outputs = [
-        place
-        for place in places
-        if call in writers[place] and (readers[place] - {call} or place in (machine.goal_place, machine.failed_place))
-    ]
-    first = [place for place in inputs if not any(place in step.outputs for step in steps) and not _is_awaited(place, steps)]
-    rest = [place for place in inputs if place not in first]
-    for together in (first, rest):
-        for step in steps:
-            if 0 < sum(place in step.inputs for place in together) < len(together):
-                raise Unsound(f"{step.name} takes only some of the inputs {together}")
-    records = machine.record_places
-    finals = {machine.goal_place, machine.failed_place}
-    if call is None:
-        early = frozenset(outputs) - finals
-    else:
-        early = frozenset(
-            place for place in outputs if place in machine.orderings and machine.orderings[place].before.moment is Moment.START
-        )
-
-    def is_proper(left: Mapping[str, int]) -> str:
-        ends = [place for place in left if place in finals]
-        expected = {**dict.fromkeys((place for place in outputs if place not in finals), 1), **dict.fromkeys(ends[:1], 1)}
-        if call is None and (len(ends) != 1 or left != expected):
-            return f"it ends in {dict(left)}"
-        return "" if left == expected else f"it leaves {dict(left)} in place of {expected}"
-
-    supplies = tuple(tuple(together) for together in (first, rest) if together)
-    part = Part(
-        places,
-        steps,
-        {place: machine.initial[place] for place in places if machine.initial[place]},
-        supplies,
-        frozenset(place for place in places if place in machine.failure_places),
-        records & frozenset(places),
-        machine.on_failure is OnFailure.CANCEL,
-        is_proper,
-        early if rest or call is None else frozenset(),
-    )
-    return _Block(call, part, tuple(first), tuple(rest), early)
-
-
-def _is_awaited(place: str, steps: tuple[Step, ...]) -> bool:
-    return any(place in step.inputs and place in step.outputs for step in steps)
-
-
-def _step(machine: PetriNetMachine, name: str) -> Step:
-    return Step(name, machine.rules[name].guard, machine.net.inputs[name], machine.net.outputs[name])
-
-
 def _shape(part: Part) -> object:
-    """Return what two blocks that behave alike have in common: everything but names, conditions and times."""
+    """Return what two blocks that behave alike have in common: everything but names, times and what conditions say."""
     number = {place: index for index, place in enumerate(part.places)}
+    conditions: dict[Condition, int] = {}
+    for step in part.steps:
+        if isinstance(step.guard, Holding | Denied):
+            conditions.setdefault(step.guard.condition, len(conditions))
     steps = tuple(
         (
             type(step.guard).__name__,
+            conditions[step.guard.condition] if isinstance(step.guard, Holding | Denied) else None,
             tuple((number[place], weight) for place, weight in step.inputs.items()),
             tuple((number[place], weight) for place, weight in step.outputs.items()),
         )
         for step in part.steps
     )
     marked = tuple((number[place], tokens) for place, tokens in part.initial.items())
-    roles = tuple((place in part.records, place in part.failures, place in part.early) for place in part.places)
-    return steps, marked, roles, tuple(tuple(number[place] for place in supply) for supply in part.supplies), part.cancels
+    roles = tuple(
+        (place in part.records, place in part.counters, place in part.failures, place in part.early, place in part.restarts)
+        for place in part.places
+    )
+    supplies = tuple(tuple(number[place] for place in supply) for supply in part.supplies)
+    return steps, marked, roles, supplies, part.cancels, part.others_restart, part.repeats

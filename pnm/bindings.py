@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import string
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -45,7 +45,7 @@ class Binding:
     retries: int = 1
     """How often the action is tried again within one plan."""
     ask: Mapping[str, str] = field(default_factory=dict)
-    """Goal fields, and what a person is asked when nobody knows their value."""
+    """Variables, and what a person is asked when nobody knows them."""
 
 
 DEFAULT = Binding()
@@ -66,6 +66,10 @@ class Bindings:
         """Return the binding of the action, or the default one."""
         return self.actions.get(action, DEFAULT)
 
+    def before(self, others: Bindings) -> Bindings:
+        """Return these bindings and, for actions that they do not speak of, others."""
+        return Bindings({**others.actions, **self.actions}, self.assumed | others.assumed, max(self.lag, others.lag))
+
     def server(self, action: GroundAction) -> str:
         """Return the name of the server that performs the ground action.
 
@@ -78,6 +82,10 @@ class Bindings:
             if name not in own:
                 raise InputError(f"the server {pattern!r} of {action.name} names {{{name}}}, which is not a parameter ({', '.join(own)})")
         return pattern.format_map(own)
+
+    def names_server(self, action: GroundAction) -> bool:
+        """Tell whether the name of the server is known, or has a part that is only known when the call starts."""
+        return not set(placeholders(self.of(action.name).server or "")) & set(open_parameters(action))
 
     def timeout(self, action: GroundAction) -> float:
         """Return how many seconds the action may run."""
@@ -92,7 +100,13 @@ class Lookup(Protocol):
         """Return the value of a fluent."""
 
     def variable(self, name: str, /) -> object:
-        """Return a variable, or `MISSING`."""
+        """Return a variable that is known here, or `MISSING`."""
+
+    def find(self, name: str, /) -> object:
+        """Return a variable that is needed: from wherever it can be had, or `MISSING`."""
+
+    def given(self, action: GroundAction, /) -> Mapping[str, object]:
+        """Return the values that the plan gives to goal fields or leaves open, as far as there are any."""
 
 
 def goal_data(
@@ -101,19 +115,22 @@ def goal_data(
     """Fill the goal fields by name; return them and the names of those for which there is no value.
 
     With a `goal` mapping only its fields are needed; others are filled if a value of their name exists.
+    As long as nobody knows which fields there are, parameters without a value are needed.
     """
+    told = dict(zip(action.parameters, action.arguments, strict=True))
     own: dict[str, object] = {
         "action": action.name,
         "arguments": list(action.arguments),
         "duration": action.duration or 0.0,
-        **dict(zip(action.parameters, action.arguments, strict=True)),
+        **{name: value for name, value in told.items() if not value.startswith("?")},
+        **knowledge.given(action),
     }
-    needed = binding.goal if binding.goal is not None else dict.fromkeys(fields or ())
+    needed = binding.goal if binding.goal is not None else dict.fromkeys(fields if fields is not None else open_parameters(action))
     filled: dict[str, object] = {}
     missing: list[str] = []
     for name in dict.fromkeys((*needed, *(fields if fields is not None else own))):
         source = needed[name] if binding.goal is not None and name in needed else f"${name}"
-        value = _resolve(source, own, knowledge)
+        value = _resolve(source, own, knowledge, knowledge.find if name in needed else knowledge.variable)
         if value is not MISSING:
             filled[name] = value
         elif name in needed:
@@ -121,19 +138,23 @@ def goal_data(
     return filled, tuple(missing)
 
 
-def _resolve(source: object, own: Mapping[str, object], knowledge: Lookup) -> object:
+def open_parameters(action: GroundAction) -> tuple[str, ...]:
+    """Return the parameters whose values the plan does not tell, without ``?``."""
+    return tuple(name for name, value in zip(action.parameters, action.arguments, strict=True) if value.startswith("?"))
+
+
+def _resolve(source: object, own: Mapping[str, object], knowledge: Lookup, find: Callable[[str], object]) -> object:
     if isinstance(source, Mapping):
-        inner = {name: _resolve(part, own, knowledge) for name, part in source.items()}
+        inner = {name: _resolve(part, own, knowledge, find) for name, part in source.items()}
         return MISSING if MISSING in inner.values() else inner
     if isinstance(source, list | tuple):
-        parts = [_resolve(part, own, knowledge) for part in source]
+        parts = [_resolve(part, own, knowledge, find) for part in source]
         return MISSING if MISSING in parts else parts
     if not isinstance(source, str):
         return source
-    if source.startswith("?"):
-        return own.get(source[1:], MISSING)
-    if source.startswith("$"):
-        return own[source[1:]] if source[1:] in own else knowledge.variable(source[1:])
+    if source.startswith(("?", "$")):
+        name = source[1:]
+        return own[name] if name in own else find(name)
     if source.startswith("("):
         env = {f"?{name}": value for name, value in own.items() if isinstance(value, str)}
         value = knowledge.value(bind(parse_fluent(source), env))
@@ -164,27 +185,51 @@ def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
 
 
 def _binding(entry: Mapped) -> Binding:
-    entry.only("server", "type", "goal", "store", "timeout", "accept", "cancel", "retries")
+    entry.only("server", "type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask")
+    return read_binding(entry)
+
+
+def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAULT.retries) -> Binding:
+    """Read what is said about one action, whatever else the entry says.
+
+    Args:
+        entry: the mapping.
+        type_key: the key under which the type of the ROS action stands.
+        retries: how often the action is tried again when nothing is said about it.
+
+    Raises:
+        InputError: a value is of the wrong kind.
+    """
     goal = entry.plain("goal")
-    store = entry.plain("store")
     if goal is not None and not isinstance(goal, dict):
         raise InputError("expected goal fields and their values", entry.position("goal"))
     _check_fluents(goal, entry)
-    if store is not None and not (isinstance(store, dict) and all(isinstance(name, str) for name in store.values())):
-        raise InputError("expected result fields and the variables to store them in", entry.position("store"))
     server = entry.string("server")
     if server is not None:
         _check_pattern(server, entry)
     return Binding(
         server=server,
-        type=entry.string("type"),
+        type=entry.string(type_key),
         goal=goal,
-        store=store or {},
+        store=read_texts(entry, "store", "expected result fields and the variables to store them in"),
         timeout=entry.number("timeout", None),
         accept=entry.number("accept", DEFAULT.accept),
         cancel=entry.number("cancel", DEFAULT.cancel),
-        retries=entry.whole("retries", DEFAULT.retries),
+        retries=entry.whole("retries", retries),
+        ask=read_texts(entry, "ask", "expected variables, and what a person is asked when nobody knows them"),
     )
+
+
+def read_texts(entry: Mapped, key: str, expected: str) -> dict[str, str]:
+    """Read a mapping of names to texts; empty when the key is not there.
+
+    Raises:
+        InputError: it is something else.
+    """
+    found = entry.plain(key)
+    if found is not None and not (isinstance(found, dict) and all(isinstance(text, str) for text in found.values())):
+        raise InputError(expected, entry.position(key))
+    return found or {}
 
 
 def _check_fluents(source: object, entry: Mapped) -> None:

@@ -9,17 +9,23 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from pnm.conditions import Condition, conjuncts, evaluate, names
+from pnm.conditions import TRUE, Condition, conjuncts, evaluate, failing, names
+from pnm.consultation import Consultation
 from pnm.effects import Changes, Effects, changes, decided, facts, is_fixed, names_written
 from pnm.expressions import Fluent, Value, same
-from pnm.knowledge import Layered, show_statement
+from pnm.knowledge import show_statement
 from pnm.plan_graph import ActionCall, GroundAction
 
 
-def already_true(action: GroundAction, knowledge: Layered) -> bool:
-    """Tell whether the action changes nothing but plain facts and objects, at least one, and all are so already."""
+def already_true(action: GroundAction, knowledge: Consultation) -> bool:
+    """Tell whether what is expected of the action holds, and it changes nothing but plain facts and objects which are so already.
+
+    An action of which nothing is expected and that changes nothing is never done already.
+    """
     at_start, at_end = facts(action.start_effects, knowledge), facts(decided(action.end_effects, knowledge), knowledge)
-    if at_start is None or at_end is None or not (at_start or at_end):
+    if at_start is None or at_end is None or not (at_start or at_end or action.expected != TRUE):
+        return False
+    if evaluate(action.expected, knowledge) is not True:
         return False
     return all(same(knowledge.value(fluent), value) for fluent, value in (at_start | at_end).items())
 
@@ -36,7 +42,7 @@ class Intention:
     """The facts and objects that sensors should report once the call has succeeded."""
 
 
-def intention(call: ActionCall, knowledge: Layered) -> Intention:
+def intention(call: ActionCall, knowledge: Consultation) -> Intention:
     """Compute what the call, which is being sent, is going to change, and what of it should be seen.
 
     Numbers are not expected: a real battery never shows the modelled figure. Nor is, of a durative
@@ -52,7 +58,7 @@ def intention(call: ActionCall, knowledge: Layered) -> Intention:
     return Intention(start, end, ending, seen)
 
 
-def finished(action: GroundAction, intended: Intention, knowledge: Layered) -> Changes:
+def finished(action: GroundAction, intended: Intention, knowledge: Consultation) -> Changes:
     """Return what the end of the action changes.
 
     A durative action's end effects read the state at its end. An instantaneous action's conditions and
@@ -65,13 +71,13 @@ def finished(action: GroundAction, intended: Intention, knowledge: Layered) -> C
     return {fluent: value if isinstance(value, bool | str) else now.get(fluent, value) for fluent, value in intended.end.items()}
 
 
-def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: Layered) -> tuple[str, ...]:
-    """Return, as PDDL, which expected facts are not reported and which end conditions do not hold."""
+def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: Consultation) -> tuple[str, ...]:
+    """Return, as PDDL, which expected facts are not reported and which end conditions and expectations do not hold."""
     missing = (show_statement(fluent, value) for fluent, value in wanted.items() if not same(knowledge.world.value(fluent), value))
-    return (*missing, *map(str, _end_denied(action, knowledge)))
+    return (*missing, *map(str, _end_denied(action, knowledge)), *map(str, failing(action.expected, knowledge)))
 
 
-def _end_denied(action: GroundAction, knowledge: Layered) -> Iterator[Condition]:
+def _end_denied(action: GroundAction, knowledge: Consultation) -> Iterator[Condition]:
     """Yield the parts of the end condition that do not hold; those the end itself changes cannot be told any more."""
     changed = names_written(action.end_effects)
     for part in conjuncts(action.end_condition):
@@ -79,11 +85,11 @@ def _end_denied(action: GroundAction, knowledge: Layered) -> Iterator[Condition]
             yield part
 
 
-def lag_of_effects(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: Layered) -> float:
+def lag_of_effects(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: Consultation) -> float:
     """Return how many seconds late the reports about the effects and the end condition may come."""
-    return knowledge.world.lag({*(fluent[0] for fluent in wanted), *names(action.end_condition)})
+    return knowledge.world.lag({*(fluent[0] for fluent in wanted), *names(action.end_condition), *names(action.expected)})
 
 
-def is_assumed(action: GroundAction, knowledge: Layered) -> bool:
+def is_assumed(action: GroundAction, knowledge: Consultation) -> bool:
     """Tell whether nothing reports some of what the action changes."""
     return not all(knowledge.world.is_sensed((name,)) for name in names_written((*action.start_effects, *action.end_effects)))

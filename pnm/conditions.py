@@ -38,7 +38,7 @@ from pnm.expressions import (
     value_of,
     variables_in,
 )
-from pnm.queries import Answers, Data, Uncomputable, compute, fluents_in, parameters_in, substituted, told
+from pnm.queries import Answers, Data, Unanswered, Uncomputable, compute, fluents_in, parameters_in, substituted, told
 from pnm.queries import truth as is_true
 
 # --- conditions ----------------------------------------------------------------------------
@@ -332,8 +332,18 @@ def conjuncts(condition: Condition) -> tuple[Condition, ...]:
 
 
 def failing(condition: Condition, state: State) -> tuple[Condition, ...]:
-    """Return the conjuncts that do not hold in the state: what was expected and is not so."""
-    return tuple(part for part in conjuncts(condition) if evaluate(part, state) is not True)
+    """Return the conjuncts that do not hold in the state: what was expected and is not so.
+
+    Those that nobody had to ask about, because others did not hold, are not among them.
+    """
+    return tuple(part for part in conjuncts(condition) if _fails(part, state))
+
+
+def _fails(condition: Condition, state: State) -> bool:
+    try:
+        return evaluate(condition, state) is not True
+    except Unanswered:
+        return False
 
 
 class Witness(State, Protocol):

@@ -43,6 +43,8 @@ class Answered:
 
     id: UUID
     value: object
+    message: str = ""
+    """Why there is no value, when there is none."""
 
 
 Event: TypeAlias = Begin | KnowledgeChanged | Tick | Stop | Answered | Report

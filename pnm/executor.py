@@ -3,25 +3,41 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+import logging
+from collections.abc import Coroutine, Mapping
 from typing import assert_never, cast
+from uuid import UUID
 
-from pnm.actions.base import ActionClient
-from pnm.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
+from pnm.actions.base import ActionClient, Ended, Outcome, OutcomeKind
+from pnm.events import Answered, Ask, Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tell, Tick, Wake, Withdraw
 from pnm.expressions import Fluent, Unknown, Value
+from pnm.queries import MISSING, Question
 from pnm.results import RunResult
 from pnm.run import Run
+from pnm.sources import Asker, Source, SourceError
+
+_log = logging.getLogger(__name__)
 
 
 class Executor:
     """One run and the client that carries out its actions, on one asyncio loop.
 
-    The mutable state is the inbox of events, the timer, and whether a knowledge change waits in the inbox.
+    The mutable state is the inbox of events, the timer, whether a knowledge change waits in the inbox, and what is being asked
+    or told outside.
+
+    Args:
+        run: what is driven.
+        client: what requests are sent to.
+        source: who is asked and told what a run does not know itself.
+        name: what a person may know the run by.
     """
 
-    def __init__(self, run: Run, client: ActionClient) -> None:
+    def __init__(self, run: Run, client: ActionClient, source: Source | None = None, name: str = "") -> None:
         self.run = run
         self._client = client
+        self._source = source
+        self._asker = Asker(run.id, name)
+        self._talks: dict[UUID, asyncio.Task[None]] = {}
         self._inbox: asyncio.Queue[Event] = asyncio.Queue()
         self._timer: asyncio.TimerHandle | None = None
         self._change_waits = False
@@ -35,7 +51,8 @@ class Executor:
 
         Cancelling the task stops the run: what its actions are doing is cancelled and waited for.
         """
-        stop_listening = self.run.knowledge.world.listen(self._changed)
+        layers = self.run.knowledge.world, self.run.knowledge.local
+        stop_listening = [layer.listen(self._changed) for layer in layers]
         self._inbox.put_nowait(Begin())
         try:
             while not self.run.over:
@@ -53,7 +70,10 @@ class Executor:
                 self._client.cancel(request)
             raise
         finally:
-            stop_listening()
+            for stop in stop_listening:
+                stop()
+            for talk in self._talks.values():
+                talk.cancel()
             self._wake_at(None)
         return self.run.result()
 
@@ -65,8 +85,44 @@ class Executor:
                 self._client.cancel(request)
             case Wake(at):
                 self._wake_at(at)
+            case Ask(identity, question):
+                self._talk(identity, self._ask(identity, question))
+            case Withdraw(identity):
+                if identity in self._talks:
+                    self._talks[identity].cancel()
+            case Tell(identity, question, value):
+                self._talk(identity, self._tell(identity, question, value))
             case _:
                 assert_never(command)
+
+    def _talk(self, identity: UUID, talk: Coroutine[None, None, None]) -> None:
+        task = self._talks[identity] = asyncio.get_running_loop().create_task(talk)
+        task.add_done_callback(lambda _: self._talks.pop(identity, None))
+
+    async def _ask(self, identity: UUID, question: Question) -> None:
+        answer: object = MISSING
+        message = ""
+        try:
+            if self._source:
+                answer = await self._source.query(question, self._asker)
+        except SourceError as error:
+            message = str(error)
+        except Exception:  # of somebody else's knowledge base: the run waits for an answer
+            _log.exception("%s cannot be asked", question)
+            message = f"{question} cannot be asked"
+        self._inbox.put_nowait(Answered(identity, answer, message))
+
+    async def _tell(self, identity: UUID, question: Question, value: object) -> None:
+        outcome = Outcome(OutcomeKind.SUCCEEDED)
+        try:
+            if self._source:
+                await self._source.update(question, value, self._asker)
+        except SourceError as error:
+            outcome = Outcome(OutcomeKind.ABORTED, message=str(error))
+        except Exception as error:
+            _log.exception("%s cannot be stored", question)
+            outcome = Outcome(OutcomeKind.ABORTED, message=f"{question} cannot be stored: {error}")
+        self._inbox.put_nowait(Ended(identity, outcome))
 
     def _wake_at(self, at: float | None) -> None:
         if self._timer:

@@ -141,7 +141,7 @@ class KnowledgeBase:
         return isinstance(fluent, tuple) and fluent[:1] != () and fluent[0] in self._derived
 
     def listen(self, listener: Listener) -> Callable[[], None]:
-        """Call the listener with every batch of changes; return the function that stops it."""
+        """Call the listener with every batch of changes, an empty one for variables; return the function that stops it."""
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener)
 
@@ -171,8 +171,12 @@ class KnowledgeBase:
         return self._variables.get(name, MISSING)
 
     def store(self, variables: Mapping[str, object]) -> None:
-        """Record the variables, replacing older values."""
+        """Record the variables, replacing older values; one that is set to None is forgotten."""
         self._variables.update(variables)
+        for name in [name for name, value in variables.items() if value is None]:
+            del self._variables[name]
+        for listener in tuple(self._listeners):
+            listener({})
 
     def variables(self) -> dict[str, object]:
         """Return a copy of all variables."""

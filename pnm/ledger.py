@@ -7,7 +7,7 @@ from typing import Final
 
 from pnm.actions.base import Outcome
 from pnm.machine import Deed, Rule
-from pnm.plan_graph import ActionCall
+from pnm.plan_graph import ActionCall, PlanGraph, Then
 from pnm.results import CallResult, Failure
 
 UNCONFIRMED: Final = "canceled, unconfirmed"
@@ -44,14 +44,32 @@ _CAUSES: Final = {
 class Ledger:
     """What a run writes down about its calls.
 
-    The mutable state is `results`, `failures` and, per call, the last message and the last cause.
+    The mutable state is `results`, what became of calls the last time they were reached, `rounds`, the same of all times
+    before, `failures` and, per call, the last message and the last cause.
     """
 
-    def __init__(self, calls: tuple[ActionCall, ...]) -> None:
-        self.results = [CallResult(call) for call in calls]
+    def __init__(self, plan: PlanGraph) -> None:
+        self._calls = plan.calls
+        self._steps = {step.index: step for step in plan.every_step}
+        self._outermost = frozenset(step.index for step in plan.steps)
+        self._is_flat = len(plan.steps) == len(plan.every_step) == len(plan.calls)
+        self.results = [CallResult(call) for call in plan.calls]
+        self.rounds: list[CallResult] = []
         self.failures: list[Failure] = []
         self._messages: dict[int, str] = {}
         self._causes: dict[int, tuple[str, str, str]] = {}
+
+    def told(self) -> tuple[CallResult, ...]:
+        """Return what became of the calls, every time they were reached.
+
+        A plan of calls alone keeps its order; of any other plan calls are told in the order in which they were sent, and of those
+        that were never reached the outermost ones.
+        """
+        if self._is_flat and not self.rounds:
+            return tuple(self.results)
+        reached = [one for one in (*self.rounds, *self.results) if one.outcome != "waiting"]
+        others = [one for one in self.results if one.outcome == "waiting" and one.call.index in self._outermost]
+        return (*sorted(reached, key=lambda one: (_first(one), one.call.index)), *others)
 
     def answered(self, call: int, outcome: Outcome) -> None:
         """Note how a request of the call ended."""
@@ -60,13 +78,28 @@ class Ledger:
     def fired(self, rule: Rule, call: int, now: float, *, missing: tuple[str, ...], assumed: bool) -> None:
         """Note that a transition of the call fires; `missing` are the effects not seen."""
         result = self.results[call]
-        if rule.deed is Deed.SEND:
+        if rule.name in ("join", "overtaken") and result.outcome != "waiting":
+            self.rounds.append(result)
+            self.results[call] = CallResult(self._calls[call])
+            self._causes.pop(call, None)
+        elif rule.deed is Deed.SEND:
             started = now if result.started is None else result.started
             self.results[call] = replace(result, outcome="running", attempts=result.attempts + 1, started=started)
         elif rule.name in _DONE:
             self.results[call] = replace(result, outcome=_DONE[rule.name], ended=now, assumed=rule.deed is Deed.FINISH and assumed)
+        elif rule.name == "fork" and result.ended is None:
+            cause = self._causes[call][0] if call in self._causes else "left"
+            self.results[call] = replace(result, outcome=f"{cause}, passed over", ended=now)
         if rule.name in _CAUSES:
-            self._causes[call] = (_CAUSES[rule.name], *self._expectation(rule.name, call, missing))
+            self.caused(call, (_CAUSES[rule.name], *self._expectation(rule.name, call, missing)))
+
+    def sent(self, call: ActionCall) -> None:
+        """Note with which values for its parameters the call was sent."""
+        self.results[call.index] = replace(self.results[call.index], call=call)
+
+    def caused(self, call: int, why: tuple[str, str, str]) -> None:
+        """Note why the call is about to recover: the cause, what was expected and what was seen."""
+        self._causes[call] = why
 
     def _expectation(self, transition: str, call: int, missing: tuple[str, ...]) -> tuple[str, str]:
         """Return what was expected, and what was seen in its place."""
@@ -82,12 +115,19 @@ class Ledger:
             case _:
                 return "success", self._messages[call]
 
-    def failed(self, call: int, now: float, why: tuple[str, str, str] | None, *, unconfirmed: bool) -> Failure:
-        """Note that the call has failed; the cause is the last one noted unless `why` names another."""
-        if why and call in self._causes:
-            cause, expected, observed = self._causes[call]
+    def failed(self, step: int, now: float, why: tuple[str, str, str] | None, *, how: str, unconfirmed: bool) -> Failure:
+        """Note that the step has failed, by the transition `how`; the cause is the last one noted unless `why` names another."""
+        if why and step in self._causes:
+            cause, expected, observed = self._causes[step]
             why = (why[0], why[1], f"{why[2]}; so it was not tried again after {cause}: expected {expected}, observed {observed}")
-        failure = Failure(self.results[call].call, *(why or self._causes[call]), unconfirmed=unconfirmed)
+        told = why or self._causes.get(step) or (how, "", "")
+        failed = self.results[step].call if step < len(self.results) else self._steps[step]
+        failure = Failure(failed, *told, unconfirmed=unconfirmed, replan=how == Then.REPLAN.value)
         self.failures.append(failure)
-        self.results[call] = replace(self.results[call], outcome=failure.cause, ended=now)
+        if isinstance(failure.call, ActionCall):
+            self.results[step] = replace(self.results[step], outcome=failure.cause, ended=now)
         return failure
+
+
+def _first(result: CallResult) -> float:
+    return next((time for time in (result.started, result.ended) if time is not None), 0.0)

@@ -34,7 +34,12 @@ class Always:
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """Open when the run is ending: a failure place is marked, or it was told to stop."""
+    """Open when nothing more is started: a failure place or a restart place is marked, or the run was told to stop."""
+
+
+@dataclass(frozen=True, slots=True)
+class Failing:
+    """Open when the run can no longer succeed: a failure place is marked, or it was told to stop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +123,7 @@ class Due:
 Guard: TypeAlias = (
     Always
     | Ending
+    | Failing
     | CancelAsked
     | Holding
     | Denied
@@ -150,6 +156,7 @@ class Rule:
     """What happens, such as ``start`` or ``aborted``; the same for every call."""
     guard: Guard = field(default_factory=Always)
     call: int | None = None
+    """The number of the step it belongs to, which most often is a call; None for the frame around all steps."""
     deed: Deed | None = None
 
 
@@ -158,6 +165,19 @@ class OnFailure(Enum):
 
     DRAIN = "drain"
     CANCEL = "cancel"
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """Steps that are entered and left as a whole: all of the plan, the body of a loop, a branch, a chain of recovery."""
+
+    owner: int | None
+    """The number of the step that holds it; None for all of the plan."""
+    steps: frozenset[int]
+    first: tuple[str, ...]
+    """Places that the owner marks, all at once."""
+    last: tuple[str, ...]
+    """Places that are marked when all steps are done, and that the owner takes all at once."""
 
 
 @dataclass(frozen=True)
@@ -172,13 +192,19 @@ class PetriNetMachine:
     goal_place: str
     failed_place: str
     failure_places: Mapping[str, int]
-    """For every place that marks the failure of a call, the call."""
+    """For every place that marks the failure of a step, the number of the step."""
+    restart_places: Mapping[str, int]
+    """For every place that asks for the plan to begin anew, the call that marks it."""
     budget_places: frozenset[str]
-    """Places that count retries left and retries spent."""
+    """Places that count retries, recoveries and rounds left, and those spent."""
+    resource_places: frozenset[str]
+    """Places whose tokens calls have for themselves from start to end."""
     blocks: Mapping[int, tuple[str, ...]]
-    """For every call, the places of its block."""
+    """For every step, the places of its block."""
     orderings: Mapping[str, Ordering]
     """For every place that stands for an ordering of the plan, that ordering."""
+    regions: tuple[Region, ...]
+    """The plan itself first."""
     on_failure: OnFailure = OnFailure.DRAIN
 
     @property
@@ -188,17 +214,26 @@ class PetriNetMachine:
 
     @cached_property
     def record_places(self) -> frozenset[str]:
-        """Places that may stay marked at the end: failures and budgets."""
-        return frozenset(self.failure_places) | self.budget_places
+        """Places that may stay marked at the end: counters and resources."""
+        return self.counter_places | self.resource_places
+
+    @cached_property
+    def counter_places(self) -> frozenset[str]:
+        """Failures, restarts asked for, and budgets: nothing starts from them, they are looked at from other places."""
+        return frozenset(self.failure_places) | frozenset(self.restart_places) | self.budget_places
 
     def role(self, place: str) -> str:
-        """Return ``goal``, ``failure``, ``budget``, ``ordering`` or, for all other places, nothing."""
+        """Return ``goal``, ``failure``, ``restart``, ``budget``, ``resource``, ``ordering`` or, for all other places, nothing."""
         if place == self.goal_place:
             return "goal"
         if place in self.failure_places or place == self.failed_place:
             return "failure"
+        if place in self.restart_places:
+            return "restart"
         if place in self.budget_places:
             return "budget"
+        if place in self.resource_places:
+            return "resource"
         return "ordering" if place in self.orderings else ""
 
     @cached_property

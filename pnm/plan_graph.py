@@ -131,6 +131,8 @@ class ActionCall:
     """In place of the binding's."""
     retries: int | None = None
     """In place of the binding's."""
+    store: tuple[tuple[str, str], ...] = ()
+    """Result fields and the variables they are stored in, where this is not what the binding says."""
 
     def __str__(self) -> str:
         return f"{self.action}#{self.index}"
@@ -268,8 +270,6 @@ class PlanGraph:
     """What derives facts that its conditions mention."""
     due: float = 0.0
     """Seconds after the moment the plan starts from before which the goal is not looked at: time itself does the last part."""
-    restarts: int = 0
-    """How often the plan may begin anew."""
     capacities: Mapping[str, int] = field(default_factory=dict)
     """How many calls may have a resource at the same time; one for those not listed."""
 

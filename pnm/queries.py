@@ -164,7 +164,7 @@ class Answers(Protocol):
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
         """Return the value of a fluent."""
 
-    def variable(self, name: str, /) -> object:
+    def local_variable(self, name: str, /) -> object:
         """Return a variable of the run, or `MISSING`."""
 
     def parameter(self, name: str, /) -> object:
@@ -192,7 +192,7 @@ def compute(data: Data, answers: Answers) -> object:
         case Query(_, layer):
             question = asked(data, answers)
             if layer in (Layer.LOCAL, Layer.ALL):
-                known = answers.variable(question.name)
+                known = answers.local_variable(question.name)
                 if known is not MISSING or layer is Layer.LOCAL:
                     return known
             return answers.answer(question)

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pnm.plan_graph import ActionCall
+from pnm.plan_graph import ActionCall, Step
 
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Why a call failed: which check or outcome, what was expected and what was seen."""
+    """Why a call, or another step, failed: which check or outcome, what was expected and what was seen."""
 
-    call: ActionCall
+    call: Step
     cause: str
     expected: str = ""
     observed: str = ""
     unconfirmed: bool = False
     """The server has not confirmed that it stopped: it may still be at work."""
+    replan: bool = False
+    """The plan wants a planner to find another way."""
 
     def __str__(self) -> str:
         details = f": expected {self.expected}" if self.expected else ""

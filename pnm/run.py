@@ -10,19 +10,19 @@ again when facts change, when the run begins to end, or when its moment has come
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
 from heapq import heappop, heappush
 from typing import Final, assert_never
-from uuid import UUID, uuid5
+from uuid import UUID
 
-from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Report, Request
-from pnm.bindings import Bindings, goal_data
-from pnm.checks import Intention, already_true, finished, intention, is_assumed, lag_of_effects, unseen
+from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Report
+from pnm.bindings import Bindings
+from pnm.calls import Calls, GoalFields
+from pnm.checks import already_true, is_assumed
 from pnm.compiled import Engine
-from pnm.conditions import Condition, evaluate, failing, names, observed
-from pnm.effects import Changes, undo, values_before
+from pnm.conditions import Condition, evaluate, failing, ground, names, observed
+from pnm.consultation import Consultation, Questions
 from pnm.errors import PnmError
-from pnm.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
+from pnm.events import Answered, Ask, Begin, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake, Withdraw
 from pnm.knowledge import Layered
 from pnm.ledger import Ledger
 from pnm.machine import (
@@ -39,6 +39,7 @@ from pnm.machine import (
     EffectsSeen,
     Ending,
     Ends,
+    Failing,
     Holding,
     OnFailure,
     PetriNetMachine,
@@ -46,7 +47,8 @@ from pnm.machine import (
 )
 from pnm.marking import Marking
 from pnm.observer import Observer
-from pnm.plan_graph import GroundAction
+from pnm.plan_graph import GroundAction, Loop
+from pnm.queries import Question, Unanswered
 from pnm.results import RunResult
 
 NEVER: Final = float("inf")
@@ -71,6 +73,7 @@ class Run:
         id: the identities of all requests follow from it.
         bindings: where goal data comes from and where results go.
         goal_fields: tells which fields the goal of an action must have, as far as is known.
+        asks: whether there is anybody outside to be asked.
         observer: is told what happens.
         origin: the time from which releases count; the beginning of the run when not given.
 
@@ -84,15 +87,14 @@ class Run:
         *,
         id: UUID,
         bindings: Bindings | None = None,
-        goal_fields: Callable[[GroundAction], tuple[str, ...] | None] = _unknown_fields,
+        goal_fields: GoalFields = _unknown_fields,
+        asks: bool = False,
         observer: Observer | None = None,
         origin: float | None = None,
     ) -> None:
         self.machine = machine
         self.knowledge = knowledge
         self.id = id
-        self._bindings = bindings or Bindings()
-        self._goal_fields = goal_fields
         self._observer = observer or Observer()
         compiled = machine.compiled
         self._rules = [machine.rules[name] for name in compiled.transitions]
@@ -101,6 +103,8 @@ class Run:
         for transition, rule in enumerate(self._rules):
             if isinstance(rule.guard, Accepts | Ends):
                 self._reported.setdefault(rule.guard.call, []).append(transition)
+        self._counters = {compiled.place_id[place] for place in machine.counter_places}
+        self._restart_ids = {compiled.place_id[place] for place in machine.restart_places}
         self._failure_ids = {compiled.place_id[place]: call for place, call in machine.failure_places.items()}
         self._final_ids = (compiled.place_id[machine.goal_place], compiled.place_id[machine.failed_place])
         # state
@@ -116,11 +120,11 @@ class Run:
         self._scheduled: dict[int, float] = {}
         self._wake = NEVER
         self._commands: list[Command] = []
-        self._open: dict[UUID, int] = {}
-        self._request: dict[int, UUID] = {}
-        self._ledger = Ledger(machine.plan.calls)
-        self._intended: dict[int, Intention] = {}
-        self._begun: dict[int, Changes] = {}
+        self._questions = Questions()
+        self._asked = 0
+        self._deciding: int | None = None
+        self._calls = Calls(id, machine.plan, knowledge, bindings or Bindings(), goal_fields, asks=asks)
+        self._ledger = Ledger(machine.plan)
         self._missing: dict[int, tuple[str, ...]] = {}
         self._stop: Stop | None = None
 
@@ -138,20 +142,24 @@ class Run:
 
     @property
     def ending(self) -> bool:
-        """Whether nothing more is started: a failure place is marked, or the run was told to stop."""
+        """Whether nothing more is started: a failure or restart place is marked, or the run was told to stop."""
+        return self._failing or any(self._engine.tokens[place] for place in self._restart_ids)
+
+    @property
+    def _failing(self) -> bool:
         return bool(self._ledger.failures) or self._stop is not None
 
     @property
     def open_requests(self) -> tuple[UUID, ...]:
         """The requests that are not over, as far as is known."""
-        return tuple(self._open)
+        return tuple(self._calls.open)
 
     def result(self) -> RunResult:
         """Return how the run ended."""
         if not self.over:
             raise RunError(f"the run is not over: {self.marking}")
         goal = bool(self._engine.tokens[self._final_ids[0]])
-        return RunResult(goal, self._reason(goal), tuple(self._ledger.results), tuple(self._ledger.failures), self._stop is not None)
+        return RunResult(goal, self._reason(goal), self._ledger.told(), tuple(self._ledger.failures), self._stop is not None)
 
     def _reason(self, goal: bool) -> str:
         if goal:
@@ -160,13 +168,12 @@ class Run:
             return self._stop.reason
         if self._ledger.failures:
             return str(self._ledger.failures[0])
-        expected, seen = self._explain(self.machine.plan.goal)
+        expected, seen = self._explain(self.machine.plan.goal, None)
         return f"every call is done but the goal does not hold: expected {expected}; observed {seen}"
 
     def __repr__(self) -> str:
-        return (
-            f"<Run {self.machine!r}, {len(self._open)} requests open, {'over' if self.over else 'ending' if self.ending else 'going on'}>"
-        )
+        state = "over" if self.over else "ending" if self.ending else "going on"
+        return f"<Run {self.machine!r}, {len(self._calls.open)} requests open, {state}>"
 
     # --- events -------------------------------------------------------------------------------
 
@@ -187,6 +194,9 @@ class Run:
                 if self._stop is None or event.cancel:
                     self._stop = event
                 self._agenda.extend(self._undecided)
+            case Answered(identity, value, message):
+                place = self._questions.answered(identity, value, message)
+                self._agenda.extend([] if place is None else [place])
             case Accepted() | Ended():
                 self._report(event)
             case _:
@@ -200,23 +210,24 @@ class Run:
             raise RunError("the run has begun already")
         self._began = self._now
         self._origin = self._now if self._origin is None else self._origin
-        self._agenda.extend(place for place, tokens in enumerate(self._engine.tokens) if tokens)
+        self._agenda.extend(place for place, tokens in enumerate(self._engine.tokens) if tokens and place not in self._counters)
 
     def _report(self, report: Report) -> None:
-        call = self._open.get(report.request)
+        call = self._calls.open.get(report.request)
         if call is None:
             self._observer.orphaned(report, self._now)
             return
         if isinstance(report, Ended):
             if report.outcome.kind not in _BEFORE_ACCEPTANCE:
                 self._take(call, Accepted(report.request))  # a client may leave out what goes without saying
-            del self._open[report.request]
+            del self._calls.open[report.request]
             self._note_outcome(call, report.outcome)
         if not self._take(call, report):
             self._observer.orphaned(report, self._now)
 
     def _take(self, call: int, report: Report) -> bool:
         """Fire the transition of the call that the report opens, if there is one."""
+        self._deciding = None
         for transition in self._reported[call]:
             if self._engine.is_enabled(transition) and _admits(self._rules[transition], report):
                 self._fire(transition)
@@ -225,17 +236,21 @@ class Run:
 
     def _note_outcome(self, call: int, outcome: Outcome) -> None:
         if outcome.kind is OutcomeKind.SUCCEEDED:
-            store = self._bindings.of(self._action(call).name).store
-            self.knowledge.local.store({store.get(name, name): value for name, value in outcome.result.items()})
+            self._calls.store(call, outcome)
         self._ledger.answered(call, outcome)
-        self._observer.ended(self.machine.plan.calls[call], outcome, self._now)
+        self._observer.ended(self._calls.as_sent(call), outcome, self._now)
 
     # --- δ̂ ------------------------------------------------------------------------------------
 
     def _settle(self) -> None:
         """Fire open transitions until there is none, then ask to be woken at the next moment."""
-        while self._agenda:
-            self._decide(self._agenda.popleft())
+        while self._agenda or self._calls.reports:
+            if self._calls.reports:
+                self._report(self._calls.reports.popleft())
+            else:
+                self._decide(self._agenda.popleft())
+        self._commands += self._calls.commands
+        self._calls.commands.clear()
         if self._timers and self._timers[0][0] < self._wake and not self.over:
             self._wake = self._timers[0][0]
             self._commands.append(Wake(self._wake))
@@ -244,11 +259,17 @@ class Run:
         """Fire the first open transition that takes from the place; if there is none, note when to ask again."""
         if not self._engine.tokens[place]:
             return
+        self._deciding = place
         again, waiting = NEVER, False
         for transition, _ in self._engine.compiled.consumers[place]:
             if not self._engine.is_enabled(transition):
                 continue
-            opens = self._opens(transition, place)
+            try:
+                opens = self._opens(transition, place)
+            except Unanswered as needed:  # and so are all rules after this one
+                self._ask(place, needed.question)
+                self._undecided[place] = None
+                return
             if opens <= self._now:
                 self._fire(transition)
                 return
@@ -259,29 +280,43 @@ class Run:
             self._scheduled[place] = again
             heappush(self._timers, (again, place))
 
+    def _ask(self, place: int, question: Question) -> None:
+        if not self._questions.is_asked(place, question):
+            self._asked += 1
+            identity = self._calls.identity(f"question {self._asked}")
+            self._questions.ask(identity, place, question)
+            self._commands.append(Ask(identity, question))
+
     def _opens(self, transition: int, place: int) -> float:
-        """Return when the guard opens as far as is known: now or earlier, at a later time, or never by itself."""
-        guard = self._rules[transition].guard
-        match guard:
+        """Return when the guard opens as far as is known: now or earlier, at a later time, or never by itself.
+
+        Raises:
+            Unanswered: a question has to be asked first.
+        """
+        rule = self._rules[transition]
+        match rule.guard:
             case Always():
                 return -NEVER
             case Ending():
                 return _now_if(self.ending)
+            case Failing():
+                return _now_if(self._failing)
             case CancelAsked():
                 return _now_if(self._cancels())
             case Holding(condition):
-                return _now_if(evaluate(condition, self.knowledge) is True)
+                return _now_if(self._holds(condition, rule))
             case Denied(condition):
-                return self._denied(transition, evaluate(condition, self.knowledge) is True, self.knowledge.world.lag(names(condition)))
+                return self._denied(transition, self._holds(condition, rule), self.knowledge.world.lag(names(condition)))
             case AlreadyTrue(call):
-                return _now_if(already_true(self._action(call), self.knowledge))
+                consulted = self._consult(call)
+                return _now_if(already_true(self._calls.ready(call, consulted), consulted))
             case DataMissing(call):
-                return _now_if(bool(self._goal(call)[1]))
+                return _now_if(bool(self._calls.goal(call, self._consult(call))[1]))
             case EffectsSeen(call):
-                self._missing[call] = self._unseen(call)
+                self._missing[call] = self._calls.unseen(call, self._consult(call))
                 return _now_if(not self._missing[call])
             case EffectsMissing(call):
-                return self._denied(transition, not self._missing[call], self._lag_of_effects(call))
+                return self._denied(transition, not self._missing[call], self._calls.lag_of_effects(call, self._consult(call)))
             case Accepts() | Ends():
                 return NEVER
             case After(seconds):
@@ -290,7 +325,15 @@ class Run:
                 ids = self._engine.compiled.place_id
                 return max([(self._origin or 0.0) + seconds, *(self._arrived[ids[one]] + delay for one, delay in since)])
             case _:
-                assert_never(guard)
+                assert_never(rule.guard)
+
+    def _consult(self, call: int | None) -> Consultation:
+        answers = {} if self._deciding is None else self._questions.answers_at(self._deciding)
+        return self._calls.consult(call, answers)
+
+    def _holds(self, condition: Condition, rule: Rule) -> bool:
+        consulted = self._consult(rule.call)
+        return evaluate(_grounded(condition, consulted), consulted) is True
 
     def _denied(self, transition: int, holds: bool, lag: float) -> float:
         if holds:
@@ -305,115 +348,95 @@ class Run:
 
     def _fire(self, transition: int) -> None:
         compiled, rule = self._engine.compiled, self._rules[transition]
-        if rule.call is not None:
-            self._note(rule, rule.call)
+        fails = [place for place, _ in compiled.outputs[transition] if place in self._failure_ids]
+        if rule.call is not None and rule.call < len(self.machine.plan.calls):
+            self._note(rule, rule.call, bool(fails))
             if rule.deed is not None:
                 self._do(rule.deed, rule.call)
+                if self._calls.changed:
+                    self._calls.changed = False
+                    self._agenda.extend(place for place in self._undecided if self._listening[place])
+        was_ending = self.ending
         self._engine.fire(transition)
+        for place in fails:
+            self._fail(self._failure_ids[place], rule)
         for place, _ in compiled.inputs[transition]:
-            self._undecided.pop(place, None)
-            for consumer, _ in compiled.consumers[place]:
-                self._denied_since.pop(consumer, None)
+            self._leave(place)
         for place, _ in compiled.outputs[transition]:
             self._arrived[place] = self._now
-            if place in self._failure_ids:
-                self._fail(self._failure_ids[place], rule)
-            else:
+            if place not in self._counters:
                 self._agenda.append(place)
+        if self.ending and not was_ending:
+            self._agenda.extend(self._undecided)
         self._observer.fired(compiled.transitions[transition], rule, self._now)
 
-    def _note(self, rule: Rule, call: int) -> None:
-        assumed = rule.deed is Deed.FINISH and is_assumed(self._action(call), self.knowledge)
+    def _do(self, deed: Deed, call: int) -> None:
+        self._calls.do(deed, call, self._ledger.results[call].attempts, self._consult(call))
+        if deed is Deed.SEND:
+            self._ledger.sent(self._calls.as_sent(call))
+            for command in self._calls.commands:
+                if isinstance(command, Send):
+                    self._observer.sent(self._calls.as_sent(call), command.request, self._now)
+            self._commands += self._calls.commands
+            self._calls.commands.clear()
+
+    def _leave(self, place: int) -> None:
+        """Forget what the decision at the place was made from."""
+        self._undecided.pop(place, None)
+        self._commands.extend(map(Withdraw, self._questions.left(place)))
+        for consumer, _ in self._engine.compiled.consumers[place]:
+            self._denied_since.pop(consumer, None)
+
+    def _note(self, rule: Rule, call: int, fails: bool) -> None:
+        assumed = rule.deed is Deed.FINISH and is_assumed(self._calls.action(call), self._consult(call))
         self._ledger.fired(rule, call, self._now, missing=self._missing.get(call, ()), assumed=assumed)
+        if rule.name in _CHECKS and not fails and (why := self._why(call, rule)):
+            self._ledger.caused(call, why)
         if rule.name in _GIVEN_UP:
-            self._open.pop(self._request[call], None)
+            self._calls.forget(call)
 
-    def _fail(self, call: int, rule: Rule) -> None:
-        first = not self.ending
-        failure = self._ledger.failed(call, self._now, self._why(call, rule), unconfirmed=rule.name in _GIVEN_UP)
+    def _fail(self, step: int, rule: Rule) -> None:
+        failure = self._ledger.failed(step, self._now, self._why(step, rule), how=rule.name, unconfirmed=rule.name in _GIVEN_UP)
         self._observer.failed(failure, self._now)
-        if first:
-            self._agenda.extend(self._undecided)
 
-    def _why(self, call: int, rule: Rule) -> tuple[str, str, str] | None:
+    def _why(self, step: int, rule: Rule) -> tuple[str, str, str] | None:
         """Return the cause of a failure that a check has found, with what was expected and what was seen."""
         match rule.guard:
             case Denied(condition):
-                return rule.name, *self._explain(condition)
+                return rule.name, *self._explain(condition, rule.call)
+            case Holding(condition) if rule.name == "loop_limit":
+                rounds = next(one.limit for one in self.machine.plan.every_step if isinstance(one, Loop) and one.index == step)
+                return rule.name, f"(not {condition}) after {rounds} rounds", observed(condition, self._consult(step))
+            case Holding(condition) if rule.name in _CHECKS:
+                return rule.name, f"(not {condition})", observed(condition, self._consult(step))
             case DataMissing():
-                return rule.name, f"values for {', '.join(self._goal(call)[1])}", "no argument, variable or constant of that name"
+                missing = self._calls.goal(step, self._consult(step))[1]
+                why = "".join(f"; {message}" for message in self._questions.silence_at(self._deciding))
+                return rule.name, f"values for {', '.join(missing)}", f"no argument, variable or constant of that name{why}"
             case Due(seconds):
                 return rule.name, f"an end within {seconds:g} s of the plan's start", f"{self._now - (self._origin or 0.0):g} s have passed"
             case _:
                 return None
 
-    def _explain(self, condition: Condition) -> tuple[str, str]:
-        missing = failing(condition, self.knowledge)
-        return " ".join(map(str, missing)), "; ".join(observed(part, self.knowledge) for part in missing)
+    def _explain(self, condition: Condition, call: int | None) -> tuple[str, str]:
+        consulted = self._consult(call)
+        missing = failing(_grounded(condition, consulted), consulted)
+        seen = (*(observed(part, consulted) for part in missing), *self._questions.silence_at(self._deciding))
+        return " ".join(map(str, missing)), "; ".join(seen)
 
-    # --- deeds --------------------------------------------------------------------------------
 
-    def _do(self, deed: Deed, call: int) -> None:
-        match deed:
-            case Deed.SEND:
-                self._send(call)
-            case Deed.CANCEL:
-                self._commands.append(Cancel(self._request[call]))
-            case Deed.BEGIN:
-                self._begin_effects(call)
-            case Deed.FINISH:
-                self._write(finished(self._action(call), self._intended[call], self.knowledge))
-            case Deed.UNDO:
-                self._undo(call)
-            case _:
-                assert_never(deed)
-
-    def _send(self, call: int) -> None:
-        attempt = self._ledger.results[call].attempts
-        identity = uuid5(self.id, f"{call}/{attempt}")
-        self._open[identity] = call
-        self._request[call] = identity
-        request = Request(identity, self._action(call), self._goal(call)[0], attempt)
-        self._intended[call] = intention(self.machine.plan.calls[call], self.knowledge)
-        self._commands.append(Send(request))
-        self._observer.sent(self.machine.plan.calls[call], request, self._now)
-
-    def _begin_effects(self, call: int) -> None:
-        start = self._intended[call].start
-        self._begun[call] = values_before(start, self.knowledge)
-        self._write(start)
-
-    def _undo(self, call: int) -> None:
-        if call in self._begun:
-            self._write(undo(self._begun.pop(call), self._intended[call].start, self.knowledge))
-
-    def _write(self, new: Changes) -> None:
-        """Write what nobody reports; sensors tell the rest."""
-        world = self.knowledge.world
-        if world.update({fluent: value for fluent, value in new.items() if not world.is_sensed(fluent)}):
-            self._agenda.extend(place for place in self._undecided if self._listening[place])
-
-    # --- shorthand ----------------------------------------------------------------------------
-
-    def _action(self, call: int) -> GroundAction:
-        return self.machine.plan.calls[call].action
-
-    def _goal(self, call: int) -> tuple[dict[str, object], tuple[str, ...]]:
-        action = self._action(call)
-        return goal_data(action, self._bindings.of(action.name), self._goal_fields(action), self.knowledge)
-
-    def _lag_of_effects(self, call: int) -> float:
-        return lag_of_effects(self._intended[call].expected, self._action(call), self.knowledge)
-
-    def _unseen(self, call: int) -> tuple[str, ...]:
-        return unseen(self._intended[call].expected, self._action(call), self.knowledge)
-
+_CHECKS: Final = frozenset({"precondition_false", "data_missing", "before", "after"})
 
 _BEFORE_ACCEPTANCE: Final = frozenset({OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE, OutcomeKind.LOST})
 """Ends that do not tell whether the goal was accepted before."""
 
 _GIVEN_UP: Final = frozenset({"unheard", "unconfirmed", "unconfirmed_stop"})
 """The transitions after which a request is no longer waited for."""
+
+
+def _grounded(condition: Condition, consulted: Consultation) -> Condition:
+    env = consulted.environment()
+    return ground(condition, env) if env else condition
 
 
 def _now_if(is_open: bool) -> float:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
 from pnm.errors import PnmError
-from pnm.machine import Always, CancelAsked, Ending, Guard
+from pnm.machine import After, Always, CancelAsked, Denied, Due, Ending, Failing, Guard, Holding
 from pnm.net import Weights
 
 MAX_STATES: Final = 2_000_000
@@ -25,11 +25,16 @@ class Unsound(PnmError):
 
 
 @dataclass(frozen=True, slots=True)
+class Inside:
+    """In the place of a guard: what happens inside a region, which takes its time but comes to an end."""
+
+
+@dataclass(frozen=True, slots=True)
 class Step:
-    """A transition of a part of a net."""
+    """A transition of a part of a net, or all that happens inside a region."""
 
     name: str
-    guard: Guard
+    guard: Guard | Inside
     inputs: Weights
     outputs: Weights
 
@@ -48,19 +53,28 @@ class Part:
     """Sets of places that get their tokens from outside, each set at once."""
     failures: frozenset[str]
     records: frozenset[str]
+    """Places that may stay marked."""
+    counters: frozenset[str]
+    """Those of them from which nothing starts: what takes from them is asked for at other places."""
     cancels: bool
     """Whether a failure has running calls cancelled."""
     is_proper: Callable[[Mapping[str, int]], str]
     """Tell what is wrong with a final marking of all but record places; empty when it is proper."""
     early: frozenset[str] = frozenset()
     """Places that must be marked once nothing more can happen without the last supply."""
+    restarts: frozenset[str] = frozenset()
+    """Places that ask for the plan to begin anew."""
+    others_restart: bool = False
+    """Whether other parts may ask for that."""
+    repeats: bool = False
+    """Whether it may be entered again once it was left, with its counters as they then are."""
 
 
 @dataclass(frozen=True, slots=True)
 class _State:
     tokens: Tokens
     stop: int = 0
-    """0: going on, 1: told to end, 2: told to cancel."""
+    """0: going on, 1: another part asks for the plan to begin anew, 2: told to end, 3: told to cancel."""
     supplied: int = 0
     """How many of the supplies have come."""
 
@@ -80,7 +94,12 @@ class _Explorer:
         for number, step in enumerate(self.part.steps):
             for place in step.inputs:
                 self.consumers[self.index[place]].append(number)
+        denied = [any(isinstance(self.part.steps[number].guard, Denied) for number in found) for found in self.consumers]
+        self.deniable = [number for number, is_so in enumerate(denied) if is_so]
         self.failures = [self.index[place] for place in self.part.failures]
+        self.restarts = [self.index[place] for place in self.part.restarts]
+        self.counters = {self.index[place] for place in self.part.counters if place in self.index}
+        self.stops = (1, 2, 3) if self.part.others_restart else (2, 3)
         budget = sum(tokens for place, tokens in self.part.initial.items() if place in self.part.records)
         self.most = [budget if place in self.part.records - self.part.failures else 1 for place in self.part.places]
 
@@ -93,29 +112,63 @@ class _Explorer:
             for place in self.part.supplies[state.supplied]:
                 tokens[self.index[place]] += 1
             yield "supply", _State(tuple(tokens), state.stop, state.supplied + 1)
-        for stop in range(state.stop + 1, 3):
-            yield "stop" if stop == 1 else "cancel", _State(state.tokens, stop, state.supplied)
+        elif self.part.repeats and self._is_left(state):
+            kept = tuple(
+                tokens if place in self.counters and place not in self.restarts else 0 for place, tokens in enumerate(state.tokens)
+            )
+            yield _AGAIN, _State(self._with_resources(kept), 0 if state.stop == 1 else state.stop)
+        for stop in self.stops:
+            if stop > state.stop:
+                yield _STOPS[stop], _State(state.tokens, stop, state.supplied)
+
+    def _moods(self, state: _State) -> tuple[bool, bool, bool]:
+        """Tell whether the run is failing, ending, and cancelling what runs."""
+        failing = state.stop > 1 or any(state.tokens[place] for place in self.failures)
+        ending = failing or state.stop > 0 or any(state.tokens[place] for place in self.restarts)
+        return failing, ending, state.stop == 3 or (ending and self.part.cancels)
+
+    def _is_left(self, state: _State) -> bool:
+        return not self._possible(state)
+
+    def _with_resources(self, tokens: Tokens) -> Tokens:
+        own = self.part.initial
+        return tuple(
+            own.get(place, 0) if place in own and number not in self.counters else tokens[number] for place, number in self.index.items()
+        )
 
     def _possible(self, state: _State) -> list[Step]:
         """Return the enabled steps whose guards may be open, as `pnm.run` asks them: in order, at each marked place."""
-        ending = state.stop > 0 or any(state.tokens[place] for place in self.failures)
-        cancel = state.stop == 2 or (ending and self.part.cancels)
+        moods = self._moods(state)
         found: dict[int, None] = {}
         enabled: dict[int, bool] = {}
         for place, tokens in enumerate(state.tokens):
-            if tokens:
+            if tokens and place not in self.counters:
                 for number in self.consumers[place]:
                     step = self.part.steps[number]
                     if number not in enabled:
-                        enabled[number] = all(state.tokens[self.index[one]] >= weight for one, weight in step.inputs.items())
+                        enabled[number] = self._is_enabled(step, state)
                     if not enabled[number]:
                         continue
-                    is_open = _is_open(step.guard, ending, cancel)
+                    is_open = _is_open(step.guard, *moods)
                     if is_open is not False:
                         found[number] = None
                     if is_open is True:
                         break
         return [self.part.steps[number] for number in found]
+
+    def _unanswered(self, place: int, state: _State) -> str:
+        """Tell for which condition there is only an exit for when it does not hold, and nothing else is sure to happen."""
+        guards = [step.guard for number in self.consumers[place] if self._is_enabled(step := self.part.steps[number], state)]
+        moods = self._moods(state)
+        if any(isinstance(guard, After | Due) or _is_open(guard, *moods) for guard in guards):
+            return ""
+        for guard in guards:
+            if isinstance(guard, Denied) and Holding(guard.condition) not in guards:
+                return f"{self.part.places[place]} has no exit for when {guard.condition} holds"
+        return ""
+
+    def _is_enabled(self, step: Step, state: _State) -> bool:
+        return all(state.tokens[self.index[one]] >= weight for one, weight in step.inputs.items())
 
     def _fired(self, tokens: Tokens, step: Step) -> Tokens:
         after = list(tokens)
@@ -130,6 +183,9 @@ class _Explorer:
         for number, tokens in enumerate(state.tokens):
             if tokens > self.most[number]:
                 return f"{self.part.places[number]} holds {tokens} tokens"
+        for number in self.deniable:
+            if state.tokens[number] and (wrong := self._unanswered(number, state)):
+                return wrong
         if not stuck:
             return ""
         missing = len(self.part.supplies) - state.supplied
@@ -143,13 +199,19 @@ class _Explorer:
         return self.part.is_proper(left)
 
 
-def _is_open(guard: Guard, ending: bool, cancel: bool) -> bool | None:
+_STOPS: Final = ("", "restart elsewhere", "stop", "cancel")
+_AGAIN: Final = "enter again"
+
+
+def _is_open(guard: Guard | Inside, failing: bool, ending: bool, cancel: bool) -> bool | None:
     """Tell whether the guard is open, closed, or either, depending on the world."""
     match guard:
         case Always():
             return True
         case Ending():
             return ending
+        case Failing():
+            return failing
         case CancelAsked():
             return cancel
         case _:
@@ -166,18 +228,18 @@ def explore_part(part: Part) -> int:
     start = _State(tuple(part.initial.get(place, 0) for place in part.places))
     path: list[tuple[_State, Iterator[tuple[str, _State]]]] = []
     names: list[str] = []
-    on_path: set[_State] = set()
+    on_path: dict[_State, int] = {}
     seen: set[_State] = set()
 
     def enter(state: _State) -> None:
         nexts = list(explorer.successors(state))
-        stuck = all(name in ("stop", "cancel", "supply") for name, _ in nexts)
+        stuck = all(name in (*_STOPS, _AGAIN, "supply") for name, _ in nexts)
         if wrong := explorer.check(state, stuck):
             raise Unsound(wrong, names)
         if len(seen) > MAX_STATES:
             raise Unsound(f"more than {MAX_STATES} states")
         seen.add(state)
-        on_path.add(state)
+        on_path[state] = len(names)
         path.append((state, iter(nexts)))
 
     enter(start)
@@ -186,13 +248,15 @@ def explore_part(part: Part) -> int:
         found = next(nexts, None)
         if found is None:
             path.pop()
-            on_path.discard(state)
+            del on_path[state]
             if names:
                 names.pop()
             continue
         name, following = found
         if following in on_path:
-            raise Unsound("it can go round for ever", [*names, name])
+            if _AGAIN not in (*names[on_path[following] :], name):  # how often it is entered, whoever holds it says
+                raise Unsound("it can go round for ever", [*names, name])
+            continue
         if following not in seen:
             names.append(name)
             enter(following)

@@ -1,4 +1,8 @@
-"""Reading YAML as data: no classes, bounded, and every value knows where it stands in its file."""
+"""Reading YAML as data: no classes, bounded, and every value knows where it stands in its file.
+
+Anchors, aliases and merge keys (``<<: *base``) mean what YAML 1.1 says: own keys count before merged ones,
+and what is merged first before what is merged later.
+"""
 
 from __future__ import annotations
 
@@ -13,18 +17,11 @@ import yaml
 
 from pnm.errors import InputError, Position
 from pnm.text_files import read_text
+from pnm.yaml_loader import NO_ANCHORS, TEXTS, compose, is_null, kind, position
 
 MAX_BYTES: Final = 4_000_000
-MAX_NODES: Final = 200_000
-"""Values in a file, those behind an alias counted at every use: an alias bomb is refused."""
-MAX_DEPTH: Final = 60
 
 T = TypeVar("T")
-
-_CORE: Final = "tag:yaml.org,2002:"
-_TEXTS: Final = frozenset({"str", "timestamp", "value"})
-"""Kinds of values that stay text; so do dates, which no action server and no JSON has."""
-_PLAIN: Final = frozenset({"map", "seq", "int", "float", "bool", "null"}) | _TEXTS
 
 
 def load_yaml(path: Path) -> Mapped:
@@ -33,47 +30,37 @@ def load_yaml(path: Path) -> Mapped:
     Raises:
         InputError: there is no such file, or it is not YAML, not text, too large, or not a mapping.
     """
-    text = read_text(path, MAX_BYTES)
-    try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        where = Position(str(path), mark.line + 1, mark.column + 1) if mark else Position(str(path), 1, 1)
-        hint = "; inside braces and brackets a '?' needs quotes" if "'?'" in str(error.problem) else ""
-        raise InputError(f"not YAML: {error.problem}{hint}", where) from error
-    except yaml.YAMLError as error:
-        raise InputError(f"not YAML: {str(error).splitlines()[0]}", Position(str(path), 1, 1)) from error
-    except RecursionError as error:
-        raise InputError(f"nested deeper than {MAX_DEPTH}", Position(str(path), 1, 1)) from error
-    if node is None:
-        raise InputError("the file is empty; expected a mapping", Position(str(path), 1, 1))
-    _bounded(node, str(path))
-    return Mapped.of(node, str(path))
+    found = parse_yaml(read_text(path, MAX_BYTES), str(path))
+    if len(found) > 1:
+        raise InputError("a second document begins here; expected one", found[1].start)
+    return found[0]
 
 
-def _bounded(root: yaml.Node, file: str) -> None:
-    stack = [(root, 0)]
-    count = 0
-    while stack:
-        node, depth = stack.pop()
-        count += 1
-        if count > MAX_NODES or depth > MAX_DEPTH:
-            what = f"more than {MAX_NODES} values" if count > MAX_NODES else f"nested deeper than {MAX_DEPTH}"
-            raise InputError(what, _at(node, file))
-        if _kind(node) not in _PLAIN:
-            raise InputError(f"the tag {node.tag.replace(_CORE, '!!')} is not allowed; expected plain data", _at(node, file))
-        if isinstance(node, yaml.MappingNode):
-            stack.extend((part, depth + 1) for pair in reversed(node.value) for part in reversed(pair))
-        elif isinstance(node, yaml.SequenceNode):
-            stack.extend((part, depth + 1) for part in reversed(node.value))
+def parse_yaml(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_ANCHORS) -> tuple[Mapped, ...]:
+    """Read YAML documents, each of them a mapping; there is at least one.
+
+    Args:
+        text: what the file has.
+        file: its name.
+        anchors: what aliases stand for that the text does not define.
+
+    Raises:
+        InputError: it is not YAML, too large, or a document is not a mapping.
+    """
+    return tuple([Mapped.of(node, file) for node in compose(text, file, anchors)])
 
 
-def _at(node: yaml.Node, file: str) -> Position:
-    return Position(file, node.start_mark.line + 1, node.start_mark.column + 1)
+def parse_value(text: str, origin: str) -> object:
+    """Read a single value, such as one from a command line; nothing is an empty text.
 
+    Args:
+        text: the value.
+        origin: where it comes from, for errors.
 
-def _kind(node: yaml.Node) -> str:
-    return str(node.tag).removeprefix(_CORE)
+    Raises:
+        InputError: it is not YAML, or too large.
+    """
+    return _plain(compose(text, origin)[0], origin) if text.strip() else ""
 
 
 def _plain(node: yaml.Node, file: str) -> object:
@@ -81,13 +68,13 @@ def _plain(node: yaml.Node, file: str) -> object:
         return {key: _plain(value, file) for key, (_, value) in Mapped.of(node, file).nodes.items()}
     if isinstance(node, yaml.SequenceNode):
         return [_plain(item, file) for item in node.value]
-    if _kind(node) in _TEXTS:
+    if kind(node) in TEXTS:
         return node.value
     constructor = yaml.SafeLoader("")
     try:
         return constructor.construct_object(node)
     except (yaml.YAMLError, ValueError, LookupError) as error:
-        raise InputError(f"cannot be read as {_kind(node)}: {node.value[:40]!r}", _at(node, file)) from error
+        raise InputError(f"cannot be read as {kind(node)}: {node.value[:40]!r}", position(node, file)) from error
     finally:
         constructor.dispose()
 
@@ -105,15 +92,20 @@ class Mapped:
     def of(node: yaml.Node, file: str) -> Mapped:
         """Wrap a node, which must be a mapping with text keys, each used once."""
         if not isinstance(node, yaml.MappingNode):
-            raise InputError("expected a mapping (key: value)", _at(node, file))
+            raise InputError("expected a mapping (key: value)", position(node, file))
         nodes: dict[str, tuple[Position, yaml.Node]] = {}
+        merged: dict[str, tuple[Position, yaml.Node]] = {}
         for key, value in node.value:
             if not isinstance(key, yaml.ScalarNode):
-                raise InputError("expected a name as the key", _at(key, file))
+                raise InputError("expected a name as the key", position(key, file))
+            if kind(key) == "merge":
+                for source in value.value if isinstance(value, yaml.SequenceNode) else (value,):
+                    merged = {**Mapped.of(source, file).nodes, **merged}
+                continue
             if key.value in nodes:
-                raise InputError(f"the key {key.value!r} is there twice", _at(key, file))
-            nodes[key.value] = (_at(key, file), value)
-        return Mapped(file, _at(node, file), nodes)
+                raise InputError(f"the key {key.value!r} is there twice", position(key, file))
+            nodes[key.value] = (position(key, file), value)
+        return Mapped(file, position(node, file), {**merged, **nodes})
 
     def only(self, *known: str) -> None:
         """Refuse every key but the known ones, naming the nearest."""
@@ -125,16 +117,17 @@ class Mapped:
 
     def position(self, key: str) -> Position:
         """Return where the value of the key stands, or the mapping itself."""
-        return _at(self.nodes[key][1], self.file) if key in self.nodes else self.start
+        return position(self.nodes[key][1], self.file) if key in self.nodes else self.start
 
     def mapping(self, key: str) -> dict[str, Mapped]:
         """Return a mapping of mappings; empty when the key is not there."""
-        if self._empty(key):
-            return {}
-        inner = Mapped.of(self.nodes[key][1], self.file)
+        return {} if self._empty(key) else Mapped.of(self.nodes[key][1], self.file).mappings()
+
+    def mappings(self) -> dict[str, Mapped]:
+        """Return the mappings that all values must be."""
         return {
-            name: Mapped(self.file, where, {}) if _is_null(node) else Mapped.of(node, self.file)
-            for name, (where, node) in inner.nodes.items()
+            name: Mapped(self.file, where, {}) if is_null(node) else Mapped.of(node, self.file)
+            for name, (where, node) in self.nodes.items()
         }
 
     def sequence(self, key: str) -> list[Mapped]:
@@ -143,7 +136,7 @@ class Mapped:
             return []
         node = self.nodes[key][1]
         if not isinstance(node, yaml.SequenceNode):
-            raise InputError(f"expected a list under {key!r}", _at(node, self.file))
+            raise InputError(f"expected a list under {key!r}", position(node, self.file))
         return [Mapped.of(item, self.file) for item in node.value]
 
     def strings(self, key: str) -> list[str]:
@@ -191,9 +184,63 @@ class Mapped:
         """Return the value as plain data, or None when the key is not there."""
         return None if self._empty(key) else _plain(self.nodes[key][1], self.file)
 
+    def node(self, key: str) -> Node | None:
+        """Return the value as it stands, or None when the key is not there."""
+        return Node(self.file, self.nodes[key][1]) if key in self.nodes else None
+
+    def entries(self) -> tuple[tuple[str, Position, Node], ...]:
+        """Return every key with where it stands and its value, merged ones first."""
+        return tuple((key, where, Node(self.file, node)) for key, (where, node) in self.nodes.items())
+
     def _empty(self, key: str) -> bool:
-        return key not in self.nodes or _is_null(self.nodes[key][1])
+        return key not in self.nodes or is_null(self.nodes[key][1])
 
 
-def _is_null(node: yaml.Node) -> bool:
-    return isinstance(node, yaml.ScalarNode) and _kind(node) == "null"
+@dataclass(frozen=True, slots=True)
+class Node:
+    """Any value read from a file, to be looked at by its kind."""
+
+    file: str
+    raw: yaml.Node
+
+    @property
+    def position(self) -> Position:
+        """Where the value stands."""
+        return position(self.raw, self.file)
+
+    @property
+    def is_null(self) -> bool:
+        """Whether there is nothing: ``null``, or no value at all."""
+        return is_null(self.raw)
+
+    @property
+    def is_mapping(self) -> bool:
+        """Whether it has keys and values."""
+        return isinstance(self.raw, yaml.MappingNode)
+
+    @property
+    def items(self) -> tuple[Node, ...] | None:
+        """The items of a list; None for anything else."""
+        return tuple(Node(self.file, item) for item in self.raw.value) if isinstance(self.raw, yaml.SequenceNode) else None
+
+    @property
+    def text(self) -> str | None:
+        """A text; None for anything else, numbers and truth values included."""
+        return self.raw.value if isinstance(self.raw, yaml.ScalarNode) and kind(self.raw) in TEXTS else None
+
+    @property
+    def written(self) -> str:
+        """How a scalar is written in the file, without quotes; empty for lists and mappings."""
+        return self.raw.value if isinstance(self.raw, yaml.ScalarNode) else ""
+
+    def mapped(self) -> Mapped:
+        """Return the mapping that it must be."""
+        return Mapped.of(self.raw, self.file)
+
+    def plain(self) -> object:
+        """Return it as plain data."""
+        return _plain(self.raw, self.file)
+
+    def wrong(self, message: str) -> InputError:
+        """Return the error to raise about it."""
+        return InputError(message, self.position)

@@ -17,7 +17,8 @@ from pnm.knowledge import KnowledgeBase, Layered
 from pnm.plan_graph import GroundAction
 from pnm.text_files import read_text
 from pnm.vocabulary import Vocabulary
-from pnm.yaml_files import MAX_BYTES, MAX_DEPTH, MAX_NODES, Mapped, load_yaml
+from pnm.yaml_files import MAX_BYTES, Mapped, load_yaml
+from pnm.yaml_loader import MAX_DEPTH, MAX_NODES
 
 
 def error(read: Callable[[Path], object], path: Path) -> str:
@@ -50,7 +51,7 @@ BAD_YAML: list[tuple[str | bytes, str]] = [
     ("a: 1\n\tb: 2", "FILE:2:1: not YAML: found character '\\t' that cannot start any token"),
     ("a: {b: ?to}", "FILE:1:8: not YAML: expected the node content, but found '?'; inside braces and brackets a '?' needs quotes"),
     ("a: *nobody", "FILE:1:4: not YAML: found undefined alias 'nobody'"),
-    ("a: 1\n---\nb: 2\n", "FILE:2:1: not YAML: but found another document"),
+    ("a: 1\n---\nb: 2\n", "FILE:3:1: a second document begins here; expected one"),
     ("a: \x07", "FILE:1:1: not YAML: unacceptable character #x0007: special characters are not allowed"),
     ("a: 1\nb: 2\na: 3\n", "FILE:3:1: the key 'a' is there twice"),
     ("a: {b: {c: 1,\n  c: 2}}", "FILE:2:3: the key 'c' is there twice"),
@@ -62,7 +63,8 @@ BAD_YAML: list[tuple[str | bytes, str]] = [
     ("!robot a: 1", "FILE:1:1: the tag !robot is not allowed; expected plain data"),
     ("a: !!set {b, c}", "FILE:1:4: the tag !!set is not allowed; expected plain data"),
     ("a: !!binary aGk=", "FILE:1:4: the tag !!binary is not allowed; expected plain data"),
-    ("<<: {a: 1}", "FILE:1:1: the tag !!merge is not allowed; expected plain data"),
+    ("<<: [{a: 1}, 2]", "FILE:1:14: expected a mapping (key: value)"),
+    ("a: &anchor 1\nb: *anchr", "FILE:2:4: not YAML: found undefined alias 'anchr'; did you mean 'anchor'?"),
     ("a: !!int x1", "FILE:1:4: cannot be read as int: 'x1'"),
     ("a: [!!bool maybe]", "FILE:1:5: cannot be read as bool: 'maybe'"),
     ("a: 1" + "0" * 5000, f"FILE:1:4: cannot be read as int: '1{'0' * 39}'"),
@@ -149,7 +151,7 @@ BAD_BINDINGS = [
     ("actions:\n  move: {timout: 3}", "FILE:2:10: unknown key 'timout'; did you mean 'timeout'?"),
     (
         "actions: {move: {x: 3}}",
-        "FILE:1:18: unknown key 'x'; expected one of server, type, goal, store, timeout, accept, cancel, retries",
+        "FILE:1:18: unknown key 'x'; expected one of server, type, goal, store, timeout, accept, cancel, retries, ask",
     ),
     ("actions:\n  move: {}\n  move: {}", "FILE:3:3: the key 'move' is there twice"),
     ("assumed: at", "FILE:1:10: expected a list of names under 'assumed'"),

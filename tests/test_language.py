@@ -27,6 +27,7 @@ from pnm.analysis import verify
 from pnm.bindings import Binding, Bindings, goal_data
 from pnm.clock import run_async
 from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Not, evaluate
+from pnm.consultation import Consultation
 from pnm.effects import Set, When
 from pnm.errors import InputError
 from pnm.executor import Executor
@@ -481,12 +482,12 @@ def test_a_goal_field_may_be_an_object_that_is_known() -> None:
 
     async def script(stage: Stage) -> None:
         graph = plan_graph(wanted, timed("0 3 fetch r1"))
-        data = goal_data(graph.calls[0].action, bindings.of("fetch"), ("robot", "to"), stage.knowledge)
+        data = goal_data(graph.calls[0].action, bindings.of("fetch"), ("robot", "to"), Consultation(stage.knowledge))
         assert data == ({"robot": "r1", "to": "lab"}, ())
         assert (await stage.run(graph)).goal
         for nothing in (UNKNOWN, UNDEFINED):
             stage.knowledge.world.update({("wanted", "r1"): nothing})
-            assert goal_data(graph.calls[0].action, bindings.of("fetch"), None, stage.knowledge)[1] == ("to",)
+            assert goal_data(graph.calls[0].action, bindings.of("fetch"), None, Consultation(stage.knowledge))[1] == ("to",)
 
     play(wanted, script, bindings=bindings)
 

@@ -15,7 +15,7 @@ ONLY = {
     "rclpy": "pnm/ros/",
     "unified_planning": "planner_bridge/up/",
     "kairos": "planner_bridge/planning.py",
-    "click": "planner_bridge/cli.py",
+    "click": "planner_bridge/cli",
 }
 
 
@@ -42,7 +42,7 @@ def test_imports_lead_one_way(path: Path) -> None:
         if top in ONLY:
             assert name.startswith(ONLY[top]), f"{name} imports {module}"
         if not name.startswith("pnm/ros/") and module.startswith("pnm.ros"):
-            assert name in ("planner_bridge/sites.py", "planner_bridge/simulate.py"), f"{name} imports {module}"
+            assert name in ("pnm/sites.py", "planner_bridge/simulate.py"), f"{name} imports {module}"
 
 
 @pytest.mark.parametrize("package", ["pnm", "planner_bridge", "planner_bridge.cli"])
@@ -54,11 +54,14 @@ def test_importing_brings_in_nothing_heavy(package: str) -> None:
 
 def test_the_core_does_no_io() -> None:
     core = (
+        "queries",
         "net",
         "marking",
         "semantics",
         "compiled",
         "analysis",
+        "blocks",
+        "state_space",
         "conditions",
         "effects",
         "rules",
@@ -69,8 +72,13 @@ def test_the_core_does_no_io() -> None:
         "generation",
         "events",
         "run",
+        "calls",
+        "consultation",
+        "ledger",
         "checks",
     )
     for name in core:
-        used = {module.split(".")[0] for module in imported(ROOT / "pnm" / f"{name}.py")}
+        files = [ROOT / "pnm" / f"{name}.py"] if (ROOT / "pnm" / f"{name}.py").is_file() else [*(ROOT / "pnm" / name).rglob("*.py")]
+        used = {module.split(".")[0] for file in files for module in imported(file)}
+        assert files
         assert not used & {"asyncio", "threading", "time", "socket", "sqlite3", "os", "pathlib", "random"}, name

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from decimal import Decimal
 from itertools import groupby
 from operator import itemgetter
 from typing import assert_never
 
+from planner_bridge.comments import NO_NOTE, Note, Notes
 from planner_bridge.pddl.layout import Form, flat
 from pnm.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
 from pnm.effects import Effect, Effects, ForEach, Set, When
@@ -22,14 +23,36 @@ def _runs(pairs: Iterable[tuple[str, tuple[str, ...]]]) -> list[list[Form]]:
     return [[*(name for name, _ in group), "-", types_form(types)] for types, group in groupby(pairs, key=itemgetter(1))]
 
 
+def _apart(names: Sequence[str], notes: Notes) -> Iterator[tuple[list[str], Note]]:
+    """Split names so that every comment has a line beside or above which it can stand."""
+    line: list[str] = []
+    told = NO_NOTE
+    for name in names:
+        note = notes.at(name.lower()).take()
+        if line and note.before:
+            yield line, told
+            line, told = [], NO_NOTE
+        line.append(name)
+        told = told.joined(note)
+        if note.beside or note.below:
+            yield line, told
+            line, told = [], NO_NOTE
+    if line:
+        yield line, told
+
+
 def types_form(types: tuple[str, ...]) -> Form:
     """Return a type, or ``either`` of several."""
     return types[0] if len(types) == 1 else ["either", *types]
 
 
-def typed_lines(pairs: Iterable[tuple[str, tuple[str, ...]]]) -> list[Form]:
-    """Return names with their types, as text: a line for neighbours of the same types."""
-    return [" ".join(map(flat, run)) for run in _runs(pairs)]
+def typed_lines(pairs: Iterable[tuple[str, tuple[str, ...]]], notes: Notes) -> list[tuple[str, Note]]:
+    """Return names with their types, as text: a line for neighbours of the same types, and the comments on it."""
+    return [
+        (f"{' '.join(line)} - {flat(types_form(types))}", note)
+        for types, group in groupby(pairs, key=itemgetter(1))
+        for line, note in _apart([name for name, _ in group], notes)
+    ]
 
 
 def variables_form(variables: tuple[Variable, ...]) -> list[Form]:

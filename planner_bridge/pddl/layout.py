@@ -1,40 +1,115 @@
-"""Nested lists of words as text for people: a list that fits is one line, any other has a line for each of its parts."""
+"""Nested lists of words as text for people: a list that fits is one line, any other has a line for each of its parts.
+
+Comments stand where they belong: above a part, or behind the line it begins in.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from itertools import takewhile
 from typing import Final, TypeAlias
 
-Form: TypeAlias = "str | list[Form]"
-_WIDTH: Final = 100
+from planner_bridge.commented_text import Line, rendered
+from planner_bridge.comments import NO_NOTE, Note
+
+
+@dataclass(frozen=True, slots=True)
+class Noted:
+    """A form with comments."""
+
+    form: Form
+    note: Note
+
+
+@dataclass(frozen=True, slots=True)
+class Keyed:
+    """A keyword and what stands behind it."""
+
+    key: str
+    form: Form
+
+
+@dataclass(frozen=True, slots=True)
+class Verbatim:
+    """A text of several lines that is written as it stands."""
+
+    text: str
+
+
+Form: TypeAlias = "str | list[Form] | Noted | Keyed | Verbatim"
+WIDTH: Final = 100
 _ONE_A_LINE: Final = (":types", ":constants", ":objects", ":predicates", ":functions", ":init")
 
 
-def definition_text(head: Form, sections: Iterable[str]) -> str:
+def noted(form: Form, note: Note) -> Form:
+    """Return the form with the comments, if there are any."""
+    return Noted(form, note) if note else form
+
+
+def definition_text(head: Form, sections: Iterable[Form], note: Note = NO_NOTE) -> str:
     """Write ``(define HEAD SECTION ...)`` with each section on lines of its own."""
-    return "\n  ".join([f"(define {flat(head)}", *sections]) + ")\n"
-
-
-def section_text(form: list[Form]) -> str:
-    """Write a section; of declarations and facts, each on a line of its own."""
-    return _broken(form, 2, 1) if form[0] in _ONE_A_LINE else form_text(form, 2)
-
-
-def form_text(form: Form, indent: int, before: int = 0) -> str:
-    """Write a form that begins in this column, or so many characters behind it."""
-    one_line = flat(form)
-    if isinstance(form, str) or indent + before + len(one_line) <= _WIDTH:
-        return one_line
-    return _broken(form, indent, sum(1 for _ in takewhile(lambda part: isinstance(part, str), form)))
+    first = Line(0, f"(define {flat(head)}", note.beside)
+    lines = [first, *(line for section in sections for line in _lines(section, 2))]
+    _close(lines, 0)
+    return rendered([*_comments(note.before, 0), *lines, *_comments(note.below, 0)])
 
 
 def flat(form: Form) -> str:
-    """Write a form on one line."""
-    return form if isinstance(form, str) else f"({' '.join(map(flat, form))})"
+    """Write a form on one line, without comments."""
+    match form:
+        case str(text) | Verbatim(text):
+            return text
+        case Noted(inner, _):
+            return flat(inner)
+        case Keyed(key, inner):
+            return f"{key} {flat(inner)}"
+        case _:
+            return f"({' '.join(map(flat, form))})"
 
 
-def _broken(form: list[Form], indent: int, words: int) -> str:
+def _comments(texts: Iterable[str], indent: int) -> Iterator[Line]:
+    return (Line(indent, text) for text in texts)
+
+
+def _lines(form: Form, indent: int, lead: str = "") -> list[Line]:
+    """Write a form that begins in this column, behind a keyword if there is one."""
+    match form:
+        case Noted(inner, note):
+            lines = _lines(inner, indent, lead)
+            first = next(line for line in lines if line.text[:1] not in ("", ";"))
+            first.beside = (*note.beside, *first.beside)
+            return [*_comments(note.before, indent), *lines, *_comments(note.below, indent)]
+        case Keyed(key, inner):
+            return _lines(inner, indent, f"{key} ")
+        case list() if not _fits(form, indent, lead):
+            return _broken(form, indent, lead)
+        case _:
+            return [Line(indent, lead + flat(form))]
+
+
+def _fits(form: list[Form], indent: int, lead: str) -> bool:
+    if form and form[0] in _ONE_A_LINE:
+        return len(form) == 1
+    return not any(map(_is_tall, form)) and indent + len(lead) + len(flat(form)) <= WIDTH
+
+
+def _is_tall(form: Form) -> bool:
+    """Tell whether the form needs lines of its own: it is an action's part, or something is said about it."""
+    return not isinstance(form, str) and (not isinstance(form, list) or any(map(_is_tall, form)))
+
+
+def _broken(form: list[Form], indent: int, lead: str) -> list[Line]:
     """Write the first words on this line and each other part on a line of its own."""
+    words = 1 if form[0] in _ONE_A_LINE else sum(1 for _ in takewhile(lambda part: isinstance(part, str), form))
     first = " ".join(map(flat, form[:words]))
-    return "(" + f"\n{' ' * (indent + 2)}".join([first, *(form_text(part, indent + 2) for part in form[words:])]) + ")"
+    lines = [Line(indent, f"{lead}({first}"), *(line for part in form[words:] for line in _lines(part, indent + 2))]
+    _close(lines, indent)
+    return lines
+
+
+def _close(lines: list[Line], indent: int) -> None:
+    if lines[-1].text[:1] in ("", ";"):
+        lines.append(Line(indent, ")"))
+    else:
+        lines[-1].text += ")"

@@ -32,15 +32,15 @@ from pnm.text_files import read_any_text
 
 MAX_BYTES: Final = 50_000_000
 
-_HIERARCHY: Final = (":task", ":method")
-_NETWORK: Final = (":htn", ":tasks")
-_DOMAIN_SECTIONS: Final = (
+HIERARCHY: Final = (":task", ":method")
+NETWORK: Final = (":htn", ":tasks")
+DOMAIN_SECTIONS: Final = (
     *(":requirements", ":predicates", ":types", ":constants", ":functions", INSTANTANEOUS, DURATIVE, DERIVED, ":constraints"),
-    *_HIERARCHY,
+    *HIERARCHY,
 )
-_PROBLEM_SECTIONS: Final = (
+PROBLEM_SECTIONS: Final = (
     *(":domain", ":init", ":goal", ":objects", ":metric", ":constraints", ":requirements", ":length"),
-    *_NETWORK,
+    *NETWORK,
 )
 _DIRECTIONS: Final[dict[str, Literal["minimize", "maximize"]]] = {"minimize": "minimize", "maximize": "maximize"}
 
@@ -52,7 +52,7 @@ def read_domain(path: Path) -> Domain:
         InputError: the file cannot be read, is not a domain, or uses PDDL that is not supported.
     """
     text, warnings = read_any_text(path, MAX_BYTES)
-    return _domain(text, str(path), warnings)
+    return domain_from(define(text, str(path), "domain", DOMAIN_SECTIONS), warnings)
 
 
 def read_problem(path: Path, domain: Domain) -> Problem:
@@ -62,7 +62,7 @@ def read_problem(path: Path, domain: Domain) -> Problem:
         InputError: the file cannot be read, is not a problem for this domain, or uses PDDL that is not supported.
     """
     text, warnings = read_any_text(path, MAX_BYTES)
-    return _problem(text, domain, str(path), warnings)
+    return problem_from(define(text, str(path), "problem", PROBLEM_SECTIONS), domain, warnings)
 
 
 def parse_domain(text: str, file: str = "domain.pddl") -> Domain:
@@ -74,7 +74,7 @@ def parse_domain(text: str, file: str = "domain.pddl") -> Domain:
     Raises:
         InputError: the text is not a domain, or uses PDDL that is not supported.
     """
-    return _domain(text, file, ())
+    return domain_from(define(text, file, "domain", DOMAIN_SECTIONS))
 
 
 def parse_problem(text: str, domain: Domain, file: str = "problem.pddl") -> Problem:
@@ -83,14 +83,18 @@ def parse_problem(text: str, domain: Domain, file: str = "problem.pddl") -> Prob
     Raises:
         InputError: the text is not a problem for this domain, or uses PDDL that is not supported.
     """
-    return _problem(text, domain, file, ())
+    return problem_from(define(text, file, "problem", PROBLEM_SECTIONS), domain)
 
 
 # --- domains -------------------------------------------------------------------------------
 
 
-def _domain(text: str, file: str, warnings: tuple[Tolerated, ...]) -> Domain:
-    definition = define(text, file, "domain", _DOMAIN_SECTIONS)
+def domain_from(definition: Definition, warnings: tuple[Tolerated, ...] = ()) -> Domain:
+    """Interpret the sections of a domain, of which these warnings have been given already.
+
+    Raises:
+        InputError: they use PDDL that is not supported, or names that are not declared.
+    """
     words = requirements(definition.parts(":requirements"))
     needed = Requirements(words)
     domain = Domain(definition.name, words, declarations.types(definition.lists(":types"), needed))
@@ -117,7 +121,7 @@ def _domain(text: str, file: str, warnings: tuple[Tolerated, ...]) -> Domain:
         rules=found,
         constraints=hard,
         preferences=soft,
-        hierarchy=_kept(definition, _HIERARCHY, needed),
+        hierarchy=_kept(definition, HIERARCHY, needed),
         warnings=(*warnings, *definition.whole.source.tolerated),
     )
 
@@ -126,14 +130,18 @@ def _kept(definition: Definition, keys: tuple[str, ...], needed: Requirements) -
     sections = definition.every(*keys)
     for section in sections:
         needed.need(section, ":hierarchy", ":htn")
-    return tuple(map(text_of, sections))
+    return tuple([definition.texts.get(section.offset) or text_of(section) for section in sections])
 
 
 # --- problems ------------------------------------------------------------------------------
 
 
-def _problem(text: str, domain: Domain, file: str, warnings: tuple[Tolerated, ...]) -> Problem:
-    definition = define(text, file, "problem", _PROBLEM_SECTIONS)
+def problem_from(definition: Definition, domain: Domain, warnings: tuple[Tolerated, ...] = ()) -> Problem:
+    """Interpret the sections of a problem, of which these warnings have been given already.
+
+    Raises:
+        InputError: they use PDDL that is not supported, or names that are not declared.
+    """
     _belongs(definition, domain)
     words = requirements(definition.parts(":requirements"))
     needed = Requirements((*domain.requirements, *words, ":typing"))
@@ -142,7 +150,7 @@ def _problem(text: str, domain: Domain, file: str, warnings: tuple[Tolerated, ..
     names = Names(
         domain, {**domain.constants, **own}, needed, derived=frozenset(rule.name for rule in domain.rules), wishes=_wishes(domain)
     )
-    network = "\n".join(_kept(definition, _NETWORK, needed))
+    network = "\n".join(_kept(definition, NETWORK, needed))
     init, timed = initial(definition.parts(":init"), Scope(names))
     goal, goals = _goal(definition, Scope(names))
     hard, soft = constraints(definition.parts(":constraints"), Scope(names))
@@ -186,7 +194,7 @@ def _wishes(domain: Domain) -> dict[str, str]:
 def _goal(definition: Definition, scope: Scope) -> tuple[Condition, tuple[Preference, ...]]:
     section = definition.one(":goal")
     if section is None:
-        if not definition.every(*_NETWORK):
+        if not definition.every(*NETWORK):
             tolerate(definition.whole, "there is no :goal; any state will do")
         return TRUE, ()
     if len(section.rest) != 1:

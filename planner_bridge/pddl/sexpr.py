@@ -7,7 +7,9 @@ A part holds its offset in the text; line and column are worked out when somebod
 from __future__ import annotations
 
 import re
+import sys
 from bisect import bisect_right
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final, TypeAlias
@@ -42,6 +44,10 @@ class Source:
         """Return the line and column of an offset."""
         line = bisect_right(self._line_starts, offset)
         return Position(self.file, line, offset - self._line_starts[line - 1] + 1)
+
+    def offset(self, position: Position) -> int:
+        """Return the offset of a line and column."""
+        return self._line_starts[position.line - 1] + position.column - 1
 
     @cached_property
     def _line_starts(self) -> list[int]:
@@ -133,6 +139,11 @@ def text_of(group: Group) -> str:
     raise ValueError("the list is not closed")  # cannot be: it was read
 
 
+def tokens(text: str) -> Iterator[tuple[str, int]]:
+    """Yield parentheses, words and comments, each with its offset."""
+    return ((match.group(), match.start()) for match in _TOKEN.finditer(text))
+
+
 def parse(text: str, file: str) -> tuple[Node, ...]:
     """Return the parts of the text in order; comments run from ``;`` to the end of the line.
 
@@ -145,9 +156,31 @@ def parse(text: str, file: str) -> tuple[Node, ...]:
     return _Parser(Source(file, text)).parse()
 
 
+def parse_part(text: str, source: Source, start: int | None, near: int) -> tuple[Node, ...]:
+    """Return the parts of a text that stands somewhere in a file of another format.
+
+    Args:
+        text: the text, in which lists are closed.
+        source: the file.
+        start: the offset of the text in the file; None if the file does not have it in this form.
+        near: the offset to say in that case.
+    """
+    if start is not None:
+        return _Parser(source, start, start + len(text)).parse()
+    return tuple([_moved(part, source, near) for part in _Parser(Source(source.file, text)).parse()])
+
+
+def _moved(part: Node, source: Source, offset: int) -> Node:
+    if isinstance(part, Atom):
+        return Atom(part.text, offset, source)
+    return Group(tuple([_moved(item, source, offset) for item in part.items]), offset, source)
+
+
 @dataclass(slots=True)
 class _Parser:
     source: Source
+    start: int = 0
+    end: int = sys.maxsize
     items: list[Node] = field(default_factory=list)
     """What the innermost open list holds so far."""
     stack: list[tuple[int, list[Node]]] = field(default_factory=list)
@@ -156,8 +189,8 @@ class _Parser:
     """A section that was still open where another one, by its keyword, began."""
 
     def parse(self) -> tuple[Node, ...]:
-        word = self._word if _LONELY.search(self.source.text) is None else self._word_or_rest
-        for match in _TOKEN.finditer(self.source.text):
+        word = self._word if _LONELY.search(self.source.text, self.start, self.end) is None else self._word_or_rest
+        for match in _TOKEN.finditer(self.source.text, self.start, self.end):
             token, offset = match.group(), match.start()
             if token == "(":
                 self._open(offset)
@@ -172,7 +205,7 @@ class _Parser:
         return tuple(self.items)
 
     def _nothing_more(self, offset: int) -> bool:
-        if self.stack or not self.items or not _CLOSING.fullmatch(self.source.text, offset):
+        if self.stack or not self.items or not _CLOSING.fullmatch(self.source.text, offset, self.end):
             return False
         self.source.found.setdefault((offset, "this ')' closes nothing"))
         return True

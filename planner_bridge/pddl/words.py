@@ -20,7 +20,7 @@ CONTINGENT: Final = "a contingent planner, of which unified-planning brings none
 """What would be needed where a robot has to find out what is the case."""
 
 NAME: Final = re.compile(r"[A-Za-z0-9_@.][A-Za-z0-9_@.-]*")
-_NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _SHOWN: Final = 8
 """So many names at most are listed in an error."""
 
@@ -57,7 +57,7 @@ def unknown(kind: str, atom: Atom, known: Collection[str]) -> InputError:
 
 def is_number(node: Node) -> bool:
     """Tell whether the part is written as a number."""
-    return isinstance(node, Atom) and _NUMBER.fullmatch(node.text) is not None
+    return isinstance(node, Atom) and NUMBER.fullmatch(node.text) is not None
 
 
 def number(node: Node) -> float:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Final
 
+from planner_bridge.comments import Notes, Table, with_all
 from planner_bridge.model import ActionSchema, Declaration, Domain, Preference, Problem
 from planner_bridge.pddl.forms import (
     condition_form,
@@ -20,7 +21,8 @@ from planner_bridge.pddl.forms import (
     types_form,
     variables_form,
 )
-from planner_bridge.pddl.layout import Form, definition_text, flat, form_text, section_text
+from planner_bridge.pddl.items import ACTION, INNER, PARTS, fact_said, hierarchy_said, is_timed, rule_said, said
+from planner_bridge.pddl.layout import Form, Keyed, Verbatim, definition_text, flat, noted
 from pnm.conditions import TRUE, Condition, conjuncts
 from pnm.effects import Effect, Effects, ForEach, Set, TimedChange, When
 from pnm.expressions import Constant, Fluent, Value, Variable
@@ -28,43 +30,92 @@ from pnm.rules import Rule
 from pnm.trajectory import Constraint
 
 _NUMBER: Final = "number"
+NOTHING_SAID: Final[Table] = {}
 
 
-def write_domain(domain: Domain) -> str:
-    """Write a domain as PDDL, with its own requirements."""
-    sections: list[list[Form]] = []
+def write_domain(domain: Domain, table: Table = NOTHING_SAID) -> str:
+    """Write a domain as PDDL, with its own requirements and the comments of the table."""
+    return with_all(table, lambda notes: _domain(domain, notes.at("domain")))
+
+
+def write_problem(problem: Problem, table: Table = NOTHING_SAID) -> str:
+    """Write a problem as PDDL, with the comments of the table; its domain is only named."""
+    return with_all(table, lambda notes: _problem(problem, notes.at("problem")))
+
+
+def _domain(domain: Domain, notes: Notes) -> str:
+    sections: list[Form] = []
     if domain.requirements:
-        sections.append([":requirements", *domain.requirements])
+        sections.append(_section([":requirements", *domain.requirements], notes))
     if domain.types:
-        sections.append([":types", *typed_lines((name, above or ("object",)) for name, above in domain.types.items())])
+        sections.append(_names(":types", ((name, above or ("object",)) for name, above in domain.types.items()), notes))
     if domain.constants:
-        sections.append([":constants", *typed_lines(domain.constants.items())])
+        sections.append(_names(":constants", domain.constants.items(), notes))
     if domain.predicates:
-        sections.append([":predicates", *map(_declaration, domain.predicates.values())])
+        sections.append(_declarations(":predicates", map(_declaration, domain.predicates.values()), domain.predicates, notes))
     if domain.functions:
-        sections.append([":functions", *_functions(tuple(domain.functions.values()))])
-    sections.extend(_rule(rule) for rule in domain.rules)
-    sections.extend(_constraints(domain.constraints, domain.preferences))
-    actions = map(_action, domain.actions.values())  # other planners read tasks only in front of them
-    return definition_text(["domain", domain.name], [*map(section_text, sections), *domain.hierarchy, *actions])
+        sections.append(_declarations(":functions", _functions(tuple(domain.functions.values())), domain.functions, notes))
+    sections.extend(_rule(rule, notes) for rule in domain.rules)
+    sections.extend(_constraints(domain.constraints, domain.preferences, notes))
+    sections.extend(_verbatim(text, notes) for text in domain.hierarchy)  # other planners read tasks only in front of actions
+    sections.extend(_action(schema, notes.at(ACTION, schema.name.lower())) for schema in domain.actions.values())
+    return definition_text(["domain", domain.name], sections, notes.take())
 
 
-def write_problem(problem: Problem) -> str:
-    """Write a problem as PDDL; its domain is only named."""
-    sections: list[list[Form]] = [[":domain", problem.domain.name]]
+def _problem(problem: Problem, notes: Notes) -> str:
+    sections: list[Form] = [_section([":domain", problem.domain.name], notes)]
     if problem.requirements:
-        sections.append([":requirements", *problem.requirements])
+        sections.append(_section([":requirements", *problem.requirements], notes))
     if problem.own_objects:
-        sections.append([":objects", *typed_lines(problem.own_objects.items())])
-    sections.append([":init", *_initial(problem)])
-    sections.append([":goal", _with_preferences(problem.goal, problem.preferences)])
-    sections.extend(_constraints(problem.constraints, problem.preferences))
+        sections.append(_names(":objects", problem.own_objects.items(), notes))
+    if problem.network:
+        sections.append(_verbatim(problem.network, notes))  # other planners read it only in front of :init
+    facts = notes.at(":init")
+    init: list[Form] = [noted(form, facts.at(fact_said(form)).take()) for form in _initial(problem)]
+    sections.append(noted([":init", *init], facts.take()))
+    goal = notes.at(":goal")
+    wanted = _with_preferences(problem.goal, problem.preferences)
+    sections.append(noted([":goal", commented(wanted, goal)], goal.take()))
+    sections.extend(_constraints(problem.constraints, problem.preferences, notes))
     if problem.metric:
-        sections.append([":metric", problem.metric.direction, expression_form(problem.metric.expression)])
-    texts = [section_text(section) for section in sections]
-    if problem.network:  # other planners read it only in front of :init
-        texts.insert(next(position for position, section in enumerate(sections) if section[0] == ":init"), problem.network)
-    return definition_text(["problem", problem.name], texts)
+        sections.append(_section([":metric", problem.metric.direction, expression_form(problem.metric.expression)], notes))
+    return definition_text(["problem", problem.name], sections, notes.take())
+
+
+# --- sections, with what is said about them ------------------------------------------------
+
+
+def _section(form: list[Form], notes: Notes) -> Form:
+    return noted(form, notes.at(str(form[0])).take())
+
+
+def _names(head: str, pairs: Iterable[tuple[str, tuple[str, ...]]], notes: Notes) -> Form:
+    inner = notes.at(head)
+    lines = [noted(text, note) for text, note in typed_lines(pairs, inner)]
+    return noted([head, *lines], inner.take())
+
+
+def _declarations(head: str, forms: Iterable[Form], names: Iterable[str], notes: Notes) -> Form:
+    inner = notes.at(head)
+    lines = [noted(form, inner.at(name.lower()).take()) for form, name in zip(forms, names, strict=True)]
+    return noted([head, *lines], inner.take())
+
+
+def _verbatim(text: str, notes: Notes) -> Form:
+    return noted(Verbatim(text), notes.at(*hierarchy_said(text)).take())
+
+
+def commented(form: Form, notes: Notes) -> Form:
+    """Put the comments on conditions or effects, and on what is in them, where they belong."""
+    if not notes or not isinstance(form, list) or not form or str(form[0]).startswith("?"):
+        return form
+    if form[0] == "and":
+        return ["and", *(commented(part, notes) for part in form[1:])]
+    if is_timed(form):
+        return [*form[:2], commented(form[2], notes)]
+    own = notes.at(said(form))
+    inner: list[Form] = [form[0], *(commented(part, own) for part in form[1:])] if form[0] in INNER else form
+    return noted(inner, own.take())
 
 
 # --- declarations --------------------------------------------------------------------------
@@ -83,17 +134,18 @@ def _functions(functions: tuple[Declaration, ...]) -> list[Form]:
 def _initial(problem: Problem) -> Iterator[Form]:
     for fluent, value in problem.init.items():
         if value is not False:
-            yield _change(fluent, value)
+            yield change_form(fluent, value)
     for change in problem.timed:
         yield from _timed_change(change)
 
 
 def _timed_change(timed: TimedChange) -> Iterator[Form]:
     for fluent, value in timed.changes.items():
-        yield ["at", number_text(timed.time), _change(fluent, value)]
+        yield ["at", number_text(timed.time), change_form(fluent, value)]
 
 
-def _change(fluent: Fluent, value: Value) -> Form:
+def change_form(fluent: Fluent, value: Value) -> Form:
+    """Return a fact that becomes true or false, or a function that gets a value."""
     match value:
         case True:
             return list(fluent)
@@ -106,28 +158,37 @@ def _change(fluent: Fluent, value: Value) -> Form:
 # --- rules, preferences, constraints -------------------------------------------------------
 
 
-def _rule(rule: Rule) -> list[Form]:
+def rule_form(rule: Rule) -> list[Form]:
+    """Return a rule as its section."""
     # each variable with its type: one without has the type of the declaration, not ``object``
     typed: list[Form] = [form for variable in rule.variables for form in (variable.name, "-", types_form(variable.types))]
     return [":derived", [rule.name, *typed], condition_form(rule.condition)]
 
 
+def _rule(rule: Rule, notes: Notes) -> Form:
+    key, head, body = form = rule_form(rule)
+    own = notes.at(":derived", rule_said(form))
+    return noted([key, head, commented(body, own)], own.take())
+
+
 def _with_preferences(condition: Condition, preferences: Iterable[Preference]) -> Form:
     """Write a goal or a precondition, with the preferences that stand in it."""
-    soft = [_preference(one) for one in preferences if not isinstance(one.wanted, tuple)]
+    soft = [preference_form(one) for one in preferences if not isinstance(one.wanted, tuple)]
     return joined([*map(condition_form, conjuncts(condition)), *soft]) if soft else condition_form(condition)
 
 
-def _constraints(constraints: tuple[Constraint, ...], preferences: tuple[Preference, ...]) -> Iterator[list[Form]]:
-    soft = [_preference(one) for one in preferences if isinstance(one.wanted, tuple)]
+def _constraints(constraints: tuple[Constraint, ...], preferences: tuple[Preference, ...], notes: Notes) -> Iterator[Form]:
+    own = notes.at(":constraints")
+    soft = [preference_form(one) for one in preferences if isinstance(one.wanted, tuple)]
     if constraints or soft:
-        yield [":constraints", joined([*map(_constraint, constraints), *soft])]
+        yield noted([":constraints", commented(joined([*map(constraint_form, constraints), *soft]), own)], own.take())
 
 
-def _preference(preference: Preference) -> Form:
+def preference_form(preference: Preference) -> Form:
+    """Return a preference as nested lists of words."""
     match preference.wanted:
         case tuple() as constraints:
-            wanted = joined([*map(_constraint, constraints)])
+            wanted = joined([*map(constraint_form, constraints)])
         case condition:
             wanted = condition_form(condition)
     if preference.moment:
@@ -135,7 +196,8 @@ def _preference(preference: Preference) -> Form:
     return _under(preference.variables, ["preference", *([preference.name] if preference.name else []), wanted])
 
 
-def _constraint(constraint: Constraint) -> Form:
+def constraint_form(constraint: Constraint) -> Form:
+    """Return a constraint as nested lists of words."""
     times: list[Form] = [number_text(time) for time in constraint.times]
     return _under(constraint.variables, [*constraint.operator.split(), *times, *map(condition_form, constraint.conditions)])
 
@@ -151,30 +213,33 @@ def _under(variables: tuple[Variable, ...], form: Form) -> Form:
 # --- actions -------------------------------------------------------------------------------
 
 
-def _action(schema: ActionSchema) -> str:
+def _action(schema: ActionSchema, notes: Notes) -> Form:
     kind = ":action" if schema.duration is None else ":durative-action"
-    parts = {":parameters": variables_form(schema.parameters), **_body(schema)}
-    lines = "".join(f"\n    {key} {form_text(form, 4, len(key) + 1)}" for key, form in parts.items())
-    return f"({kind} {schema.name}{lines})"
+    parts: list[Form] = [_part(key, form, notes.at(PARTS[key])) for key, form in _body(schema)]
+    return noted([kind, schema.name, *parts], notes.take())
 
 
-def _body(schema: ActionSchema) -> dict[str, Form]:
+def _part(key: str, form: Form, notes: Notes) -> Form:
+    return noted(Keyed(key, commented(form, notes)), notes.take())
+
+
+def _body(schema: ActionSchema) -> Iterator[tuple[str, Form]]:
+    yield ":parameters", variables_form(schema.parameters)
     if schema.duration is None:
-        wanted = _with_preferences(schema.precondition, schema.preferences)
-        precondition = {":precondition": wanted} if schema.precondition != TRUE or schema.preferences else {}
-        return {**precondition, ":effect": effects_form(schema.end_effects)}
-    bounds: list[Form] = [[bound.operation, "?duration", expression_form(bound.bound)] for bound in schema.duration]
-    return {
-        ":duration": joined(bounds) if bounds else [],
-        ":condition": joined(_timed_conditions(schema)),
-        ":effect": joined([*_timed_effects("start", schema.start_effects), *_timed_effects("end", schema.end_effects)]),
-    }
+        if schema.precondition != TRUE or schema.preferences:
+            yield ":precondition", _with_preferences(schema.precondition, schema.preferences)
+        yield ":effect", effects_form(schema.end_effects)
+    else:
+        bounds: list[Form] = [[bound.operation, "?duration", expression_form(bound.bound)] for bound in schema.duration]
+        yield ":duration", joined(bounds) if bounds else []
+        yield ":condition", joined(_timed_conditions(schema))
+        yield ":effect", joined([*_timed_effects("start", schema.start_effects), *_timed_effects("end", schema.end_effects)])
 
 
 def _timed_conditions(schema: ActionSchema) -> list[Form]:
     every = (("at start", schema.precondition), ("over all", schema.invariant), ("at end", schema.end_condition))
     hard = [_at(moment, condition_form(part)) for moment, condition in every for part in conjuncts(condition)]
-    return [*hard, *map(_preference, schema.preferences)]
+    return [*hard, *map(preference_form, schema.preferences)]
 
 
 def _at(moment: str, form: Form) -> Form:

@@ -1,12 +1,21 @@
-"""Machines as Graphviz text: places round, transitions square, one frame per call. Byte-stable."""
+"""Machines as Graphviz text: places round, transitions square, one frame per step, around what it holds. Byte-stable."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from pnm.machine import PetriNetMachine
+from pnm.plan_graph import Step, flows
 
-_COLOURS = {"goal": "#2e7d32", "failure": "#c62828", "budget": "#f9a825", "ordering": "#1565c0", "": "#455a64"}
+_COLOURS = {
+    "goal": "#2e7d32",
+    "failure": "#c62828",
+    "restart": "#ef6c00",
+    "budget": "#f9a825",
+    "resource": "#6a1b9a",
+    "ordering": "#1565c0",
+    "": "#455a64",
+}
 
 
 def to_dot(machine: PetriNetMachine) -> str:
@@ -18,17 +27,25 @@ def _body(machine: PetriNetMachine) -> Iterator[str]:
     transitions: dict[int | None, list[str]] = {}
     for name, rule in machine.rules.items():
         transitions.setdefault(rule.call, []).append(name)
-    for call in machine.plan.calls:
-        yield f'  subgraph cluster_{call.index} {{ label={_quote(str(call))}; color=gray; fontname="sans-serif";'
-        yield from (f"    {_place(machine, place, f'{call} ')}" for place in machine.blocks[call.index])
-        yield from (f"    {_transition(machine, name)}" for name in transitions[call.index])
-        yield "  }"
+    for step in machine.plan.steps:
+        yield from _cluster(machine, step, transitions, "  ")
     inside = {place for places in machine.blocks.values() for place in places}
     yield from (f"  {_place(machine, place)}" for place in machine.net.places if place not in inside)
     yield from (f"  {_transition(machine, name)}" for name in transitions[None])
     for arc in machine.net.arcs:
         weight = f" [label={arc.weight}]" if arc.weight > 1 else ""
         yield f"  {_quote(arc.source)} -> {_quote(arc.target)}{weight};"
+
+
+def _cluster(machine: PetriNetMachine, step: Step, transitions: Mapping[int | None, list[str]], indent: str) -> Iterator[str]:
+    """Yield a frame around a step and all that it holds."""
+    yield f'{indent}subgraph cluster_{step.index} {{ label={_quote(str(step))}; color=gray; fontname="sans-serif";'
+    yield from (f"{indent}  {_place(machine, place, f'{step} ')}" for place in machine.blocks[step.index])
+    yield from (f"{indent}  {_transition(machine, name)}" for name in transitions[step.index])
+    for flow in flows(step):
+        for inner in flow.steps:
+            yield from _cluster(machine, inner, transitions, f"{indent}  ")
+    yield f"{indent}}}"
 
 
 def _place(machine: PetriNetMachine, place: str, title: str = "") -> str:

@@ -7,6 +7,7 @@ from dataclasses import fields
 from typing import Any
 
 from pnm.machine import Guard, PetriNetMachine
+from pnm.plan_graph import ActionCall
 
 
 def to_json(machine: PetriNetMachine) -> str:
@@ -18,9 +19,10 @@ def as_data(machine: PetriNetMachine) -> dict[str, Any]:
     """Return the machine as plain data."""
     return {
         "calls": [{"name": str(call), "action": call.action.name, "arguments": list(call.action.arguments)} for call in machine.plan.calls],
+        "steps": [{"number": step.index, "name": str(step)} for step in machine.plan.every_step if not isinstance(step, ActionCall)],
         "orderings": [
             {"before": str(one.before), "after": str(one.after), "protects": [" ".join(fluent) for fluent in one.protects]}
-            for one in machine.plan.orderings
+            for one in machine.orderings.values()
         ],
         "places": [{"name": place, "role": machine.role(place), "tokens": machine.initial[place]} for place in machine.net.places],
         "transitions": [

@@ -1,0 +1,104 @@
+"""What commands share: options, and how their results become exit statuses and their errors messages."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Callable, Iterable
+from functools import wraps
+from math import isfinite
+from pathlib import Path
+from typing import Any, ParamSpec
+
+import click
+
+from planner_bridge.loading import told
+from pnm.errors import InputError, PnmError, Tolerated
+
+P = ParamSpec("P")
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+
+FILE = click.Path(path_type=Path)
+
+
+class Seconds(click.FloatRange):
+    """A finite number."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Refuse what is not a finite number of at least the minimum."""
+        number = super().convert(value, param, ctx)
+        if not isfinite(number):
+            self.fail(f"{value} is not a finite number", param, ctx)
+        return number
+
+
+def command(function: Callable[P, int]) -> Callable[P, None]:
+    """Turn the returned status into the exit status, and errors into one message without a traceback."""
+
+    @wraps(function)
+    def run(*args: P.args, **kwargs: P.kwargs) -> None:
+        try:
+            status = function(*args, **kwargs)
+            sys.stdout.flush()
+        except InputError as error:
+            print(error, file=sys.stderr)
+            status = 2
+        except PnmError as error:
+            print(error, file=sys.stderr)
+            status = 1
+        except BrokenPipeError:  # nobody reads what we print: not our fault, and no more can be said
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            status = 1
+        except KeyboardInterrupt:
+            print("cancelled", file=sys.stderr)
+            status = 1
+        except Exception as error:  # a fault of ours, but nobody wants to read our stack
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            place = f"{Path(where.filename).name}:{where.lineno}"
+            print(f"internal error, please report it: {type(error).__name__} at {place}: {error}", file=sys.stderr)
+            status = 1
+        sys.exit(status)
+
+    return run
+
+
+def options(*options: Decorator) -> Decorator:
+    """Combine options that several commands share."""
+
+    def add(function: Callable[..., Any]) -> Callable[..., Any]:
+        for option in reversed(options):
+            function = option(function)
+        return function
+
+    return add
+
+
+files = options(click.argument("domain", type=FILE), click.argument("problem", type=FILE))
+planning = options(
+    click.option("--planner", default="kairos", show_default=True, help="kairos, any engine of unified-planning, race, or race:NAME,NAME"),
+    click.option("--timeout", type=Seconds(0.01), default=30.0, show_default=True, help="seconds the planner may take"),
+)
+as_json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object as the last line, and nothing else")
+bindings_option = click.option("--bindings", type=FILE, help="how actions are bound to servers; by default bindings.yaml beside DOMAIN")
+faults_option = click.option("--faults", type=FILE, help="what goes wrong in simulation")
+
+
+def write(path: Path | None, text: str) -> None:
+    """Write a file, or on the terminal when there is none."""
+    if path is None:
+        print(text, end="")
+        return
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def tell(warnings: Iterable[Tolerated]) -> None:
+    """Say on stderr what in files was not as it should be."""
+    for line in told(warnings):
+        print(line, file=sys.stderr)

@@ -1,0 +1,186 @@
+"""`pnm run --plan`: a hand-written plan, carried out on simulated robots or through ROS 2.
+
+A recovery may end with `replan`: the plan has failed then, and a planner finds the way to its goal from there.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import reduce
+from pathlib import Path
+
+from planner_bridge.forbidding import ForbiddenCall
+from planner_bridge.model import Problem
+from planner_bridge.pipeline import Stopwatch, Where, pursue_on
+from planner_bridge.replanning import History
+from planner_bridge.tasks import Episode, Settings, TaskObserver, TaskResult
+from planner_bridge.yaml_files.reader import read
+from pnm.actions.faults import NO_FAULTS, Faults
+from pnm.actions.simulated import SimulatedRobots
+from pnm.actions.world import World
+from pnm.bindings import Bindings
+from pnm.clock import run_async
+from pnm.conditions import TRUE
+from pnm.effects import names_written
+from pnm.errors import InputError
+from pnm.expressions import Unknown
+from pnm.knowledge import KnowledgeBase
+from pnm.language.plan import HandWrittenPlan, read_plans
+from pnm.ledger import UNCONFIRMED
+from pnm.performing import Performer, Program
+from pnm.plan_graph import ActionCall
+from pnm.sites import RobotsSite, Ros2Site, Site
+from pnm.sources.registry import Surroundings, open_sources
+
+
+@dataclass(frozen=True)
+class PlanResult:
+    """How a hand-written plan ended, what it gives back, and all that its run then knew by itself."""
+
+    task: TaskResult
+    results: Mapping[str, object] = field(default_factory=dict)
+    variables: Mapping[str, object] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, object]:
+        """Return the result as `pnm run --json` prints it."""
+        return {**self.task.as_json(), "results": dict(self.results), "variables": dict(self.variables)}
+
+
+def chosen_plan(plans: Mapping[str, HandWrittenPlan], name: str | None) -> str:
+    """Return the name of the plan that is meant: the only one that no other calls, if none is named.
+
+    Raises:
+        InputError: there is no such plan, or none is named and there are several.
+    """
+    called = frozenset(other for plan in plans.values() for other in plan.calls)
+    candidates = [one for one in plans if one not in called] if name is None else [name]
+    if len(candidates) != 1 or candidates[0] not in plans:
+        asked = "there are several plans" if name is None else f"there is no plan {name!r}"
+        raise InputError(f"{asked}; expected --name and one of {', '.join(plans)}")
+    return candidates[0]
+
+
+def carry_out(
+    file: Path,
+    name: str | None = None,
+    parameters: Mapping[str, object] | None = None,
+    *,
+    actions: Where = "simulated",
+    faults: Faults = NO_FAULTS,
+    settings: Settings | None = None,
+    observer: TaskObserver | None = None,
+) -> PlanResult:
+    """Carry out a plan of a file.
+
+    Args:
+        file: a plan file of the language.
+        name: of the plan, if there are several.
+        parameters: variables that the run knows from the beginning.
+        actions: simulated robots under virtual time, or the action servers of ROS 2.
+        faults: what goes wrong in simulation.
+        settings: bindings that come before those of the files; planner and limits, for when the plan asks for a planner.
+        observer: is told what happens.
+
+    Raises:
+        InputError: an input is wrong; nothing was started.
+    """
+    seconds = Stopwatch()
+    with seconds.of("parse"):
+        settings = settings or Settings()
+        plans = {name: replace(plan, bindings=settings.bindings.before(plan.bindings)) for name, plan in read_plans(file).items()}
+        chosen = chosen_plan(plans, name)
+    with seconds.of("translate"):
+        programs = {name: Program.of(plan) for name, plan in plans.items()}
+    bindings = together(plans.values())
+    site: Site = Ros2Site(bindings) if actions == "ros2" else simulated_site(plans[chosen], bindings, faults)
+    task = _WrittenTask(programs, chosen, site, replace(settings, bindings=bindings), observer or TaskObserver(), seconds)
+    return run_async(task.perform(parameters or {}, file.parent), virtual=actions == "simulated")
+
+
+@dataclass(frozen=True)
+class _WrittenTask:
+    """A plan, and what it is carried out with."""
+
+    programs: Mapping[str, Program]
+    name: str
+    site: Site
+    settings: Settings
+    observer: TaskObserver
+    seconds: Stopwatch
+
+    @property
+    def _program(self) -> Program:
+        return self.programs[self.name]
+
+    async def perform(self, parameters: Mapping[str, object], folder: Path) -> PlanResult:
+        plan = self._program.plan
+        world = KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules)
+        try:
+            await self.site.open(world)
+            sources = open_sources(plan.sources, Surroundings(ros=getattr(self.site, "ros", None), folder=folder))
+            try:
+                return await self._perform(Performer(self.programs, self.site, world, sources), parameters)
+            finally:
+                await sources.close()
+        finally:
+            await self.site.close()
+
+    async def _perform(self, performer: Performer, parameters: Mapping[str, object]) -> PlanResult:
+        began = asyncio.get_running_loop().time()
+        performance = performer.perform(self.name, parameters, self.observer)
+        self.observer.generated(self._program.machine, self._program.proof)
+        await performer.prepare()
+        with self.seconds.of("execute"):
+            result = await performer.execute(performance)
+        task = TaskResult(result.goal, result.reason, 0, (Episode(self._program.machine, result),), self.seconds.seconds, began)
+        if any(failure.replan for failure in result.failures):
+            task = await self._replanned(task, performer.world)
+        return PlanResult(task, performance.results, performance.variables)
+
+    async def _replanned(self, task: TaskResult, world: KnowledgeBase) -> TaskResult:
+        """Have a planner find the rest of the way from the world as it is now."""
+        self.observer.resigned(task.reason)
+        try:
+            problem = problem_of(self._program.plan, world)
+        except InputError as error:
+            return replace(task, reason=f"{task.reason}; no planner can be asked: {error}")
+        calls = [failure.call for failure in task.failures if failure.replan and isinstance(failure.call, ActionCall)]
+        given_up = {ForbiddenCall.of(call.action): self.settings.limits.forbid_after for call in calls}
+        history = History(given_up, frozenset(ForbiddenCall.of(one.call.action) for one in task.calls if one.outcome == UNCONFIRMED))
+        rest = await pursue_on(problem, self.site, self.settings, self.observer, self.seconds, knowledge=world, history=history)
+        return replace(rest, episodes=(*task.episodes, *rest.episodes), began=task.began)
+
+
+def problem_of(plan: HandWrittenPlan, world: KnowledgeBase) -> Problem:
+    """Return the problem of reaching the plan's goal from the world as it is.
+
+    Raises:
+        InputError: the plan has no goal, or its domain says what PDDL cannot.
+    """
+    if plan.goal == TRUE:
+        raise InputError(f"the plan {plan.name} has no goal")
+    if not plan.domain_file:
+        raise InputError(f"the plan {plan.name} has no domain")
+    contents = read(Path(plan.domain_file))
+    described = contents.problem or Problem(plan.name, contents.domain)
+    init = {fluent: value for fluent, value in world.facts().items() if not isinstance(value, Unknown)}
+    return replace(described, init=init, timed=(), goal=plan.goal)
+
+
+def together(plans: Iterable[HandWrittenPlan]) -> Bindings:
+    """Return the bindings of all plans, which are those of their domains."""
+    return reduce(Bindings.before, (plan.bindings for plan in plans), Bindings())
+
+
+def simulated_site(plan: HandWrittenPlan, bindings: Bindings, faults: Faults = NO_FAULTS) -> RobotsSite:
+    """Return simulated robots in a world that starts as the plan says."""
+    calls = plan.graph.calls
+    written = (names_written((*call.action.start_effects, *call.action.end_effects)) for call in calls)
+    changes = (*(change.changes for change in plan.timed), *(change.changes for change in faults.changes))
+    timed = (frozenset(fluent[0] for fluent in change) for change in changes)
+    truth = KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules)
+    is_timed = bool(plan.timed) or any(call.action.duration is not None for call in calls)
+    world = World(truth, frozenset().union(*written, *timed))
+    return RobotsSite(SimulatedRobots(world, faults, bindings, plan.timed, 0.0 if is_timed else 1.0), bindings.assumed)

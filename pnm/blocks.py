@@ -1,0 +1,247 @@
+"""A machine taken apart for its proof: blocks, one per step, the regions they stand in, and what connects them.
+
+Nothing that a machine says of its regions is believed: it is compared with the net.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final, TypeAlias
+
+from pnm.machine import OnFailure, PetriNetMachine, Region
+from pnm.net import Weights
+from pnm.plan_graph import Moment
+from pnm.state_space import Inside, Part, Step, Unsound
+
+Owner: TypeAlias = int | None
+"""The number of a step, or None for the frame around all of them."""
+Event: TypeAlias = tuple[Owner, str]
+"""The start or the end of a block, or the marking of one of its places."""
+ENOUGH: Final = 2
+"""A counter of more is explored as one of so many: whether none, some or all of it is spent is all that matters."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A block and what connects it to others of its region."""
+
+    owner: Owner
+    part: Part
+    first: tuple[str, ...]
+    """Inputs that its start waits for."""
+    rest: tuple[str, ...]
+    """Inputs that only its end waits for."""
+    early: frozenset[str]
+    """Outputs that its start gives."""
+
+
+class Anatomy:
+    """The blocks and regions of a machine.
+
+    Raises:
+        Unsound: a place connects what it must not connect, or regions are not what the machine says.
+    """
+
+    def __init__(self, machine: PetriNetMachine) -> None:
+        self.machine = machine
+        self.transitions: dict[Owner, list[str]] = {None: []}
+        for name, rule in machine.rules.items():
+            self.transitions.setdefault(rule.call, []).append(name)
+        self.writers, self.readers = self._owners(machine.net.outputs), self._owners(machine.net.inputs)
+        self.region_of: dict[Owner, Region] = {}
+        self.regions: dict[Owner, list[Region]] = {}
+        self.first: dict[str, Region] = {}
+        self.last: dict[str, Region] = {}
+        for region in machine.regions:
+            self._add(region)
+        self._check_nesting()
+        for place in machine.net.places:
+            if place not in machine.resource_places:
+                self._check_channel(place)
+        for region in (*self.first.values(), *self.last.values()):
+            self._check_entry(region)
+
+    def _owners(self, weights: Mapping[str, Weights]) -> dict[str, frozenset[Owner]]:
+        """Return, for every place, the blocks whose transitions write it, or read it."""
+        found: dict[str, set[Owner]] = {place: set() for place in self.machine.net.places}
+        for transition, connected in weights.items():
+            for place in connected:
+                found[place].add(self.machine.rules[transition].call)
+        return {place: frozenset(owners) for place, owners in found.items()}
+
+    def _add(self, region: Region) -> None:
+        for step in region.steps:
+            if step in self.region_of:
+                raise Unsound(f"step {step} stands in two regions")
+            self.region_of[step] = region
+        if region.steps:
+            self.regions.setdefault(region.owner, []).append(region)
+            self.first |= dict.fromkeys(region.first, region)
+            self.last |= dict.fromkeys(region.last, region)
+
+    # --- checks -------------------------------------------------------------------------------
+
+    def _check_nesting(self) -> None:
+        """Check that every block stands in a region, and that its owners lead to the frame."""
+        proved: set[Owner] = {None}
+        for owner in self.transitions:
+            chain: list[Owner] = []
+            while owner not in proved:
+                if owner not in self.region_of or owner in chain:
+                    raise Unsound(f"step {owner} stands in no region of the plan")
+                chain.append(owner)
+                owner = self.region_of[owner].owner
+            proved.update(chain)
+
+    def _check_channel(self, place: str) -> None:
+        """Check that the place connects two blocks at most: neighbours, or a step and what holds it."""
+        readers, outside = self.readers[place], self.writers[place] - self.readers[place]
+        if len(readers) > 1 or len(outside) > 1 or len(self.writers[place]) > 2:
+            raise Unsound(f"{place} connects more than two blocks")
+        if place in self.machine.orderings:
+            ordering = self.machine.orderings[place]
+            if outside != {ordering.before.call} or readers != {ordering.after.call}:
+                raise Unsound(f"{place} does not connect the calls of its ordering {ordering}")
+        entered, left = self.first.get(place), self.last.get(place)
+        if (entered or left) and not (readers and outside):
+            raise Unsound(f"{place} does not connect a step and what holds it")
+        if not readers or not outside or place in self.machine.restart_places:
+            return
+        (writer,), (reader,) = outside, readers
+        if entered or left:
+            good = entered is None or (writer == entered.owner and self.region_of.get(reader) is entered)
+            good = good and (left is None or (reader == left.owner and self.region_of.get(writer) is left))
+        else:
+            good = None not in (writer, reader) and self.region_of.get(writer) is self.region_of.get(reader)
+        if not good:
+            raise Unsound(f"{place} connects steps that do not stand beside each other")
+
+    def _check_entry(self, region: Region) -> None:
+        """Check that the owner enters all of the region at once, and leaves it so."""
+        for name in self.transitions[region.owner]:
+            marked = self.machine.net.outputs[name].keys() & set(region.first)
+            taken = self.machine.net.inputs[name].keys() & set(region.last)
+            if 0 < len(marked) < len(region.first) or 0 < len(taken) < len(region.last):
+                raise Unsound(f"{name} enters or leaves only some of the steps it holds")
+
+    # --- blocks -------------------------------------------------------------------------------
+
+    def block(self, owner: Owner) -> Block:
+        """Cut the block of a step, or the frame, out of the machine; what it holds becomes a single step."""
+        machine = self.machine
+        regions = self.regions.get(owner, [])
+        steps = (*(step_of(machine, name) for name in self.transitions[owner]), *self._inside(regions))
+        own_records = self._own_records(owner)
+        places = tuple(dict.fromkeys(place for step in steps for place in (*step.inputs, *step.outputs)))
+        held = {place for region in regions for place in (*region.first, *region.last)}
+        shared = machine.resource_places | frozenset(machine.restart_places)
+        inputs = [one for one in places if owner in self.readers.get(one, ()) and self.writers[one] - {owner} and one not in held | shared]
+        outputs = [one for one in places if self._is_output(one, owner) and one not in held | shared]
+        first = tuple(one for one in inputs if not any(one in step.outputs for step in steps))
+        rest = tuple(one for one in inputs if one not in first)
+        _check_together((first, rest), steps)
+        early = frozenset(one for one in outputs if one in machine.orderings and machine.orderings[one].before.moment is Moment.START)
+        taken = _resources(steps, machine.resource_places, first)
+        initial = {place: machine.initial[place] for place in places if machine.initial[place] and place not in machine.resource_places}
+        part = Part(
+            places,
+            steps,
+            {**initial, **taken, **{_may_come(one): ENOUGH for one in own_records}},
+            tuple(together for together in (first, rest) if together),
+            frozenset(place for place in places if place in machine.failure_places),
+            machine.counter_places & frozenset(places) | {_may_come(one) for one in own_records},
+            machine.counter_places & frozenset(places) | {_may_come(one) for one in own_records},
+            machine.on_failure is OnFailure.CANCEL,
+            _proper(outputs, taken, (machine.goal_place, machine.failed_place) if owner is None else ()),
+            early if rest else frozenset(),
+            frozenset(own_records),
+            bool(machine.restart_places) and owner is not None,
+            owner is not None and (bool(machine.restart_places) or self.region_of[owner].owner is not None),
+        )
+        return Block(owner, _counted(part), first, rest, early)
+
+    def _own_records(self, owner: Owner) -> list[str]:
+        """Return the places that steps inside the frame mark to have the plan begin anew."""
+        return [*self.machine.restart_places] if owner is None else []
+
+    def _is_output(self, place: str, owner: Owner) -> bool:
+        final = place in (self.machine.goal_place, self.machine.failed_place)
+        return owner in self.writers.get(place, ()) and (final or bool(self.readers[place] - {owner}))
+
+    def _inside(self, regions: Iterable[Region]) -> Iterable[Step]:
+        """Return one step in the place of all that happens inside each region."""
+        for region in regions:
+            first = dict.fromkeys(region.first, 1)
+            yield Step("inside", Inside(), first, dict.fromkeys(region.last, 1))
+            if region.owner is None:
+                for place in self.machine.restart_places:
+                    yield Step("restart asked", Inside(), {**first, _may_come(place): 1}, {**first, place: 1})
+
+    def note_waits(self, block: Block, waits: dict[Event, set[Event]]) -> None:
+        """Note which events of other blocks of the same region the events of this block wait for."""
+        start, end = (block.owner, "start"), (block.owner, "end")
+        waits.setdefault(end, set()).add(start)
+        for places, event in ((block.first, start), (block.rest, end)):
+            for place in places:
+                (writer,) = self.writers[place] - {block.owner}
+                if place not in self.first:
+                    waits.setdefault(event, set()).add((writer, f"start of {place}"))
+        for place in block.part.places:
+            waits.setdefault((block.owner, f"start of {place}"), set()).add(start if place in block.early else end)
+
+
+def step_of(machine: PetriNetMachine, name: str) -> Step:
+    """Return a transition with its guard."""
+    return Step(name, machine.rules[name].guard, machine.net.inputs[name], machine.net.outputs[name])
+
+
+def _may_come(place: str) -> str:
+    """Name the counter of how often the place may still be marked from outside, for the exploration to end."""
+    return f"{place} may come"
+
+
+def _check_together(supplies: Iterable[tuple[str, ...]], steps: Iterable[Step]) -> None:
+    for together in supplies:
+        for step in steps:
+            if 0 < sum(place in step.inputs for place in together) < len(together):
+                raise Unsound(f"{step.name} takes only some of the inputs {list(together)}")
+
+
+def _resources(steps: Iterable[Step], resources: frozenset[str], first: tuple[str, ...]) -> dict[str, int]:
+    """Return what the block takes of resources; it must take all of it at once, and have nothing else when it does."""
+    taken: dict[str, int] = {}
+    for step in steps:
+        wanted = {place: weight for place, weight in step.inputs.items() if place in resources}
+        if wanted and (set(step.inputs) - set(wanted) != set(first) or taken not in ({}, wanted)):
+            raise Unsound(f"{step.name} waits for {', '.join(wanted)} while it may hold what others wait for")
+        taken |= wanted
+    return taken
+
+
+def _proper(outputs: list[str], taken: Mapping[str, int], finals: tuple[str, ...]) -> Callable[[Mapping[str, int]], str]:
+    def is_proper(left: Mapping[str, int]) -> str:
+        ends = [place for place in left if place in finals]
+        expected = {**taken, **dict.fromkeys((place for place in outputs if place not in finals), 1), **dict.fromkeys(ends[:1], 1)}
+        if finals and (len(ends) != 1 or left != expected):
+            return f"it ends in {dict(left)}"
+        return "" if left == expected else f"it leaves {dict(left)} in place of {expected}"
+
+    return is_proper
+
+
+def _counted(part: Part) -> Part:
+    """Return the part with large counters made small, which changes nothing that can happen but how often.
+
+    A counter is a pair of places whose tokens move one at a time from one to the other and back; whoever asks for more than one
+    asks for all of them.
+    """
+    large = {tokens for place, tokens in part.initial.items() if place in part.records and tokens > ENOUGH}
+    if not large:
+        return part
+
+    def scaled(weights: Weights) -> dict[str, int]:
+        return {place: ENOUGH if weight in large and place in part.records else weight for place, weight in weights.items()}
+
+    steps = tuple(Step(step.name, step.guard, scaled(step.inputs), scaled(step.outputs)) for step in part.steps)
+    return replace(part, steps=steps, initial=scaled(part.initial))

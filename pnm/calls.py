@@ -1,0 +1,239 @@
+"""What the calls of a run are doing: their requests, what they intend to change, and what they have changed.
+
+Decides nothing: `pnm.run` says when. What has to be done outside is collected for it in `commands`, and what has
+happened at once, because it concerned knowledge alone, in `reports`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import assert_never
+from uuid import UUID, uuid5
+
+from pnm.actions.base import Ended, Outcome, OutcomeKind, Report, Request
+from pnm.bindings import Binding, Bindings, goal_data
+from pnm.checks import Intention, finished, intention, lag_of_effects, unseen
+from pnm.conditions import ground
+from pnm.consultation import Consultation
+from pnm.effects import Changes, ground_effects, undo, values_before
+from pnm.events import Cancel, Command, Send, Tell
+from pnm.expressions import Environment
+from pnm.knowledge import Layered
+from pnm.machine import Deed
+from pnm.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.queries import (
+    CHANGING,
+    MISSING,
+    KnowledgeOperation,
+    Layer,
+    Operation,
+    Query,
+    Question,
+    Uncomputable,
+    Update,
+    asked,
+    compute,
+    named,
+)
+
+GoalFields = Callable[[GroundAction], tuple[str, ...] | None]
+
+
+class Calls:
+    """The calls of one run.
+
+    The mutable state is what the constructor sets under "state".
+    """
+
+    def __init__(self, run: UUID, plan: PlanGraph, knowledge: Layered, bindings: Bindings, goal_fields: GoalFields, *, asks: bool) -> None:
+        self._run = run
+        self._plan = plan
+        self._knowledge = knowledge
+        self._bindings = bindings
+        self._goal_fields = goal_fields
+        self._asks = asks
+        # state
+        self.commands: list[Command] = []
+        self.reports: deque[Report] = deque()
+        self.changed = False
+        """Whether knowledge has been changed since somebody last looked."""
+        self.open: dict[UUID, int] = {}
+        """The requests that are not over, as far as is known, and their calls."""
+        self._requests: dict[int, UUID] = {}
+        self._sent: dict[int, int] = {}
+        self._actions: dict[int, GroundAction] = {}
+        self._intended: dict[int, Intention] = {}
+        self._begun: dict[int, Changes] = {}
+
+    # --- what is asked about a call -----------------------------------------------------------
+
+    def action(self, call: int) -> GroundAction:
+        """Return the action as it was sent last."""
+        return self._actions.get(call, self._plan.calls[call].action)
+
+    def as_sent(self, call: int) -> ActionCall:
+        """Return the call with what its parameters had for values when it was sent last."""
+        return replace(self._plan.calls[call], action=self.action(call))
+
+    def binding(self, call: int) -> Binding:
+        """Return the binding of the call's action."""
+        return self._bindings.of(self._plan.calls[call].action.name)
+
+    def consult(self, call: int | None, answers: Mapping[Question, object]) -> Consultation:
+        """Return what a decision about the call is made from."""
+        if call is None or call >= len(self._plan.calls):
+            return Consultation(self._knowledge, answers=answers, asks=self._asks)
+        return Consultation(self._knowledge, self._plan.calls[call].action, self.binding(call), answers, self._asks)
+
+    def ready(self, call: int, consulted: Consultation) -> GroundAction:
+        """Return the action with what knowledge now has for the parameters that the plan leaves open."""
+        action = self._plan.calls[call].action
+        env = consulted.environment()
+        return _grounded(action, env) if env else action
+
+    def goal(self, call: int, consulted: Consultation) -> tuple[dict[str, object], tuple[str, ...]]:
+        """Return the fields of the goal, and the names of those for which there is no value."""
+        action = self.ready(call, consulted)
+        if action.operation is not None:
+            return {}, _unknown_values(action.operation, consulted)
+        return goal_data(action, self.binding(call), self._goal_fields(action), consulted)
+
+    def unseen(self, call: int, consulted: Consultation) -> tuple[str, ...]:
+        """Return what of the call's effects is not seen."""
+        return unseen(self._intended[call].expected, self.action(call), consulted)
+
+    def lag_of_effects(self, call: int, consulted: Consultation) -> float:
+        """Return how many seconds late the reports about its effects may come."""
+        return lag_of_effects(self._intended[call].expected, self.action(call), consulted)
+
+    # --- deeds --------------------------------------------------------------------------------
+
+    def do(self, deed: Deed, call: int, attempt: int, consulted: Consultation) -> None:
+        """Do what the firing of a transition brings about; `attempt` counts the requests each time the call is reached."""
+        match deed:
+            case Deed.SEND:
+                self._send(call, attempt, consulted)
+            case Deed.CANCEL:
+                self.commands.append(Cancel(self._requests[call]))
+            case Deed.BEGIN:
+                start = self._intended[call].start
+                self._begun[call] = values_before(start, consulted)
+                self._write(start)
+            case Deed.FINISH:
+                self._write(finished(self.action(call), self._intended[call], consulted))
+            case Deed.UNDO:
+                if call in self._begun:
+                    self._write(undo(self._begun.pop(call), self._intended[call].start, consulted))
+            case _:
+                assert_never(deed)
+
+    def forget(self, call: int) -> None:
+        """No longer wait for the request of the call."""
+        self.open.pop(self._requests[call], None)
+
+    def store(self, call: int, outcome: Outcome) -> None:
+        """Store the fields of the result, by their own names or as the binding says."""
+        store = {**self.binding(call).store, **dict(self._plan.calls[call].store)}
+        self.changed = True
+        self._knowledge.local.store({store.get(name, name): value for name, value in outcome.result.items()})
+
+    def _send(self, call: int, attempt: int, consulted: Consultation) -> None:
+        action = self.ready(call, consulted)
+        self._actions[call] = action
+        self._begun.pop(call, None)
+        self._sent[call] = self._sent.get(call, 0) + 1
+        identity = self.identity(f"{call}/{self._sent[call]}")
+        self.open[identity] = call
+        self._requests[call] = identity
+        self._intended[call] = intention(replace(self._plan.calls[call], action=action), consulted)
+        if action.operation is not None:
+            self._operate(identity, action.operation, consulted)
+        else:
+            self.commands.append(Send(Request(identity, action, self.goal(call, consulted)[0], attempt)))
+
+    def identity(self, what: str) -> UUID:
+        """Return an identity that follows from the run's and what it is for; the first four bytes are the run's, to be found by."""
+        return UUID(bytes=self._run.bytes[:4] + uuid5(self._run, what).bytes[4:])
+
+    def _write(self, new: Changes) -> None:
+        """Write what nobody reports; sensors tell the rest."""
+        world = self._knowledge.world
+        if world.update({fluent: value for fluent, value in new.items() if not world.is_sensed(fluent)}):
+            self.changed = True
+
+    # --- operations on knowledge --------------------------------------------------------------
+
+    def _operate(self, identity: UUID, operation: KnowledgeOperation, consulted: Consultation) -> None:
+        try:
+            told = self._operated(operation, consulted)
+        except Uncomputable as error:
+            self.reports.append(Ended(identity, Outcome(OutcomeKind.ABORTED, message=str(error))))
+            return
+        if told is None:
+            self.reports.append(Ended(identity, Outcome(OutcomeKind.SUCCEEDED)))
+        else:
+            self.commands.append(Tell(identity, *told))
+
+    def _operated(self, operation: KnowledgeOperation, consulted: Consultation) -> tuple[Question, object] | None:
+        """Do what can be done at once; return what has to be stored outside."""
+        match operation:
+            case Query():
+                compute(operation, consulted)
+                return None
+            case Operation(name, operands):
+                value = compute(operation, consulted)
+                if name in CHANGING and isinstance(operands[0], Query):
+                    return self._stored(asked(operands[0], consulted), value)
+                return None
+            case Update(name, data, layer, meta):
+                value = compute(data, consulted)
+                question = asked(Query(name, layer, meta), consulted)
+                return self._stored(question, None if value is MISSING else value)
+            case _:
+                assert_never(operation)
+
+    def _stored(self, question: Question, value: object) -> tuple[Question, object] | None:
+        self.changed = True
+        if question.layer in (Layer.LOCAL, Layer.ALL):
+            self._knowledge.local.store({question.name: value})
+        if question.layer is Layer.LOCAL:
+            return None
+        if self._asks:
+            return replace(question, layer=Layer.GLOBAL if question.layer is Layer.ALL else question.layer), value
+        if question.layer is Layer.PERSON:
+            raise Uncomputable(f"there is nobody to be told {value!r}")
+        self._knowledge.world.store({question.name: value})
+        return None
+
+
+def _unknown_values(operation: KnowledgeOperation, consulted: Consultation) -> tuple[str, ...]:
+    """Return the variables that an update copies but nobody knows; have everything asked that the operation depends on."""
+    try:
+        match operation:
+            case Update(name, data, _, meta):
+                named(name, consulted)
+                compute(meta, consulted)
+                copied = compute(data, consulted) is MISSING and isinstance(data, Query)
+                return (asked(data, consulted).name,) if copied and isinstance(data, Query) else ()
+            case _:
+                compute(operation, consulted)
+                return ()
+    except Uncomputable:
+        return ()  # the operation itself will say so
+
+
+def _grounded(action: GroundAction, env: Environment) -> GroundAction:
+    told = dict(zip(action.parameters, action.arguments, strict=True))
+    arguments = tuple(env.get(f"?{name}", value) if value.startswith("?") else value for name, value in told.items())
+    return replace(
+        action,
+        arguments=arguments,
+        precondition=ground(action.precondition, env),
+        invariant=ground(action.invariant, env),
+        end_condition=ground(action.end_condition, env),
+        expected=ground(action.expected, env),
+        start_effects=ground_effects(action.start_effects, env),
+        end_effects=ground_effects(action.end_effects, env),
+    )

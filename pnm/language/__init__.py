@@ -1,0 +1,27 @@
+"""The language: domains and plans that people write in YAML. Knows nothing of planners.
+
+`read_plans` and `read_world` read files; each plan has a `PlanGraph` and `Bindings` for `pnm.generation.generate`.
+No file names a class or a module that would be imported.
+"""
+
+from typing import TYPE_CHECKING
+
+from pnm.lazy import lazily
+
+if TYPE_CHECKING:
+    from pnm.language.domain import LanguageDomain
+    from pnm.language.plan import HandWrittenPlan, read_domain, read_plans
+    from pnm.language.world import World, read_world
+
+__all__ = ["HandWrittenPlan", "LanguageDomain", "World", "read_domain", "read_plans", "read_world"]
+
+_WHERE = {
+    "HandWrittenPlan": "pnm.language.plan",
+    "LanguageDomain": "pnm.language.domain",
+    "World": "pnm.language.world",
+    "read_domain": "pnm.language.plan",
+    "read_plans": "pnm.language.plan",
+    "read_world": "pnm.language.world",
+}
+
+__getattr__, __dir__ = lazily(__name__, _WHERE)

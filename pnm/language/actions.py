@@ -1,0 +1,184 @@
+"""The actions of a domain: from YAML to schemas, which `pnm.language.calls` makes ground actions from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from typing import Final
+
+from pnm.bindings import DEFAULT, Binding, read_binding
+from pnm.conditions import TRUE, Condition, fluents, free_variables
+from pnm.effects import Effects, ForEach, Set, When
+from pnm.errors import InputError, Position
+from pnm.expressions import Expression, Fluent, Variable, expression_variables, variables_in
+from pnm.language.declarations import Declared
+from pnm.language.effects import read_conditions, read_duration, read_timed_effects
+from pnm.language.scope import read_typed, shown, unknown
+from pnm.yaml_files import Mapped, Node
+
+
+class ActionKind(Enum):
+    """Who carries an action out."""
+
+    ROS = "ros_action"
+    """An action server."""
+    RPN = "rpn_action"
+    """An action server that asks for knowledge, and changes it, while it runs."""
+    KB = "kb_action"
+    """Nobody: it works on knowledge alone."""
+    PLAN = "plan"
+    """Another plan, which is an action server as well."""
+
+
+CLASSES: Final = {"ROSAtomicAction": ActionKind.ROS, "RPNAtomicAction": ActionKind.RPN, "KBAction": ActionKind.KB}
+"""The classes that files for the original implementation name; none of them is imported."""
+OPERATION: Final = "operation"
+"""The parameter under which the step of a `ActionKind.KB` action says what is done."""
+ACTION_KEYS: Final = (
+    *("instances", "type", "params", "preconditions", "effects", "duration", "preferences", "recoveries", "resources"),
+    *("server", "ros_type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask"),
+)
+RESERVED: Final = frozenset({"while", "if", "then", "else", "concurrent_actions", "sequence"})
+"""Words that steps begin with."""
+
+
+@dataclass(frozen=True)
+class LanguageAction:
+    """An action with parameters, as its domain describes it."""
+
+    name: str
+    kind: ActionKind
+    position: Position
+    parameters: tuple[Variable, ...] | None = None
+    """None if the domain says nothing about them: then every step may give what it likes."""
+    precondition: Condition = TRUE
+    """At start."""
+    invariant: Condition = TRUE
+    """Over all."""
+    end_condition: Condition = TRUE
+    """At end."""
+    start_effects: Effects = ()
+    end_effects: Effects = ()
+    expected: Condition = TRUE
+    """What holds of variables once the action is done."""
+    duration: tuple[tuple[str, Expression], ...] | None = None
+    """Bounds; None for an instantaneous action."""
+    binding: Binding = DEFAULT
+    resources: tuple[str, ...] = ()
+    recoveries: Node | None = None
+    """What the domain says about recovering, for `pnm.language.recoveries` to read."""
+
+    @cached_property
+    def objects(self) -> frozenset[str]:
+        """The parameters, with ``?``, that stand for objects: by their type, or because facts speak of them."""
+        typed = (variable.name for variable in self.parameters or () if variable.types != ("object",))
+        conditions = (self.precondition, self.invariant, self.end_condition, self.expected)
+        return frozenset(typed).union(*map(_in_fluents, conditions), _in_effects((*self.start_effects, *self.end_effects)))
+
+    @cached_property
+    def mentioned(self) -> frozenset[str]:
+        """The parameters, with ``?``, that the conditions and effects mention."""
+        conditions = (self.precondition, self.invariant, self.end_condition, self.expected)
+        return frozenset().union(*map(free_variables, conditions), _in_effects((*self.start_effects, *self.end_effects), values=True))
+
+
+def _in_fluents(condition: Condition) -> frozenset[str]:
+    """Return the variables that are arguments of facts and functions."""
+    return frozenset(name for fluent in fluents(condition, _AnyObject()) for name in variables_in(fluent))
+
+
+class _AnyObject:
+    """A state with one object that stands for all that quantifiers speak of."""
+
+    def value(self, fluent: Fluent, /) -> None:
+        return None
+
+    def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
+        return ("any",)
+
+
+def _in_effects(effects: Effects, *, values: bool = False) -> frozenset[str]:
+    found: set[str] = set()
+    for effect in effects:
+        match effect:
+            case Set(fluent, value):
+                found |= variables_in(fluent) | (expression_variables(value) if values else frozenset())
+            case When(condition, inner):
+                found |= (free_variables(condition) if values else _in_fluents(condition)) | _in_effects(inner, values=values)
+            case ForEach(variables, inner):
+                found |= _in_effects(inner, values=values) - {variable.name for variable in variables}
+    return frozenset(found)
+
+
+def read_action(name: str, entry: Mapped, declared: Declared) -> LanguageAction:
+    """Read one action.
+
+    Raises:
+        InputError: it has an unknown key, something malformed, or names that are not there.
+    """
+    entry.only(*ACTION_KEYS)
+    if name in RESERVED:
+        raise InputError(f"{name!r} is a word of the language; an action cannot be called so", entry.start)
+    kind = _kind(entry)
+    parameters = _parameters(entry, declared)
+    scope = declared.scope(parameters)
+    conditions = read_conditions(entry.node("preconditions"), scope)
+    start_effects, end = read_timed_effects(entry.node("effects"), scope)
+    duration = entry.node("duration")
+    return LanguageAction(
+        name,
+        kind,
+        entry.start,
+        parameters,
+        precondition=conditions.start,
+        invariant=conditions.always,
+        end_condition=conditions.end,
+        start_effects=start_effects,
+        end_effects=end.effects,
+        expected=end.expected,
+        duration=None if duration is None or duration.is_null else read_duration(duration, scope),
+        binding=read_binding(entry, type_key="ros_type", retries=0),
+        resources=tuple(entry.strings("resources")),
+        recoveries=entry.node("recoveries"),
+    )
+
+
+def _kind(entry: Mapped) -> ActionKind:
+    """Return who carries the action out; an action server, if the file does not say."""
+    node = entry.node("type")
+    if node is None or node.is_null:
+        return ActionKind.ROS
+    kinds: dict[str, ActionKind] = {kind.value: kind for kind in CLASSES.values()}
+    name = _class(node) if node.is_mapping else node.text
+    if name is None:
+        raise node.wrong(f"expected a kind of action such as ros_action, found {shown(node)}")
+    known = CLASSES if node.is_mapping else kinds
+    if name not in known:
+        raise unknown("kind of action", name, known, node.position)
+    return known[name]
+
+
+def _class(node: Node) -> str:
+    return read_class(node)[1]
+
+
+def read_class(node: Node) -> tuple[str, str]:
+    """Read ``{module: a.b, class: C}``, which names a class for the original implementation; nothing is imported.
+
+    Raises:
+        InputError: it is something else.
+    """
+    entry = node.mapped()
+    entry.only("module", "class")
+    module, name = entry.string("module"), entry.string("class")
+    if not module or not name:
+        raise node.wrong("expected the keys 'module' and 'class'")
+    return module, name
+
+
+def _parameters(entry: Mapped, declared: Declared) -> tuple[Variable, ...] | None:
+    node = entry.node("params")
+    if node is None or node.is_null:
+        return None
+    return read_typed(node, declared.scope())

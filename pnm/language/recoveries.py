@@ -1,0 +1,110 @@
+"""What is done when a call fails, as it is written: ``before``, ``during`` and ``after``, each with chains of steps.
+
+A chain is a list of steps that ends in a command. In its long form, ``{when: condition, do: chain, times: n}``, it has
+a condition of its own and says how often it may be used; there may be a list of these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, TypeAlias
+
+from pnm.conditions import Condition
+from pnm.errors import InputError, Position
+from pnm.language.declarations import needed
+from pnm.language.formulas import read_condition
+from pnm.language.scope import Scope, unknown
+from pnm.language.tree import SequenceStep, WrittenRecovery
+from pnm.plan_graph import Cause, Then
+from pnm.yaml_files import Node
+
+COMMANDS: Final = {**{then.value: then for then in Then}, "restart_action": Then.RETRY}
+"""How a chain ends."""
+_DURING: Final = {
+    "aborted": Cause.ABORTED,
+    "preempted": Cause.CANCELED,
+    "rejected": Cause.REJECTED,
+    "unavailable": Cause.UNAVAILABLE,
+    "timed_out": Cause.TIMED_OUT,
+    "lost": Cause.LOST,
+}
+_BEFORE: Final = frozenset({Cause.PRECONDITION_FALSE, Cause.DATA_MISSING})
+_AFTER: Final = frozenset({Cause.EFFECTS_MISSING})
+_SENT: Final = frozenset(_DURING.values())
+MAX_TIMES: Final = 10_000
+
+ReadSteps: TypeAlias = Callable[[tuple[Node, ...], Position], SequenceStep]
+"""Reads steps that follow each other."""
+
+
+def read_recoveries(node: Node, scope: Scope, read_steps: ReadSteps) -> tuple[WrittenRecovery, ...]:
+    """Read what is done when a call fails.
+
+    Args:
+        node: a mapping with the keys ``before``, ``during`` and ``after``.
+        scope: what conditions may use: the parameters of the call.
+        read_steps: reads the chains.
+
+    Raises:
+        InputError: it is something else, or a part is malformed or has names that are not there.
+    """
+    if node.is_null:
+        return ()
+    entry = node.mapped()
+    entry.only("before", "during", "after")
+    found: list[WrittenRecovery] = []
+    for key, usual, own in (("before", _BEFORE, Cause.BEFORE), ("after", _AFTER, Cause.AFTER)):
+        found += [_recovery(long, usual, own, scope, read_steps) for long in _each(entry.node(key))]
+    during = entry.node("during")
+    if during is not None and not during.is_null:
+        outcomes = during.mapped()
+        outcomes.only(*_DURING)
+        for outcome, cause in _DURING.items():
+            found += [_recovery(long, frozenset({cause}), None, scope, read_steps) for long in _each(outcomes.node(outcome))]
+    return tuple(found)
+
+
+def _each(node: Node | None) -> tuple[Node, ...]:
+    """Return the recoveries of a list of long forms, or the only one."""
+    if node is None or node.is_null:
+        return ()
+    if node.items and all(_is_long(item) for item in node.items):
+        return node.items
+    return (node,)
+
+
+def _is_long(node: Node) -> bool:
+    return node.is_mapping and "do" in node.mapped().nodes
+
+
+def _recovery(node: Node, usual: frozenset[Cause], own: Cause | None, scope: Scope, read_steps: ReadSteps) -> WrittenRecovery:
+    entry = node.mapped() if _is_long(node) else None
+    when: Condition | None = None
+    times: int | None = None
+    if entry is not None:
+        entry.only(*(("when",) if own is not None else ()), "do", "times")
+        condition = entry.node("when")
+        when = None if condition is None else read_condition(condition, scope)
+        times = entry.whole("times", None)
+        if times is not None and not 1 <= times <= MAX_TIMES:
+            raise InputError(f"expected a number of times from 1 to {MAX_TIMES}, found {times}", entry.position("times"))
+    causes = usual if when is None or own is None else frozenset({own})
+    chain, then = _chain(node if entry is None else needed(entry, "do"), read_steps)
+    if then is Then.CONTINUE and not causes <= _SENT:
+        raise node.wrong("only a call whose request has ended can continue; expected another command, such as skip_action")
+    return WrittenRecovery(node.position, causes, chain, then, times, when)
+
+
+def _chain(node: Node, read_steps: ReadSteps) -> tuple[SequenceStep, Then]:
+    """Read steps and the command that they end in."""
+    items = (node,) if node.items is None else node.items
+    if not items or items[-1].text is None:
+        last = items[-1] if items else node
+        raise last.wrong(f"expected a command at the end of the chain: {', '.join(COMMANDS)}")
+    *steps, command = items
+    if command.text not in COMMANDS:
+        raise unknown("command", command.text or "", COMMANDS, command.position)
+    for step in steps:
+        if step.text in COMMANDS:
+            raise step.wrong(f"{step.text} ends the chain; nothing may come after it")
+    return read_steps(tuple(steps), node.position), COMMANDS[command.text]

@@ -1,0 +1,205 @@
+"""Steps of plans: from YAML to `pnm.language.tree`, checked against the known actions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from pnm.bindings import read_texts
+from pnm.errors import InputError, Position
+from pnm.language.actions import OPERATION, ActionKind, LanguageAction
+from pnm.language.data import read_data, read_operation
+from pnm.language.declarations import Declared, needed
+from pnm.language.formulas import read_condition
+from pnm.language.recoveries import read_recoveries
+from pnm.language.scope import Scope, shown, unknown
+from pnm.language.tree import CallStep, ChoiceStep, ConcurrentStep, Given, LoopStep, Place, SequenceStep, WrittenRecovery, WrittenStep
+from pnm.queries import KnowledgeOperation
+from pnm.yaml_files import Mapped, Node
+
+DEFAULT_LIMIT: Final = 1000
+"""How often a loop is repeated at most when the plan does not say."""
+MAX_LIMIT: Final = 1_000_000
+_PLACE: Final = ("id", "after")
+_CALL: Final = ("recoveries", "retries", "timeout", "resources", "store")
+OPTIONS: Final = (*_PLACE, *_CALL)
+"""What may be said of a step beside what it does."""
+
+
+@dataclass(frozen=True)
+class StepReader:
+    """Reads steps where these actions and names are known."""
+
+    actions: Mapping[str, LanguageAction]
+    declared: Declared
+    variables: frozenset[str] = frozenset()
+    """In a chain of recovery, the parameters of the call that recovers."""
+
+    @property
+    def scope(self) -> Scope:
+        """What values and conditions may use."""
+        return Scope(self.variables, *self._others)
+
+    @property
+    def _others(self) -> tuple[Mapping[str, int | None] | None, frozenset[str] | None, frozenset[str] | None]:
+        scope = self.declared.scope()
+        return scope.fluents, scope.objects, scope.types
+
+    def steps(self, node: Node) -> SequenceStep:
+        """Read a list of steps.
+
+        Raises:
+            InputError: it is something else, or a step is malformed or has names that are not there.
+        """
+        if node.items is None and not node.is_null:
+            raise node.wrong(f"expected a list of steps, found {shown(node)}")
+        return self.sequence(node.items or (), node.position)
+
+    def sequence(self, nodes: tuple[Node, ...], position: Position) -> SequenceStep:
+        """Read steps that follow each other."""
+        steps = tuple([self.step(node) for node in nodes])
+        _check_ids(steps)
+        return SequenceStep(Place(position), steps)
+
+    def step(self, node: Node) -> WrittenStep:
+        """Read one step; a list of steps is a sequence."""
+        if node.items is not None:
+            return self.steps(node)
+        if not node.is_mapping:
+            hint = f"; write '- {node.text}:'" if node.text else ""
+            raise node.wrong(f"expected a step such as '- action: {{parameter: value}}', found {shown(node)}{hint}")
+        entry = node.mapped()
+        place = _place(entry)
+        match self._head(entry):
+            case "concurrent_actions":
+                entry.only("concurrent_actions", *_PLACE)
+                return ConcurrentStep(place, self.steps(needed(entry, "concurrent_actions")).steps)
+            case "sequence":
+                entry.only("sequence", *_PLACE)
+                return SequenceStep(place, self.steps(needed(entry, "sequence")).steps)
+            case "while":
+                entry.only("while", *_PLACE)
+                return self._loop(needed(entry, "while").mapped(), place)
+            case "if":
+                entry.only("if", "then", "else", *_PLACE)
+                return self._choice(entry, place)
+            case name:
+                entry.only(name, *OPTIONS)
+                return self._call(name, entry, place)
+
+    def _head(self, entry: Mapped) -> str:
+        """Return the key that says what the step does."""
+        for word in ("if", "while", "concurrent_actions", "sequence"):
+            if word in entry.nodes:
+                return word
+        heads = [key for key in entry.nodes if key not in OPTIONS] or [key for key in entry.nodes if key in self.actions]
+        if len(heads) == 1:
+            return heads[0]
+        if not heads:
+            raise InputError(f"the step does nothing; expected an action beside {', '.join(entry.nodes) or 'nothing'}", entry.start)
+        strange = next((head for head in heads if head not in self.actions), heads[1])
+        raise InputError(
+            f"a step does one thing; {strange!r} is a second one, and no option ({', '.join(OPTIONS)})", entry.nodes[strange][0]
+        )
+
+    def _loop(self, entry: Mapped, place: Place) -> LoopStep:
+        entry.only("condition", "actions", "limit")
+        limit = entry.whole("limit", DEFAULT_LIMIT)
+        if not 1 <= limit <= MAX_LIMIT:
+            raise InputError(f"expected a limit from 1 to {MAX_LIMIT}, found {limit}", entry.position("limit"))
+        body = self.steps(needed(entry, "actions"))
+        if not body.steps:
+            raise InputError("a loop repeats at least one step", entry.position("actions"))
+        return LoopStep(place, read_condition(needed(entry, "condition"), self.scope), body, limit)
+
+    def _choice(self, entry: Mapped, place: Place) -> ChoiceStep:
+        condition = read_condition(needed(entry, "if"), self.scope)
+        otherwise = entry.node("else")
+        nothing = SequenceStep(Place(entry.start), ())
+        return ChoiceStep(place, condition, self.steps(needed(entry, "then")), nothing if otherwise is None else self.steps(otherwise))
+
+    # --- calls ---
+
+    def _call(self, name: str, entry: Mapped, place: Place) -> CallStep:
+        if name not in self.actions:
+            raise unknown("action", name, self.actions.keys(), entry.nodes[name][0])
+        action = self.actions[name]
+        argument = needed(entry, name)
+        told = Mapped(entry.file, entry.start, {}) if argument.is_null else argument.mapped()
+        given = {key: self._given(action, key, where, node) for key, where, node in told.entries() if not _is_operation(action, key)}
+        return CallStep(
+            place,
+            action,
+            given,
+            operation=self._operation(action, told) if action.kind is ActionKind.KB else None,
+            recoveries=None if entry.node("recoveries") is None else self.recoveries(action, needed(entry, "recoveries")),
+            retries=entry.whole("retries", None),
+            timeout=entry.number("timeout", None),
+            resources=tuple(entry.strings("resources")),
+            store=read_texts(entry, "store", "expected result fields and the variables to store them in"),
+        )
+
+    def recoveries(self, action: LanguageAction, node: Node) -> tuple[WrittenRecovery, ...]:
+        """Read what is done when calls of the action fail."""
+        parameters = frozenset(variable.name for variable in action.parameters or ())
+        return read_recoveries(node, Scope(parameters, *self._others), StepReader(self.actions, self.declared, parameters).sequence)
+
+    def _given(self, action: LanguageAction, key: str, where: Position, node: Node) -> Given:
+        if action.parameters is not None and f"?{key}" not in {variable.name for variable in action.parameters}:
+            raise unknown(f"parameter of {action.name}", key, [variable.name[1:] for variable in action.parameters], where)
+        data = read_data(node, self.scope)
+        if f"?{key}" in action.objects:
+            _check_object(action, key, node, self.declared)
+        return Given(data, node.position)
+
+    def _operation(self, action: LanguageAction, told: Mapped) -> KnowledgeOperation:
+        node = told.node(OPERATION)
+        if node is None:
+            raise InputError(f"{action.name} works on knowledge; expected the key {OPERATION!r}", told.start)
+        own = frozenset(variable.name for variable in action.parameters or ())
+        return read_operation(node, Scope(self.variables | own, *self._others))
+
+
+def _is_operation(action: LanguageAction, key: str) -> bool:
+    return action.kind is ActionKind.KB and key == OPERATION
+
+
+def _check_object(action: LanguageAction, key: str, node: Node, declared: Declared) -> None:
+    """Refuse what cannot be the name of an object, such as an ``on`` without quotes, and objects that are not there."""
+    if node.is_mapping:
+        return
+    value = node.plain()
+    if isinstance(value, bool) or not isinstance(value, str | int | float):
+        hint = f"; write {node.written!r} with quotes" if node.written else ""
+        raise node.wrong(f"{key} of {action.name} is the name of an object, not {shown(node)}{hint}")
+    name = node.written
+    if name.startswith(("?", "(")) or not declared.objects:
+        return
+    types = next(variable.types for variable in action.parameters or () if variable.name == f"?{key}")
+    fitting = {one for kind in types for one in declared.objects_by_type.get(kind, ())}
+    if name not in fitting:
+        raise unknown(f"object for {key} of {action.name} (one of type {' or '.join(types)})", name, fitting, node.position)
+
+
+def _place(entry: Mapped) -> Place:
+    after = entry.node("after")
+    if after is None:
+        return Place(entry.start, entry.string("id"))
+    items = (after,) if after.items is None else after.items
+    names = [(item.text, item.position) for item in items]
+    if wrong := [item for item in items if item.text is None]:
+        raise wrong[0].wrong(f"expected the id of a step, found {shown(wrong[0])}")
+    return Place(entry.start, entry.string("id"), tuple((name or "", where) for name, where in names))
+
+
+def _check_ids(steps: tuple[WrittenStep, ...]) -> None:
+    known: set[str] = set()
+    for step in steps:
+        if step.place.id is not None and step.place.id in known:
+            raise InputError(f"the id {step.place.id!r} is there twice", step.place.position)
+        known |= {step.place.id} if step.place.id is not None else set()
+    for step in steps:
+        for name, where in step.place.after or ():
+            if name not in known:
+                raise unknown("step with the id", name, known, where)

@@ -1,0 +1,212 @@
+"""Carries out hand-written plans: as many at the same time as are asked for, each with local knowledge of its own.
+
+A plan that calls another has it carried out here as well, as a run of its own: what it is given are its parameters,
+what it gives back are its results.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Final
+from uuid import UUID, uuid4
+
+from pnm.actions.base import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Reporter, Request
+from pnm.analysis import Proof, verify
+from pnm.errors import InputError
+from pnm.executor import Executor
+from pnm.generation import generate
+from pnm.knowledge import KnowledgeBase, Layered
+from pnm.language.plan import HandWrittenPlan
+from pnm.machine import PetriNetMachine
+from pnm.observer import Observer
+from pnm.plan_graph import GroundAction
+from pnm.queries import MISSING
+from pnm.results import RunResult
+from pnm.run import Run
+from pnm.sites import Site
+from pnm.sources.base import Source
+
+_ABOUT_THE_CALL: Final = frozenset({"action", "arguments", "duration"})
+"""Goal fields that tell of the call itself: no parameters of a plan."""
+
+
+@dataclass(frozen=True)
+class Program:
+    """A plan and its machine, proved sound."""
+
+    plan: HandWrittenPlan
+    machine: PetriNetMachine
+    proof: Proof
+
+    @staticmethod
+    def of(plan: HandWrittenPlan) -> Program:
+        """Generate the machine and prove it."""
+        machine = generate(plan.graph, plan.bindings, on_failure=plan.on_failure)
+        return Program(plan, machine, verify(machine))
+
+
+@dataclass
+class Performance:
+    """One run of a plan. The mutable state is `result`."""
+
+    program: Program
+    executor: Executor
+    result: RunResult | None = None
+
+    @property
+    def variables(self) -> dict[str, object]:
+        """What the run knows by itself."""
+        return self.executor.run.knowledge.local.variables()
+
+    @property
+    def results(self) -> dict[str, object]:
+        """The variables that whoever started the plan is told; those that nobody has stored are left out."""
+        found = {name: self.executor.run.knowledge.local.variable(name) for name in self.program.plan.results}
+        return {name: value for name, value in found.items() if value is not MISSING}
+
+
+@dataclass
+class Performer:
+    """Carries out the plans of a world at a site.
+
+    The mutable state is the performances that go on.
+
+    Args:
+        programs: by the name of the plan.
+        site: where actions are carried out.
+        world: what all runs share.
+        source: who is asked and told what runs do not know.
+    """
+
+    programs: Mapping[str, Program]
+    site: Site
+    world: KnowledgeBase
+    source: Source | None = None
+    prefix: bytes = field(default_factory=partial(os.urandom, 4))
+    """The first four bytes of the identities of all runs and requests: action servers find this process by them."""
+    going_on: list[Performance] = field(default_factory=list)
+
+    async def prepare(self) -> None:
+        """Get ready to carry out everything that is in the plans, as far as the plans tell who does it."""
+        needed = [
+            call.action
+            for program in self.programs.values()
+            for call in program.plan.graph.calls
+            if call.action.operation is None and call.action.name not in self.programs and program.plan.bindings.names_server(call.action)
+        ]
+        await self.site.prepare(dict.fromkeys(needed))
+
+    def perform(self, name: str, parameters: Mapping[str, object] | None = None, observer: Observer | None = None) -> Performance:
+        """Get a run of the plan ready; `execute` carries it out.
+
+        Raises:
+            InputError: there is no such plan, or it has no such parameter.
+        """
+        if name not in self.programs:
+            raise InputError(f"there is no plan {name!r}; expected one of {', '.join(self.programs)}")
+        program, given = self.programs[name], dict(parameters or {})
+        _check_parameters(program.plan, given)
+        knowledge = Layered(self.world, KnowledgeBase(variables={**program.plan.variables, **given}))
+        identity = UUID(bytes=self.prefix + uuid4().bytes[4:])
+        client = PlansClient(self)
+        run = Run(
+            program.machine,
+            knowledge,
+            id=identity,
+            bindings=program.plan.bindings,
+            goal_fields=client.goal_fields,
+            asks=self.source is not None,
+            observer=observer,
+        )
+        return Performance(program, Executor(run, client, self.source, name))
+
+    async def execute(self, performance: Performance) -> RunResult:
+        """Carry the plan out, within its time."""
+        self.going_on.append(performance)
+        limit = performance.program.plan.timeout
+        timer = None
+        if limit is not None:
+            over = partial(performance.executor.stop, reason=f"the plan's limit of {limit:g} s is reached")
+            timer = asyncio.get_running_loop().call_later(limit, over)
+        try:
+            performance.result = await performance.executor.execute()
+            return performance.result
+        finally:
+            self.going_on.remove(performance)
+            if timer:
+                timer.cancel()
+
+    def knowledge_of(self, request: UUID) -> Layered | None:
+        """Return what the run knows whose request this is; None when it is not, or no longer, open."""
+        for performance in self.going_on:
+            if request in performance.executor.run.open_requests:
+                return performance.executor.run.knowledge
+        return None
+
+
+def _check_parameters(plan: HandWrittenPlan, given: Iterable[str]) -> None:
+    if plan.parameters is not None:
+        for name in given:
+            if name not in plan.parameters:
+                raise InputError(f"{plan.name} has no parameter {name!r}; expected {', '.join(plan.parameters) or 'none'}")
+
+
+class PlansClient:
+    """Carries out calls of plans as runs of their own, and passes all others on to the site.
+
+    The mutable state is the performances by request, the requests that were cancelled, and the tasks that carry them out.
+    """
+
+    def __init__(self, performer: Performer) -> None:
+        self._performer = performer
+        self._performances: dict[UUID, Performance] = {}
+        self._cancelled: set[UUID] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    @property
+    def _client(self) -> ActionClient:
+        return self._performer.site.client
+
+    def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
+        """Return the parameters of the plan, or the fields that the server's goal has."""
+        program = self._performer.programs.get(action.name)
+        return self._client.goal_fields(action) if program is None else program.plan.parameters
+
+    def send(self, request: Request, report: Reporter, /) -> None:
+        """Begin to carry the plan out, or send the goal."""
+        if request.action.name not in self._performer.programs:
+            self._client.send(request, report)
+            return
+        task = asyncio.get_running_loop().create_task(self._perform(request, report))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    def cancel(self, request: UUID, /) -> None:
+        """Have the plan, or the action, cancelled."""
+        if request in self._performances:
+            self._cancelled.add(request)
+            self._performances[request].executor.stop()
+        else:
+            self._client.cancel(request)
+
+    async def _perform(self, request: Request, report: Callable[[Accepted | Ended], None]) -> None:
+        given = {name: value for name, value in request.goal.items() if name not in _ABOUT_THE_CALL}
+        try:
+            performance = self._performer.perform(request.action.name, given)
+        except InputError as error:
+            report(Ended(request.id, Outcome(OutcomeKind.REJECTED, message=str(error))))
+            return
+        self._performances[request.id] = performance
+        report(Accepted(request.id))
+        try:
+            result = await self._performer.execute(performance)
+        finally:
+            del self._performances[request.id]
+        unsuccessful = OutcomeKind.CANCELED if request.id in self._cancelled else OutcomeKind.ABORTED
+        self._cancelled.discard(request.id)
+        kind = OutcomeKind.SUCCEEDED if result.goal else unsuccessful
+        report(Ended(request.id, Outcome(kind, performance.results, "" if result.goal else result.reason)))

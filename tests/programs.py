@@ -1,0 +1,121 @@
+"""Drives a run without a loop: every request is answered at once by a function, questions by a dictionary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from uuid import UUID
+
+from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Request
+from pnm.analysis import verify
+from pnm.bindings import Bindings
+from pnm.events import Answered, Ask, Begin, Cancel, Command, Event, Send, Tell, Tick, Wake
+from pnm.generation import generate
+from pnm.knowledge import KnowledgeBase, Layered
+from pnm.machine import OnFailure
+from pnm.plan_graph import PlanGraph
+from pnm.queries import MISSING, Question
+from pnm.results import RunResult
+from pnm.run import Run
+
+Answer = Callable[[Request], Outcome]
+RUN = UUID(int=1)
+
+
+def succeed(_request: Request) -> Outcome:
+    """Answer that all went well."""
+    return Outcome(OutcomeKind.SUCCEEDED)
+
+
+def outcomes(**kinds: list[str]) -> Answer:
+    """Answer the requests of an action with these kinds, one after the other, and then with success."""
+    left = {name: [*found] for name, found in kinds.items()}
+
+    def answer(request: Request) -> Outcome:
+        waiting = left.get(request.action.name, [])
+        return Outcome(OutcomeKind(waiting.pop(0)) if waiting else OutcomeKind.SUCCEEDED)
+
+    return answer
+
+
+@dataclass
+class Story:
+    """What happened in a run."""
+
+    result: RunResult
+    run: Run
+    sent: list[tuple[str, Mapping[str, object]]]
+    asked: list[Question]
+    told: list[tuple[Question, object]]
+
+    @property
+    def actions(self) -> list[str]:
+        """The names of the actions of all requests, in order."""
+        return [name for name, _ in self.sent]
+
+
+@dataclass
+class Player:
+    """Answers everything a run asks for. The mutable state is the lists."""
+
+    run: Run
+    answer: Answer
+    known: Mapping[str, object]
+    now: float = 0.0
+    events: list[Event] = field(default_factory=lambda: [Begin()])
+    wakes: list[float] = field(default_factory=list)
+    story: list[tuple[str, Mapping[str, object]]] = field(default_factory=list)
+    asked: list[Question] = field(default_factory=list)
+    told: list[tuple[Question, object]] = field(default_factory=list)
+    steps: int = 0
+
+    def play(self) -> Story:
+        """Go on to the end, which must come."""
+        while not self.run.over:
+            self.steps += 1
+            assert self.steps < 100_000, f"it never ends: {self.run.marking}"
+            if self.events:
+                event = self.events.pop(0)
+            else:
+                assert self.wakes, f"it waits for nothing: {self.run.marking}"
+                self.now, event = max(self.now, min(self.wakes)), Tick()
+                self.wakes.clear()
+            for command in self.run.handle(event, self.now):
+                self._do(command)
+        return Story(self.run.result(), self.run, self.story, self.asked, self.told)
+
+    def _do(self, command: Command) -> None:
+        match command:
+            case Send(request):
+                self.story.append((request.action.name, request.goal))
+                self.events += [Accepted(request.id), Ended(request.id, self.answer(request))]
+            case Cancel(request_id):
+                self.events.append(Ended(request_id, Outcome(OutcomeKind.CANCELED)))
+            case Wake(at):
+                self.wakes.append(at)
+            case Ask(identity, question):
+                self.asked.append(question)
+                self.events.append(Answered(identity, self.known.get(question.name, MISSING)))
+            case Tell(identity, question, value):
+                self.told.append((question, value))
+                self.events.append(Ended(identity, Outcome(OutcomeKind.SUCCEEDED)))
+            case _:
+                pass
+
+
+def play(
+    graph: PlanGraph,
+    answer: Answer = succeed,
+    *,
+    bindings: Bindings | None = None,
+    variables: Mapping[str, object] | None = None,
+    known: Mapping[str, object] | None = None,
+    world: KnowledgeBase | None = None,
+    on_failure: OnFailure = OnFailure.DRAIN,
+) -> Story:
+    """Prove the machine of the plan and run it; `known` is what is answered outside, None when there is nobody to ask."""
+    machine = generate(graph, bindings, on_failure=on_failure)
+    verify(machine)
+    knowledge = Layered(world or KnowledgeBase(), KnowledgeBase(variables=variables))
+    run = Run(machine, knowledge, id=RUN, bindings=bindings, asks=known is not None)
+    return Player(run, answer, known or {}).play()

@@ -1,0 +1,195 @@
+"""Hand-written plans carried out on simulated robots: parameters, plans that call plans, limits."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from planner_bridge.written import carry_out, chosen_plan, simulated_site, together
+from pnm.actions.faults import Fault, FaultKind, Faults
+from pnm.bindings import Binding, Bindings
+from pnm.clock import run_async
+from pnm.errors import InputError
+from pnm.knowledge import KnowledgeBase
+from pnm.language.plan import read_plans
+from pnm.performing import Performer, Program
+from pnm.sources.memory import MemoryKnowledge
+
+GUIDE = """
+actions:
+  go: {params: [place], duration: 5}
+  say: {type: kb_action}
+outer:
+  params: [shop]
+  plan:
+    - go: {place: door}
+    - inner: {place: {LocalQuery: shop}}
+    - say: {operation: {LocalUpdate: [heard, {LocalQuery: told}]}}
+inner:
+  params: [place]
+  results: [told]
+  timeout: 60
+  plan:
+    - say: {operation: {LocalUpdate: [secret, 1]}}
+    - go: {}
+    - say: {operation: {LocalUpdate: [told, {LocalQuery: place}]}}
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    file = folder / "plan.yaml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_a_plan_calls_another_with_knowledge_of_its_own(tmp_path: Path) -> None:
+    result = carry_out(written(tmp_path, GUIDE), parameters={"shop": "pharmacy"})
+    assert result.task.goal_reached, result.task.reason
+    assert [(call.call.action.name, call.call.action.arguments) for call in result.task.calls] == [
+        ("go", ("door",)),
+        ("inner", ("pharmacy",)),
+        ("say", ()),
+    ]
+    assert result.variables == {"shop": "pharmacy", "told": "pharmacy", "heard": "pharmacy"}
+
+
+def test_a_plan_that_is_called_and_fails_says_why(tmp_path: Path) -> None:
+    broken = Faults((Fault("go(pharmacy)", FaultKind.ABORT),))
+    result = carry_out(written(tmp_path, GUIDE), parameters={"shop": "pharmacy"}, faults=broken)
+    (failure,) = result.task.failures
+    assert (str(failure.call), failure.cause) == ("inner(pharmacy)#1", "aborted")
+    assert "go(pharmacy)#1: aborted" in failure.observed
+
+
+def test_a_parameter_that_nobody_gives_is_a_failure_by_name(tmp_path: Path) -> None:
+    result = carry_out(written(tmp_path, GUIDE))
+    assert [(one.cause, one.expected) for one in result.task.failures] == [("data_missing", "values for place")]
+
+
+def test_a_plan_has_a_limit(tmp_path: Path) -> None:
+    slow = GUIDE.replace("timeout: 60", "timeout: 3")
+    result = carry_out(written(tmp_path, slow), parameters={"shop": "pharmacy"})
+    (failure,) = result.task.failures
+    assert failure.cause == "aborted"
+    assert "the plan's limit of 3 s is reached" in failure.observed
+
+
+def test_names_of_plans_and_parameters_are_checked(tmp_path: Path) -> None:
+    file = written(tmp_path, GUIDE)
+    with pytest.raises(InputError, match="outer has no parameter 'shp'; expected shop"):
+        carry_out(file, parameters={"shp": 1})
+    with pytest.raises(InputError, match="there is no plan 'otter'; expected --name and one of outer, inner"):
+        carry_out(file, "otter")
+    two = GUIDE.replace("    - inner: {place: {LocalQuery: shop}}\n", "")
+    with pytest.raises(InputError, match="there are several plans; expected --name and one of outer, inner"):
+        chosen_plan(read_plans(written(tmp_path, two)), None)
+
+
+def test_two_runs_of_a_plan_go_on_side_by_side_with_their_own_knowledge(tmp_path: Path) -> None:
+    plans = read_plans(written(tmp_path, GUIDE))
+    site = simulated_site(plans["inner"], together(plans.values()))
+    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, site, KnowledgeBase(), MemoryKnowledge())
+
+    async def both() -> None:
+        await site.open(performer.world)
+        one, two = (performer.perform("inner", {"place": place}) for place in ("a", "b"))
+        running = asyncio.gather(performer.execute(one), performer.execute(two))
+        await asyncio.sleep(1)
+        (request,) = one.executor.run.open_requests
+        assert performer.knowledge_of(request) is one.executor.run.knowledge
+        assert request.bytes[:4] == performer.prefix
+        await running
+        assert performer.knowledge_of(request) is None
+        assert (one.results, two.results) == ({"told": "a"}, {"told": "b"})
+        assert asyncio.get_running_loop().time() == pytest.approx(5.0, abs=0.1)
+        await site.close()
+
+    run_async(both(), virtual=True)
+
+
+def test_cancelling_a_plan_cancels_the_plan_it_calls(tmp_path: Path) -> None:
+    plans = read_plans(written(tmp_path, GUIDE))
+    site = simulated_site(plans["outer"], together(plans.values()))
+    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, site, KnowledgeBase())
+
+    async def stopped() -> None:
+        await site.open(performer.world)
+        outer = performer.perform("outer", {"shop": "pharmacy"})
+        running = asyncio.ensure_future(performer.execute(outer))
+        await asyncio.sleep(7)
+        assert [one.program.plan.name for one in performer.going_on] == ["outer", "inner"]
+        outer.executor.stop()
+        result = await running
+        assert not result.goal
+        assert [one.outcome for one in result.calls if one.call.action.name == "inner"] == ["canceled"]
+        assert performer.going_on == []
+        assert asyncio.get_running_loop().time() == pytest.approx(7.0, abs=0.1)
+        await site.close()
+
+    run_async(stopped(), virtual=True)
+
+
+ROOMS = """
+name: rooms
+types: [robot room - object]
+predicates:
+  - (at ?r - robot ?x - room)
+  - (way ?x ?y - room)
+actions:
+  move:
+    params: ?r - robot ?from ?to - room
+    duration: 3
+    preconditions:
+      at_start:
+        - (at ?r ?from)
+        - (way ?from ?to)
+    effects:
+      at_start:
+        - not: (at ?r ?from)
+      at_end:
+        - (at ?r ?to)
+problem:
+  objects: r1 - robot a b c - room
+  init:
+    - (at r1 a)
+    - (way a b)
+    - (way a c)
+    - (way c b)
+goal: (at r1 b)
+plan:
+  - move: {r: r1, from: a, to: b}
+    recoveries:
+      during: {aborted: [replan]}
+"""
+BLOCKED = Faults((Fault("move(r1, a, b)", FaultKind.ABORT, times=100),))
+
+
+def test_a_plan_that_asks_for_it_is_replanned_without_what_has_failed(tmp_path: Path) -> None:
+    task = carry_out(written(tmp_path, ROOMS), faults=BLOCKED).task
+    assert task.goal_reached, task.reason
+    assert (task.plans, task.replans) == (1, 1)
+    assert [str(call.call.action) for call in task.calls] == ["move(r1, a, b)", "move(r1, a, c)", "move(r1, c, b)"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ("goal: (at r1 b)\n", "", "no planner can be asked: the plan rooms has no goal"),
+        ("    - (way c b)\n", "", "no plan without move(r1, a, b), which failed too often"),
+        ("aborted: [replan]", "aborted: [fail]", "move(r1, a, b)#0: aborted"),
+    ],
+)
+def test_why_no_planner_finds_another_way(tmp_path: Path, old: str, new: str, why: str) -> None:
+    assert old in ROOMS
+    task = carry_out(written(tmp_path, ROOMS.replace(old, new)), faults=BLOCKED).task
+    assert not task.goal_reached
+    assert why in task.reason
+
+
+def test_bindings_of_a_file_come_before_those_of_the_domain(tmp_path: Path) -> None:
+    plan = read_plans(written(tmp_path, ROOMS.replace("    duration: 3\n", "    duration: 3\n    server: drive\n")))["rooms"]
+    action = plan.graph.calls[0].action
+    assert plan.bindings.server(action) == "drive"
+    assert Bindings({"move": Binding(server="walk")}).before(plan.bindings).server(action) == "walk"

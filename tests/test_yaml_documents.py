@@ -1,0 +1,171 @@
+"""YAML as files of the language have it: merge keys, documents, anchors known beforehand, excerpts; and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pnm.errors import InputError
+from pnm.language.files import parse_documents, read_documents
+from pnm.yaml_files import Mapped, load_yaml, parse_yaml
+from pnm.yaml_loader import MAX_DOCUMENTS, MAX_NODES
+
+
+def one(text: str) -> Mapped:
+    (found,), warnings = parse_documents(text, "F")
+    assert not warnings
+    return found
+
+
+def wrong(text: str) -> str:
+    with pytest.raises(InputError) as caught:
+        parse_documents(text, "F")
+    return str(caught.value)
+
+
+def test_merged_keys_give_way_to_own_ones_wherever_they_stand() -> None:
+    found = one("base: &base {a: 1, b: 2, c: 3}\nmore: &more {c: 4, d: 5}\nall:\n  a: 0\n  <<: [*base, *more]\n  b: 9\n")
+    assert found.plain("all") == {"a": 0, "b": 9, "c": 3, "d": 5}
+
+
+def test_merging_goes_through_merged_mappings() -> None:
+    found = one("x: &x {instances: [1]}\ny: &y {<<: *x, type: t}\nz: {<<: *y, type: u}\n")
+    assert found.plain("z") == {"instances": [1], "type": "u"}
+
+
+def test_what_is_merged_is_told_where_it_stands() -> None:
+    found = one("base: &base\n  number: hello\nall:\n  mine:\n    <<: *base\n")
+    with pytest.raises(InputError, match=r"F:2:11: expected a number of at least 0 under 'number'"):
+        found.mapping("all")["mine"].number("number", None)
+
+
+def test_a_merge_key_in_quotes_is_a_name() -> None:
+    assert one('"<<": 1').plain("<<") == 1
+
+
+@pytest.mark.parametrize("value", ["3", "[a]", "text", "[{a: 1}, 2]"])
+def test_only_mappings_are_merged(value: str) -> None:
+    with pytest.raises(InputError, match="expected a mapping"):
+        one(f"a:\n  <<: {value}\n").mapping("a")
+
+
+def test_documents_keep_their_positions() -> None:
+    first, second = parse_documents("a: 1\n---\nb: 2\n", "F")[0]
+    assert first.plain("a") == 1
+    assert (second.start.line, second.position("b").column) == (3, 4)
+
+
+def test_empty_documents_do_not_count() -> None:
+    assert len(parse_documents("---\n---\na: 1\n---\n# nothing\n", "F")[0]) == 1
+    assert wrong("---\n---\n") == "F:1:1: the file is empty; expected a mapping"
+
+
+def test_every_document_is_a_mapping() -> None:
+    assert wrong("a: 1\n---\n- b\n") == "F:3:1: expected a mapping (key: value)"
+
+
+def test_files_for_one_document_have_one(tmp_path: Path) -> None:
+    path = tmp_path / "two.yaml"
+    path.write_text("a: 1\n---\nb: 2\n")
+    with pytest.raises(InputError, match=r":3:1: a second document begins here; expected one"):
+        load_yaml(path)
+
+
+def test_anchors_do_not_reach_into_the_next_document() -> None:
+    assert wrong("a: &here 1\n---\nb: *here\n") == "F:3:4: not YAML: found undefined alias 'here'"
+
+
+def test_kinds_of_actions_have_anchors_that_a_file_may_define_itself() -> None:
+    assert one("a: {<<: *ros_action}").plain("a") == {"type": "ros_action"}
+    assert one("a: {<<: *base_action}").plain("a") == {}
+    assert one("t: &ros_action {type: mine}\na: {<<: *ros_action}").plain("a") == {"type": "mine"}
+    assert wrong("a: {<<: *ros_actoin}") == "F:1:9: not YAML: found undefined alias 'ros_actoin'; did you mean 'ros_action'?"
+
+
+def test_other_files_do_not_have_these_anchors() -> None:
+    with pytest.raises(InputError, match="undefined alias"):
+        parse_yaml("a: {<<: *ros_action}", "F")
+
+
+# --- excerpts as they are printed ----------------------------------------------------------
+
+EXCERPT = """\
+...
+actions:
+ first:
+  effects:
+   and:
+    - one: 1
+    - not:
+     two: 2
+     three:
+      - 4
+    - five: 5
+ second:
+...
+"""
+
+
+def test_an_excerpt_is_read_as_it_was_meant() -> None:
+    (found,), warnings = parse_documents(EXCERPT, "F")
+    assert found.plain("actions") == {
+        "first": {"effects": {"and": [{"one": 1}, {"not": {"two": 2, "three": [4]}}, {"five": 5}]}},
+        "second": None,
+    }
+    assert [str(one) for one in warnings] == [
+        "F:1:1: warning: '...' at the beginning is left out",
+        "F:8:1: warning: indented by less than what it belongs to in line 7",
+    ]
+
+
+def test_nothing_is_mended_in_what_can_be_read() -> None:
+    text = "text: |\n  - not:\n   two\nlist:\n- a:\n    b\n"
+    (found,), warnings = parse_documents(text, "F")
+    assert found.plain("text") == "- not:\n two\n"
+    assert not warnings
+
+
+def test_what_cannot_be_mended_is_told_as_it_stands() -> None:
+    assert wrong("...\na: [1\n") == "F:1:1: not YAML: expected the node content, but found '<document end>'"
+    assert wrong("a:\n  - b:\n   c: 1\n d: }\n").startswith("F:3:4: not YAML")
+
+
+# --- evil files ----------------------------------------------------------------------------
+
+BOMB = "a0: &a0 {k: v}\n" + "".join(f"a{n}: &a{n} {{{', '.join(f'k{i}: *a{n - 1}' for i in range(9))}}}\n" for n in range(1, 9))
+MERGE_BOMB = "a0: &a0 {k: v}\n" + "".join(f"a{n}: &a{n} {{<<: [{', '.join([f'*a{n - 1}'] * 9)}]}}\n" for n in range(1, 9))
+EVIL = [
+    ("!!python/object/apply:os.system ['true']", "F:1:1: the tag !!python/object/apply:os.system is not allowed; expected plain data"),
+    ("a: !!python/name:os.system ''", "F:1:4: the tag !!python/name:os.system is not allowed; expected plain data"),
+    (BOMB, f"more than {MAX_NODES} values"),
+    (MERGE_BOMB, f"more than {MAX_NODES} values"),
+    ("a: &a {<<: *a}", "nested deeper than"),
+    ("a: &a [*a]", "nested deeper than"),
+    ("a: " + "[" * 5000, "F:1:1: nested deeper than"),
+    ("{" * 3000, "F:1:1: nested deeper than"),
+    ("? [a]\n: 1", "F:1:3: expected a name as the key"),
+    ("a: 1\na: 2", "F:2:1: the key 'a' is there twice"),
+    ("- a", "F:1:1: expected a mapping (key: value)"),
+    ("a: \x00", "F:1:1: not YAML"),
+    ("%YAML 3.0\n---\na: 1", "F:1:1: not YAML: found incompatible YAML document (version 1.* is required)"),
+    ("a: *" + "x" * 10_000, "F:1:4: not YAML: found undefined alias"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), EVIL, ids=range(len(EVIL)))
+def test_evil_files_are_refused(text: str, message: str) -> None:
+    assert message in wrong(text)
+
+
+def test_documents_are_counted() -> None:
+    assert wrong("---\na: 1\n" * (MAX_DOCUMENTS + 1)).endswith(f"not YAML: more than {MAX_DOCUMENTS} documents")
+    assert len(parse_documents("---\na: 1\n" * MAX_DOCUMENTS, "F")[0]) == MAX_DOCUMENTS
+
+
+def test_files_are_read_or_refused_with_a_place(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be read"):
+        read_documents(tmp_path / "nowhere.yaml")
+    (tmp_path / "binary.yaml").write_bytes(b"\x7fELF\x00")
+    with pytest.raises(InputError, match="not a text file"):
+        read_documents(tmp_path / "binary.yaml")
