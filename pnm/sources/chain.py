@@ -7,13 +7,16 @@ import logging
 from collections.abc import Awaitable, Sequence
 from typing import Final, TypeVar
 
+from pnm.errors import PnmError
 from pnm.queries import MISSING, Question
 from pnm.sources import people
 from pnm.sources.base import Asker, Source, SourceError
 
+GRACE: Final = 1.0
+"""Seconds more for those that have a limit of their own, and say better what the matter is."""
 LIMIT: Final = 5.0
-"""Seconds a knowledge base may take; those that have a limit of their own say sooner what the matter is."""
-PERSON_LIMIT: Final = people.LIMIT + 1.0
+"""Seconds a knowledge base may take."""
+PERSON_LIMIT: Final = people.LIMIT + GRACE
 """The same for a person."""
 
 T = TypeVar("T")
@@ -96,3 +99,7 @@ class Sources:
             if not timer.expired():  # a source of somebody's own has failed so
                 raise SourceError(f"{otherwise}: {str(error) or type(error).__name__}") from error
             raise SourceError(f"{otherwise} within {limit:g} s") from error
+        except PnmError as error:
+            if isinstance(error, SourceError):
+                raise
+            raise SourceError(f"{otherwise}: {error}") from error
