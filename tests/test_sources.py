@@ -96,7 +96,7 @@ class Scripted:
 def test_knowledge_bases_are_asked_in_order(layer: Layer) -> None:
     sources = Sources([Scripted({"a": 1}), Scripted({"a": 2, "b": None, "c": False})])
     found = [run(sources.query(about(name, layer), ME)) for name in "abcd"]
-    assert found == [1, None, False, MISSING]
+    assert found == [1, MISSING, False, MISSING]
 
 
 @pytest.mark.parametrize("question", [about("shop", Layer.PERSON), about("USER"), about("CONTROLLER", Layer.ALL)], ids=str)
@@ -118,6 +118,8 @@ def test_an_update_goes_where_the_next_query_finds_it() -> None:
     run(sources.update(about("a"), "new", ME))
     assert run(sources.query(about("a"), ME)) == "new"
     assert second.updates == []
+    run(sources.update(about("a"), None, ME))
+    assert run(first.query(about("a"), ME)) is MISSING
 
 
 @pytest.mark.parametrize(
@@ -270,14 +272,15 @@ def test_what_is_stored_is_there_later(tmp_path: Path) -> None:
     async def main() -> None:
         knowledge = SqliteKnowledge(file)
         await stored(knowledge, a=1, b={"x": [None, "ü"]}, c=False)
-        await stored(knowledge, a=2)
+        await stored(knowledge, a=2, d=1)
+        await stored(knowledge, d=None, e=None)
         await knowledge.close()
         await knowledge.close()
         with pytest.raises(SourceError, match="is closed"):
             await knowledge.query(about("a"), ME)
 
     run(main())
-    assert run(read(file, "a", "b", "c", "d")) == [2, {"x": [None, "ü"]}, False, MISSING]
+    assert run(read(file, "a", "b", "c", "d", "e")) == [2, {"x": [None, "ü"]}, False, MISSING, MISSING]
 
 
 def corrupt(path: Path) -> None:

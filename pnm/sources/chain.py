@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 class Sources:
     """The global knowledge, in as many knowledge bases as there are, and a person; itself a `Source`.
 
-    A query goes through the knowledge bases in order until one has a value; an update goes to the first, where every
+    A query goes through the knowledge bases in order until one has a value, which null is not; an update goes to the first, where every
     later query finds it. What is for people (`people.is_for_people`) goes to the person. One that fails is an error, never
     passed over: the next one might answer with something else.
 
@@ -58,7 +58,7 @@ class Sources:
             return await self._within(self._person_limit, person.query(question, asker), f"nobody has answered {question}")
         for source in self._shared:
             found = await self._within(self._limit, source.query(question, asker), f"{source!r} has not answered {question}")
-            if found is not MISSING:
+            if found is not MISSING and found is not None:
                 return found
         return MISSING
 
