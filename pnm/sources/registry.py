@@ -102,21 +102,29 @@ def check_source(name: str, position: Position | None = None) -> str:
     raise InputError(f"there is no source of knowledge {name!r}; {hint}; {how}", position)
 
 
-def open_sources(choices: Sequence[Choice], surroundings: Surroundings) -> Sources:
+def open_sources(choices: Sequence[Choice], surroundings: Surroundings, file: Path | None = None) -> Sources:
     """Make the sources that were chosen, and the default ones where none was: the file of this user, and a person.
 
     Nothing is opened or asked yet: what a source lacks is said when it is needed.
+
+    Args:
+        choices: what files chose.
+        surroundings: what sources are made in.
+        file: what global knowledge is kept in, whatever was chosen for it; an SQLite file.
 
     Raises:
         InputError: a name or an option is wrong, or there are two people.
         SourceError: a source cannot be made here.
     """
     chosen: dict[Layer, list[Choice]] = {layer: [] for layer in _DEFAULTS}
+    if file is not None:
+        chosen[Layer.GLOBAL].append(Choice("sqlite", {"file": str(file.absolute())}))
     for choice in choices:
         layer = _all()[check_source(choice.name, choice.position)].layer
         if layer is Layer.PERSON and chosen[layer]:
             raise InputError(f"{choice.name} speaks for people, and so does another source; expected one of them", choice.position)
-        chosen[layer].append(choice)
+        if layer is Layer.PERSON or file is None:
+            chosen[layer].append(choice)
     shared, people = (chosen[layer] or [default] for layer, default in _DEFAULTS.items())
     return Sources(
         [make_source(choice, surroundings) for choice in shared],
