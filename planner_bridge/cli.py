@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -149,26 +150,29 @@ def run(
     if faults and actions == "ros2":
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
     where: Where = "ros2" if actions == "ros2" else "simulated"
+    limits = Limits(replans=replans, seconds=seconds)
+    settings = Settings(planner, timeout, limits=limits, on_failure=OnFailure(on_failure))
     if plan_file is not None:
         from planner_bridge.cli_written import run_written
 
         if domain is not None:
             raise InputError("--plan comes in the place of DOMAIN and PROBLEM")
-        return run_written(plan_file, name, given, actions=where, faults=faults, knowledge=knowledge, as_json=as_json)
+        return run_written(
+            plan_file, name, given, actions=where, faults=faults, bindings=bindings, settings=settings, knowledge=knowledge, as_json=as_json
+        )
     if domain is None or problem is None:
         raise InputError("expected DOMAIN and PROBLEM, or --plan and a file")
     stopwatch = Stopwatch()
     with stopwatch.of("parse"):
         loaded = _load(domain, problem)
-        chosen = _bindings(bindings, domain, loaded)
-    limits = Limits(replans=replans, seconds=seconds)
+        settings = replace(settings, bindings=_bindings(bindings, domain, loaded))
     console = Terminal()
     result = achieve(
         None,
         loaded,
         actions=where,
         faults=_faults(faults, loaded),
-        settings=Settings(planner, timeout, chosen, limits, OnFailure(on_failure)),
+        settings=settings,
         observer=TaskObserver() if as_json else ConsoleObserver(console),
         stopwatch=stopwatch,
     )
@@ -246,6 +250,17 @@ def from_yaml(file: Path, output: Path) -> int:
     tell(found.warnings)
     for name, text in found.texts.items():
         write(output / name, text)
+    return 0
+
+
+@app.command()
+@click.option("-o", "--output", type=FILE, help="a file; by default the terminal")
+@command
+def schema(output: Path | None) -> int:
+    """Write the JSON Schema of the language's YAML files, for editors to complete and check them by."""
+    from pnm.language.files import SCHEMA
+
+    write(output, SCHEMA.read_text(encoding="utf-8"))
     return 0
 
 

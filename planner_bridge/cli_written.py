@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 from planner_bridge.console import ConsoleObserver, Terminal, print_result
 from planner_bridge.pipeline import Where
-from planner_bridge.tasks import TaskObserver
+from planner_bridge.tasks import Settings, TaskObserver
 from planner_bridge.written import carry_out
 from pnm.actions.faults import NO_FAULTS, read_faults
+from pnm.bindings import read_bindings
 from pnm.errors import InputError
 from pnm.yaml_files import parse_value
 
 
 def run_written(
-    file: Path, name: str | None, given: tuple[str, ...], *, actions: Where, faults: Path | None, knowledge: Path | None, as_json: bool
+    file: Path,
+    name: str | None,
+    given: tuple[str, ...],
+    *,
+    actions: Where,
+    faults: Path | None,
+    bindings: Path | None,
+    settings: Settings,
+    knowledge: Path | None,
+    as_json: bool,
 ) -> int:
     """Carry out a hand-written plan, tell how it went, and return the exit status."""
     console = Terminal()
@@ -25,6 +36,7 @@ def run_written(
         _parameters(given),
         actions=actions,
         faults=read_faults(faults, None) if faults else NO_FAULTS,
+        settings=replace(settings, bindings=read_bindings(bindings)) if bindings else settings,
         observer=TaskObserver() if as_json else ConsoleObserver(console),
         knowledge=knowledge,
     )

@@ -82,6 +82,10 @@ class ConsoleObserver(TaskObserver):
         step = failure.call.action if isinstance(failure.call, ActionCall) else failure.call
         self.line(now, "[bold red]failed[/]", f"{step}: {failure.cause}; expected {failure.expected}; observed {failure.observed}")
 
+    def resigned(self, reason: str) -> None:
+        """Print that a planner takes over."""
+        self._console.print(f"[bold yellow]replan[/]   {escape(reason)}", highlight=False, soft_wrap=True)
+
     def replanning(self, decision: Resume | PlanAgain, result: RunResult) -> None:
         """Print what follows a failed run."""
         match decision:

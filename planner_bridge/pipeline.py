@@ -32,7 +32,7 @@ from pnm.conditions import evaluate
 from pnm.errors import InputError
 from pnm.executor import Executor
 from pnm.generation import generate
-from pnm.knowledge import Layered
+from pnm.knowledge import KnowledgeBase, Layered
 from pnm.machine import PetriNetMachine
 from pnm.plan_graph import PlanGraph, PlanGraphError
 from pnm.results import RunResult
@@ -85,6 +85,20 @@ async def pursue(problem: Problem, site: Site, settings: Settings, observer: Tas
         await site.close()
 
 
+async def pursue_on(
+    problem: Problem,
+    site: Site,
+    settings: Settings,
+    observer: TaskObserver,
+    seconds: Stopwatch,
+    *,
+    knowledge: KnowledgeBase,
+    history: History,
+) -> TaskResult:
+    """Plan, execute and replan at a site that is open and keeps the knowledge up to date, after what has happened before."""
+    return await _Task(problem, site, settings, observer, seconds, Layered(knowledge), opens=False, history=history).pursue()
+
+
 class Stopwatch:
     """Adds up where the time of a task goes, in seconds of the wall clock."""
 
@@ -111,6 +125,8 @@ class _Task:
     observer: TaskObserver
     seconds: Stopwatch
     knowledge: Layered
+    opens: bool = True
+    """Whether the site is still to be opened."""
     episodes: list[Episode] = field(default_factory=list)
     history: History = field(default_factory=History)
     plans: int = 0
@@ -131,7 +147,8 @@ class _Task:
     async def pursue(self) -> TaskResult:
         with ExitStack() as at_the_end:
             try:
-                await self.site.open(self.knowledge.world)
+                if self.opens:
+                    await self.site.open(self.knowledge.world)
                 self._watch_the_clock(at_the_end)
                 self._watch_the_constraints(at_the_end)
                 return await self._pursue()
@@ -177,7 +194,7 @@ class _Task:
             self.executor.stop(reason=str(violation))
 
     async def _pursue(self) -> TaskResult:
-        forbidden: frozenset[ForbiddenCall] = frozenset()
+        forbidden = self.history.forbidden(self.settings.limits)
         graph: PlanGraph | None = None
         origin = self.began
         await self._settle()

@@ -34,6 +34,9 @@ class TaskObserver(Observer):
     def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
         """Note that a machine is ready to run, and proved sound."""
 
+    def resigned(self, reason: str) -> None:
+        """Note that a hand-written plan has failed, and wants a planner to find another way."""
+
     def replanning(self, decision: Resume | PlanAgain, result: RunResult) -> None:
         """Note that a run failed and what follows."""
 

@@ -1,24 +1,36 @@
-"""`pnm run --plan`: a hand-written plan, carried out on simulated robots or through ROS 2."""
+"""`pnm run --plan`: a hand-written plan, carried out on simulated robots or through ROS 2.
+
+A recovery may end with `replan`: the plan has failed then, and a planner finds the way to its goal from there.
+"""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import reduce
 from pathlib import Path
 
-from planner_bridge.pipeline import Stopwatch, Where
-from planner_bridge.tasks import Episode, TaskObserver, TaskResult
+from planner_bridge.forbidding import ForbiddenCall
+from planner_bridge.model import Problem
+from planner_bridge.pipeline import Stopwatch, Where, pursue_on
+from planner_bridge.replanning import History
+from planner_bridge.tasks import Episode, Settings, TaskObserver, TaskResult
+from planner_bridge.yaml_files.reader import read
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.actions.simulated import SimulatedRobots
 from pnm.actions.world import World
 from pnm.bindings import Bindings
 from pnm.clock import run_async
+from pnm.conditions import TRUE
 from pnm.effects import names_written
 from pnm.errors import InputError
+from pnm.expressions import Unknown
 from pnm.knowledge import KnowledgeBase
 from pnm.language.plan import HandWrittenPlan, read_plans
+from pnm.ledger import UNCONFIRMED
 from pnm.performing import Performer, Program
+from pnm.plan_graph import ActionCall
 from pnm.sites import RobotsSite, Ros2Site, Site
 from pnm.sources.chain import Sources
 from pnm.sources.registry import Choice, Surroundings, open_sources
@@ -66,6 +78,7 @@ def carry_out(
     *,
     actions: Where = "simulated",
     faults: Faults = NO_FAULTS,
+    settings: Settings | None = None,
     observer: TaskObserver | None = None,
     knowledge: Path | None = None,
 ) -> PlanResult:
@@ -77,6 +90,7 @@ def carry_out(
         parameters: variables that the run knows from the beginning.
         actions: simulated robots under virtual time, or the action servers of ROS 2.
         faults: what goes wrong in simulation.
+        settings: bindings that come before those of the files; planner and limits, for when the plan asks for a planner.
         observer: is told what happens.
         knowledge: the file in which global knowledge is kept, in place of what the plan chose.
 
@@ -85,54 +99,101 @@ def carry_out(
     """
     seconds = Stopwatch()
     with seconds.of("parse"):
-        plans = read_plans(file)
+        settings = settings or Settings()
+        plans = {name: replace(plan, bindings=settings.bindings.before(plan.bindings)) for name, plan in read_plans(file).items()}
         chosen = chosen_plan(plans, name)
     with seconds.of("translate"):
         programs = {name: Program.of(plans[name]) for name in calling(plans, chosen)}
     bindings = together(plans.values())
     site: Site = Ros2Site(bindings) if actions == "ros2" else simulated_site(plans[chosen], bindings, faults)
+    choices = sources_of(plans.values())
+    task = _WrittenTask(
+        programs,
+        chosen,
+        site,
+        replace(settings, bindings=bindings),
+        observer or TaskObserver(),
+        seconds,
+        lambda: open_sources(choices, Surroundings(getattr(site, "ros", None), file.parent), knowledge),
+    )
+    return run_async(task.perform(parameters or {}), virtual=actions == "simulated")
 
-    def sources() -> Sources:
-        return open_sources(sources_of(plans.values()), Surroundings(getattr(site, "ros", None), file.parent), knowledge)
 
-    performing = _perform(programs, chosen, parameters or {}, site, observer or TaskObserver(), seconds, sources)
-    return run_async(performing, virtual=actions == "simulated")
+@dataclass(frozen=True)
+class _WrittenTask:
+    """A plan, and what it is carried out with."""
 
+    programs: Mapping[str, Program]
+    name: str
+    site: Site
+    settings: Settings
+    observer: TaskObserver
+    seconds: Stopwatch
+    open_sources: Callable[[], Sources]
+    """Who is asked what the run does not know; called once the site is open."""
 
-async def _perform(
-    programs: Mapping[str, Program],
-    name: str,
-    parameters: Mapping[str, object],
-    site: Site,
-    observer: TaskObserver,
-    seconds: Stopwatch,
-    opened: Callable[[], Sources],
-) -> PlanResult:
-    program = programs[name]
-    plan = program.plan
-    world = KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules)
-    began = asyncio.get_running_loop().time()
-    try:
-        await site.open(world)
-        sources = opened()
+    @property
+    def _program(self) -> Program:
+        return self.programs[self.name]
+
+    async def perform(self, parameters: Mapping[str, object]) -> PlanResult:
+        plan = self._program.plan
+        world = KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules)
         try:
-            performer = Performer(programs, site, world, sources)
-            performance = performer.perform(name, parameters, observer)
-            observer.generated(program.machine, program.proof)
-            await performer.prepare()
-            with seconds.of("execute"):
-                result = await performer.execute(performance)
+            await self.site.open(world)
+            sources = self.open_sources()
+            try:
+                return await self._perform(Performer(self.programs, self.site, world, sources), parameters)
+            finally:
+                await sources.close()
         finally:
-            await sources.close()
-    finally:
-        await site.close()
-    task = TaskResult(result.goal, result.reason, 0, (Episode(program.machine, result),), seconds.seconds, began)
-    return PlanResult(task, performance.results, performance.variables)
+            await self.site.close()
+
+    async def _perform(self, performer: Performer, parameters: Mapping[str, object]) -> PlanResult:
+        began = asyncio.get_running_loop().time()
+        performance = performer.perform(self.name, parameters, self.observer)
+        self.observer.generated(self._program.machine, self._program.proof)
+        await performer.prepare()
+        with self.seconds.of("execute"):
+            result = await performer.execute(performance)
+        task = TaskResult(result.goal, result.reason, 0, (Episode(self._program.machine, result),), self.seconds.seconds, began)
+        if any(failure.replan for failure in result.failures):
+            task = await self._replanned(task, performer.world)
+        return PlanResult(task, performance.results, performance.variables)
+
+    async def _replanned(self, task: TaskResult, world: KnowledgeBase) -> TaskResult:
+        """Have a planner find the rest of the way from the world as it is now."""
+        self.observer.resigned(task.reason)
+        try:
+            problem = problem_of(self._program.plan, world)
+        except InputError as error:
+            return replace(task, reason=f"{task.reason}; no planner can be asked: {error}")
+        calls = [failure.call for failure in task.failures if failure.replan and isinstance(failure.call, ActionCall)]
+        given_up = {ForbiddenCall.of(call.action): self.settings.limits.forbid_after for call in calls}
+        history = History(given_up, frozenset(ForbiddenCall.of(one.call.action) for one in task.calls if one.outcome == UNCONFIRMED))
+        rest = await pursue_on(problem, self.site, self.settings, self.observer, self.seconds, knowledge=world, history=history)
+        return replace(rest, episodes=(*task.episodes, *rest.episodes), began=task.began)
+
+
+def problem_of(plan: HandWrittenPlan, world: KnowledgeBase) -> Problem:
+    """Return the problem of reaching the plan's goal from the world as it is.
+
+    Raises:
+        InputError: the plan has no goal, or its domain says what PDDL cannot.
+    """
+    if plan.goal == TRUE:
+        raise InputError(f"the plan {plan.name} has no goal")
+    if not plan.domain_file:
+        raise InputError(f"the plan {plan.name} has no domain")
+    contents = read(Path(plan.domain_file))
+    described = contents.problem or Problem(plan.name, contents.domain)
+    init = {fluent: value for fluent, value in world.facts().items() if not isinstance(value, Unknown)}
+    return replace(described, init=init, timed=(), goal=plan.goal)
 
 
 def together(plans: Iterable[HandWrittenPlan]) -> Bindings:
     """Return the bindings of all plans, which are those of their domains."""
-    return Bindings({name: binding for plan in plans for name, binding in plan.bindings.actions.items()})
+    return reduce(Bindings.before, (plan.bindings for plan in plans), Bindings())
 
 
 def sources_of(plans: Iterable[HandWrittenPlan]) -> tuple[Choice, ...]:

@@ -59,6 +59,8 @@ class GroundAction:
     """What is done to knowledge; no server is needed then."""
     resources: tuple[str, ...] = ()
     """What the action has for itself from start to end, such as an arm."""
+    returns: tuple[tuple[str, Data], ...] = ()
+    """What a simulated server answers: result fields, computed from the goal and from the world at the end."""
 
     def __str__(self) -> str:
         return f"{self.name}({', '.join(self.arguments)})"
@@ -300,7 +302,7 @@ class PlanGraph:
 
     def in_order(self) -> tuple[PlanEvent, ...]:
         """Return all outermost events in an order that keeps every start before its end and every ordering."""
-        return _in_order(self.flow)
+        return in_order(self.flow)
 
     def __repr__(self) -> str:
         return f"<PlanGraph {len(self.calls)} calls, {len(self.orderings)} orderings>"
@@ -319,10 +321,15 @@ def _check_orderings(flow: Flow) -> None:
         for event, special in between:
             if event.moment is special and (event.call not in calls or calls[event.call].recoveries):
                 raise PlanGraphError(f"{ordering} speaks of the {special.value} of a step that is no call, or has recoveries of its own")
-    _in_order(flow)
+    in_order(flow)
 
 
-def _in_order(flow: Flow) -> tuple[PlanEvent, ...]:
+def in_order(flow: Flow) -> tuple[PlanEvent, ...]:
+    """Return the events of the steps in an order that keeps every start before its end and every ordering.
+
+    Raises:
+        PlanGraphError: there is none.
+    """
     before: dict[PlanEvent, list[PlanEvent]] = {}
     for step in flow.steps:
         start, end = PlanEvent(step.index, Moment.START), PlanEvent(step.index, Moment.END)

@@ -9,6 +9,7 @@ import pytest
 
 from planner_bridge.written import carry_out, chosen_plan, simulated_site, together
 from pnm.actions.faults import Fault, FaultKind, Faults
+from pnm.bindings import Binding, Bindings
 from pnm.clock import run_async
 from pnm.errors import InputError
 from pnm.knowledge import KnowledgeBase
@@ -136,3 +137,67 @@ def test_cancelling_a_plan_cancels_the_plan_it_calls(tmp_path: Path) -> None:
         await site.close()
 
     run_async(stopped(), virtual=True)
+
+
+ROOMS = """
+name: rooms
+types: [robot room - object]
+predicates:
+  - (at ?r - robot ?x - room)
+  - (way ?x ?y - room)
+actions:
+  move:
+    params: ?r - robot ?from ?to - room
+    duration: 3
+    preconditions:
+      at_start:
+        - (at ?r ?from)
+        - (way ?from ?to)
+    effects:
+      at_start:
+        - not: (at ?r ?from)
+      at_end:
+        - (at ?r ?to)
+problem:
+  objects: r1 - robot a b c - room
+  init:
+    - (at r1 a)
+    - (way a b)
+    - (way a c)
+    - (way c b)
+goal: (at r1 b)
+plan:
+  - move: {r: r1, from: a, to: b}
+    recoveries:
+      during: {aborted: [replan]}
+"""
+BLOCKED = Faults((Fault("move(r1, a, b)", FaultKind.ABORT, times=100),))
+
+
+def test_a_plan_that_asks_for_it_is_replanned_without_what_has_failed(tmp_path: Path) -> None:
+    task = carry_out(written(tmp_path, ROOMS), faults=BLOCKED).task
+    assert task.goal_reached, task.reason
+    assert (task.plans, task.replans) == (1, 1)
+    assert [str(call.call.action) for call in task.calls] == ["move(r1, a, b)", "move(r1, a, c)", "move(r1, c, b)"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ("goal: (at r1 b)\n", "", "no planner can be asked: the plan rooms has no goal"),
+        ("    - (way c b)\n", "", "no plan without move(r1, a, b), which failed too often"),
+        ("aborted: [replan]", "aborted: [fail]", "move(r1, a, b)#0: aborted"),
+    ],
+)
+def test_why_no_planner_finds_another_way(tmp_path: Path, old: str, new: str, why: str) -> None:
+    assert old in ROOMS
+    task = carry_out(written(tmp_path, ROOMS.replace(old, new)), faults=BLOCKED).task
+    assert not task.goal_reached
+    assert why in task.reason
+
+
+def test_bindings_of_a_file_come_before_those_of_the_domain(tmp_path: Path) -> None:
+    plan = read_plans(written(tmp_path, ROOMS.replace("    duration: 3\n", "    duration: 3\n    server: drive\n")))["rooms"]
+    action = plan.graph.calls[0].action
+    assert plan.bindings.server(action) == "drive"
+    assert Bindings({"move": Binding(server="walk")}).before(plan.bindings).server(action) == "walk"

@@ -278,7 +278,7 @@ WRONG = [
     ("types: [robot - thing]\nconstants: r1 - robt\nactions: {}", ":2:12: there is no type 'robt' here; did you mean 'robot'?"),
     ("predicates: [at]\nactions: {}", ":1:14: expected something like (at ?r - robot ?p - place)"),
     (
-        "predicates: [(at ?x)]\nderived: [{fact: '(att ?x)', condition: (at)}]",
+        "predicates: (at ?x)\nderived: [{fact: '(att ?x)', condition: (at)}]",
         ":2:18: there is no predicate 'att' here; did you mean 'at'?",
     ),
     ("derived: [{fact: '(p ?x)', condition: {not: '(p ?x)'}}]\nactions: {}", ":1:10: whether (p …) holds would depend on its own negation"),

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from decimal import Decimal
 from itertools import groupby
 from operator import itemgetter
-from typing import assert_never
+from typing import Final, assert_never
 
 from planner_bridge.comments import NO_NOTE, Note, Notes
 from planner_bridge.pddl.layout import Form, flat
@@ -14,6 +14,9 @@ from pnm.conditions import All, Any, Compare, Computed, Condition, Exists, ForAl
 from pnm.effects import Effect, Effects, ForEach, Set, When
 from pnm.errors import InputError
 from pnm.expressions import DURATION, Arithmetic, Constant, Expression, ValueOf, Variable
+
+_LONG: Final = 72
+"""Names take no more of a line."""
 
 # --- typed lists ---------------------------------------------------------------------------
 
@@ -24,12 +27,12 @@ def _runs(pairs: Iterable[tuple[str, tuple[str, ...]]]) -> list[list[Form]]:
 
 
 def _apart(names: Sequence[str], notes: Notes) -> Iterator[tuple[list[str], Note]]:
-    """Split names so that every comment has a line beside or above which it can stand."""
+    """Split names into lines that are not too long, so that every comment has one beside or above which it can stand."""
     line: list[str] = []
     told = NO_NOTE
     for name in names:
         note = notes.at(name.lower()).take()
-        if line and note.before:
+        if line and (note.before or len(" ".join(line)) + len(name) >= _LONG):
             yield line, told
             line, told = [], NO_NOTE
         line.append(name)

@@ -99,7 +99,8 @@ def _beside(lines: Iterator[Line], comments: tuple[str, ...]) -> Iterator[Line]:
 
 def _entry(entry: Entry, head: str, indent: int) -> Iterator[Line]:
     value = entry.value
-    line = _one_line(value)
+    is_form = head == "-" and isinstance(value, Mapping) and len(value.entries) == 1
+    line = None if is_form else _one_line(value)  # a dash needs no braces behind it
     if line is not None and (not isinstance(value, Sequence | Mapping) or not value.entries or indent + len(head) + 1 + len(line) <= WIDTH):
         yield Line(indent, f"{head} {line}")
     elif isinstance(value, Sequence | Mapping):

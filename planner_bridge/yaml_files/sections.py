@@ -17,7 +17,7 @@ from planner_bridge.yaml_files.nodes import Parts, needed
 from pnm.errors import InputError, Position
 from pnm.language.actions import ACTION_KEYS
 from pnm.language.domain import DOMAIN_KEYS
-from pnm.language.plan import PLAN_KEYS
+from pnm.language.drafts import PLAN_KEYS
 from pnm.language.words import needed_form
 from pnm.yaml_files import Mapped, Node
 
@@ -109,7 +109,9 @@ class _Cutter:
                 tolerate(self.parts.atom(key, self._key_offset(top, key)), f"{key!r} is left out: PDDL has nothing like it")
         yield from self._declared(top, "requirements", "types", "constants", "predicates", "functions")
         yield from self._each(top, "derived", self._rule)
-        yield from self._constraints(top, "condition")
+        for preference in self._listed(top, "preferences"):
+            needed(preference.mapped(), "constraints")  # no state that could be preferred is known here
+        yield from self._constraints(top)
         yield from self._each(top, "hierarchy", lambda node: self._verbatim(node, HIERARCHY))
         actions = top.node("actions")
         if actions is not None and not actions.is_null:
@@ -122,7 +124,7 @@ class _Cutter:
         if "init" in entry.nodes:
             yield self._section(entry, "init", self._facts(needed(entry, "init")))
         yield from self._goal(entry)
-        yield from self._constraints(entry, "constraints")
+        yield from self._constraints(entry)
         metric = entry.node("metric")
         if metric is not None and not metric.is_null:
             found = needed_form(metric, ("minimize", "maximize"), "a metric")
@@ -132,7 +134,7 @@ class _Cutter:
     def _declared(self, entry: Mapped, *keys: str) -> Iterator[Group]:
         for key in keys:
             if key in entry.nodes:
-                words: tuple[Part, ...] = self.parts.texts(entry.node(key))
+                words: tuple[Part, ...] = self.parts.texts(entry.node(key), "number" if key == "functions" else "object")
                 if key == "requirements":
                     words = tuple(
                         [self.parts.atom(f":{one.text.lstrip(':')}", one.offset) if isinstance(one, Atom) else one for one in words]
@@ -171,7 +173,7 @@ class _Cutter:
 
     # --- constraints and preferences ---
 
-    def _constraints(self, entry: Mapped, key: str) -> Iterator[Group]:
+    def _constraints(self, entry: Mapped) -> Iterator[Group]:
         """Read what must be so all the time, and what should."""
         found = [self._constraint(one) for one in self._listed(entry, "constraints")]
         found += [self._preference(one) for one in self._listed(entry, "preferences") if "constraints" in one.mapped().nodes]
@@ -260,13 +262,10 @@ class _Cutter:
 
     def _parameters(self, node: Node) -> Group:
         """Read typed variables; in a list, names may stand without their ``?``."""
-        items = [item for item in node.items or (node,) if not item.is_null]
-        words = [part for item in items for part in self.parts.text(item)]
-        if node.items is not None and words and isinstance(words[0], Atom):
-            words = [*self._marked(words)]
-        return self.parts.group(words, self.parts.offset(node))
+        words = self.parts.texts(node)
+        return self.parts.group(words if node.items is None else self._marked(words), self.parts.offset(node))
 
-    def _marked(self, words: list[Part]) -> Iterator[Part]:
+    def _marked(self, words: tuple[Part, ...]) -> Iterator[Part]:
         is_type = False
         for word in words:
             if isinstance(word, Atom) and not is_type and word.text[0] not in "?-":

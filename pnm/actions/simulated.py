@@ -18,9 +18,10 @@ from pnm.actions.world import Activity, World
 from pnm.bindings import Bindings
 from pnm.conditions import TOLERANCE
 from pnm.effects import Changes, TimedChange
-from pnm.expressions import Fluent, Unknown, Value
+from pnm.expressions import Fluent, Unknown, Value, bind
 from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import GroundAction
+from pnm.queries import MISSING, Question, Uncomputable, compute
 
 LAG: Final = 0.01
 """Seconds within which everything that happens at one moment has been reported."""
@@ -145,13 +146,16 @@ class SimulatedRobots:
             self._fail(job, OutcomeKind.ABORTED, f"{job.request.action} went wrong: {job.broken} was not so all the time")
             return
         self._forget(job)
-        problem = ""
+        problem, result = "", dict[str, object]()
         if job.fault and job.fault.kind is FaultKind.NO_EFFECT:
             job.activity.undo()
-        else:
-            problem = job.activity.finish()
+        elif not (problem := job.activity.finish()):
+            try:
+                result = returned(job.request, self.world)
+            except Uncomputable as error:
+                problem = f"what {job.request.action} returns cannot be computed: {error}"
         kind = OutcomeKind.ABORTED if problem else OutcomeKind.SUCCEEDED
-        self._end(job, Outcome(kind, message=problem))
+        self._end(job, Outcome(kind, result, problem))
 
     def _fail(self, job: _Job, kind: OutcomeKind, message: str) -> None:
         if job.request.id in self._jobs:
@@ -206,6 +210,40 @@ class SimulatedRobots:
         timer = asyncio.get_running_loop().call_later(seconds / self.speed, run)
         self._timers.add(timer)
         return timer
+
+
+@dataclass(frozen=True, slots=True)
+class _Server:
+    """What a simulated server computes its result from: the goal it was sent, and the world."""
+
+    goal: Mapping[str, object]
+    world: World
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        """Return the true value of a fluent, which may name fields of the goal."""
+        return self.world.truth.value(bind(fluent, {f"?{name}": value for name, value in self.goal.items() if isinstance(value, str)}))
+
+    def local_variable(self, name: str, /) -> object:
+        """Return `MISSING`: variables are the run's."""
+        return MISSING
+
+    def parameter(self, name: str, /) -> object:
+        """Return a field of the goal."""
+        return self.goal.get(name.removeprefix("?"), MISSING)
+
+    def answer(self, question: Question, /) -> object:
+        """Return `MISSING`: a server that is simulated asks nobody."""
+        return MISSING
+
+
+def returned(request: Request, world: World) -> dict[str, object]:
+    """Return what a simulated server answers, as far as there are values.
+
+    Raises:
+        Uncomputable: an operation is not possible with what the goal says.
+    """
+    found = {name: compute(data, _Server(request.goal, world)) for name, data in request.action.returns}
+    return {name: value for name, value in found.items() if value is not MISSING}
 
 
 def sense(world: World, knowledge: KnowledgeBase, assumed: Iterable[str] = ()) -> None:

@@ -7,8 +7,9 @@ succeed leaves the world as it was before it began, as far as nobody else has ch
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import assert_never
 
-from pnm.conditions import TRUE, Condition, evaluate, failing
+from pnm.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, evaluate, failing
 from pnm.effects import Changes, changes, decided, undo, values_before
 from pnm.errors import InputError
 from pnm.expressions import Fluent, Unknown, Value
@@ -87,4 +88,22 @@ class Activity:
 
 
 def _denied(condition: Condition, truth: KnowledgeBase) -> str:
-    return "" if condition == TRUE else " ".join(map(str, failing(condition, truth)))
+    """Say which parts do not hold. The world has no variables: what is only known with them is left to the run."""
+    parts = () if condition == TRUE else failing(condition, truth)
+    return " ".join(str(part) for part in parts if evaluate(part, truth) is False or not _is_computed(part))
+
+
+def _is_computed(condition: Condition) -> bool:
+    match condition:
+        case Computed():
+            return True
+        case Not(inner) | ForAll(_, inner) | Exists(_, inner):
+            return _is_computed(inner)
+        case All(operands) | Any(operands):
+            return any(map(_is_computed, operands))
+        case Implies(left, right):
+            return _is_computed(left) or _is_computed(right)
+        case Holds() | Compare():
+            return False
+        case _:
+            assert_never(condition)

@@ -10,16 +10,18 @@ from pnm.lazy import lazily
 
 if TYPE_CHECKING:
     from pnm.language.domain import LanguageDomain
-    from pnm.language.plan import HandWrittenPlan, read_domain, read_plans
+    from pnm.language.drafts import read_domain
+    from pnm.language.plan import HandWrittenPlan, parse_plans, read_plans
     from pnm.language.world import World, read_world
 
-__all__ = ["HandWrittenPlan", "LanguageDomain", "World", "read_domain", "read_plans", "read_world"]
+__all__ = ["HandWrittenPlan", "LanguageDomain", "World", "parse_plans", "read_domain", "read_plans", "read_world"]
 
 _WHERE = {
     "HandWrittenPlan": "pnm.language.plan",
     "LanguageDomain": "pnm.language.domain",
     "World": "pnm.language.world",
-    "read_domain": "pnm.language.plan",
+    "parse_plans": "pnm.language.plan",
+    "read_domain": "pnm.language.drafts",
     "read_plans": "pnm.language.plan",
     "read_world": "pnm.language.world",
 }

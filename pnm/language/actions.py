@@ -12,9 +12,11 @@ from pnm.conditions import TRUE, Condition, fluents, free_variables
 from pnm.effects import Effects, ForEach, Set, When
 from pnm.errors import InputError, Position
 from pnm.expressions import Expression, Fluent, Variable, expression_variables, variables_in
+from pnm.language.data import read_data
 from pnm.language.declarations import Declared
 from pnm.language.effects import read_conditions, read_duration, read_timed_effects
-from pnm.language.scope import read_typed, shown, unknown
+from pnm.language.scope import Scope, read_typed, shown, unknown
+from pnm.queries import Data, Query, parts
 from pnm.yaml_files import Mapped, Node
 
 
@@ -37,7 +39,7 @@ OPERATION: Final = "operation"
 """The parameter under which the step of a `ActionKind.KB` action says what is done."""
 ACTION_KEYS: Final = (
     *("instances", "type", "params", "preconditions", "effects", "duration", "preferences", "recoveries", "resources"),
-    *("server", "ros_type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask"),
+    *("server", "ros_type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "simulated"),
 )
 RESERVED: Final = frozenset({"while", "if", "then", "else", "concurrent_actions", "sequence"})
 """Words that steps begin with."""
@@ -66,6 +68,8 @@ class LanguageAction:
     """Bounds; None for an instantaneous action."""
     binding: Binding = DEFAULT
     resources: tuple[str, ...] = ()
+    returns: tuple[tuple[str, Data], ...] = ()
+    """What a simulated server answers, by result field."""
     recoveries: Node | None = None
     """What the domain says about recovering, for `pnm.language.recoveries` to read."""
 
@@ -140,6 +144,7 @@ def read_action(name: str, entry: Mapped, declared: Declared) -> LanguageAction:
         duration=None if duration is None or duration.is_null else read_duration(duration, scope),
         binding=read_binding(entry, type_key="ros_type", retries=0),
         resources=tuple(entry.strings("resources")),
+        returns=_simulated(entry, scope),
         recoveries=entry.node("recoveries"),
     )
 
@@ -157,6 +162,18 @@ def _kind(entry: Mapped) -> ActionKind:
     if name not in known:
         raise unknown("kind of action", name, known, node.position)
     return known[name]
+
+
+def _simulated(entry: Mapped, scope: Scope) -> tuple[tuple[str, Data], ...]:
+    """Read what a simulated server answers; like a real one it knows its goal and the world, but no variables."""
+    node = entry.node("simulated")
+    found: list[tuple[str, Data]] = []
+    for name, _, value in () if node is None or node.is_null else node.mapped().entries():
+        data = read_data(value, scope)
+        if any(isinstance(part, Query) for part in parts(data)):
+            raise value.wrong(f"a simulated server knows its goal, not the variables of the run; expected something like ?{name}")
+        found.append((name, data))
+    return tuple(found)
 
 
 def _class(node: Node) -> str:

@@ -44,6 +44,8 @@ class LanguageDomain:
     """The sources of knowledge that the file chose."""
     warnings: tuple[Tolerated, ...] = ()
     """What in the file was not as it should be."""
+    file: str = ""
+    """Where it was read from."""
 
 
 def domain_from(top: Mapped, warnings: tuple[Tolerated, ...] = ()) -> LanguageDomain:
@@ -69,6 +71,7 @@ def domain_from(top: Mapped, warnings: tuple[Tolerated, ...] = ()) -> LanguageDo
         goal=TRUE if problem is None else read_goal(problem, declared),
         sources=(*_external(top), *_chosen(top)),
         warnings=warnings,
+        file=top.file,
     )
 
 

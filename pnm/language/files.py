@@ -17,6 +17,8 @@ from pnm.yaml_files import MAX_BYTES, Mapped, parse_yaml
 
 ANCHORS: Final = {"base_action": {}, **{kind.value: {"type": kind.value} for kind in CLASSES.values()}}
 """What ``*ros_action`` and the like stand for in files that do not define them."""
+SCHEMA: Final = Path(__file__).with_name("schema.json")
+"""What editors complete and check these files by."""
 MAX_EXCERPT: Final = 100_000
 """Characters of an excerpt; longer texts are not mended."""
 _LONE_KEY: Final = re.compile(r"( *)-( +)[^\s#'\"\[{][^#'\"\[{]*:\s*\Z")

@@ -102,11 +102,21 @@ def _comparison(found: Form, operator: Node, left: Node, right: Node, scope: Sco
     """Compare numbers or objects as PDDL does if both sides are of its kinds, and any values else."""
     name = read_operator(operator)
     first, second = _expression(left), _expression(right)
+    if isinstance(first, ValueOf) or isinstance(second, ValueOf):
+        _check_truth(left)
+        _check_truth(right)
     if name not in COMPARISONS or first is None or second is None or not _comparable(name, (first, second)):
         return Computed(read_form(found, scope))
     for side, expression in ((left, first), (right, second)):
         _check(side, expression, scope, objects=isinstance(first, ValueOf) or isinstance(second, ValueOf))
     return Not(Compare("=", first, second)) if name == "ne" else Compare(COMPARISONS[name], first, second)
+
+
+def _check_truth(node: Node) -> None:
+    """Refuse an ``on`` without quotes beside a function: an object is meant, and YAML takes it for a truth value."""
+    written = node.written.lower()
+    if node.text is None and written and isinstance(node.plain(), bool) and written not in ("true", "false"):
+        raise node.wrong(f"{node.written} is a truth value; write {node.written!r} with quotes, or true or false")
 
 
 def _comparable(name: str, sides: tuple[Expression, Expression]) -> bool:

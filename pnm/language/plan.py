@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -11,16 +11,17 @@ from typing import Final
 from pnm.bindings import Binding, Bindings
 from pnm.conditions import TRUE, Condition
 from pnm.effects import TimedChange
-from pnm.errors import InputError, Position, Tolerated
-from pnm.expressions import Fluent, Value, Variable
-from pnm.language.actions import ActionKind, LanguageAction, read_class
+from pnm.errors import InputError, Tolerated
+from pnm.expressions import Fluent, Value
+from pnm.language.actions import ActionKind
 from pnm.language.calls import Facts
 from pnm.language.data import read_literal
 from pnm.language.declarations import needed, read_facts
-from pnm.language.domain import DOMAIN_KEYS, LanguageDomain, domain_from, read_goal
-from pnm.language.files import read_documents
+from pnm.language.domain import LanguageDomain, read_goal
+from pnm.language.drafts import Draft, drafts, drafts_in, read_domain
+from pnm.language.files import parse_documents
 from pnm.language.lowering import Lowering
-from pnm.language.scope import read_typed, unknown
+from pnm.language.scope import unknown
 from pnm.language.steps import StepReader
 from pnm.language.tree import WrittenRecovery
 from pnm.machine import OnFailure
@@ -29,17 +30,6 @@ from pnm.rules import Rules
 from pnm.sources.registry import Choice
 from pnm.yaml_files import Mapped
 
-_ALWAYS: Final = (
-    *("domain", "params", "results", "initial_knowledge", "facts", "goal"),
-    *("timeout", "restarts", "on_failure", "resources", "plan"),
-)
-PLAN_KEYS: Final = ("name", *_ALWAYS)
-"""What a document says about the plan in it."""
-RECIPE_KEYS: Final = ("server", "action", *_ALWAYS)
-"""What is said about a plan under its name."""
-_ONLY_DOMAINS: Final = frozenset(DOMAIN_KEYS) - frozenset(PLAN_KEYS)
-_SERVERS: Final = ("ActionServer", "SimpleActionServer", "BasicControllerPluginServer", "DAPluginServer")
-"""The classes that files for the original implementation name; every plan becomes a ROS 2 action server."""
 _CALLED: Final = Binding(retries=0, timeout=86_400.0, cancel=60.0)
 """How a plan is called by another: its own limits, and those of what it calls, end it sooner than these."""
 
@@ -72,6 +62,8 @@ class HandWrittenPlan:
     """The other plans it calls."""
     warnings: tuple[Tolerated, ...] = ()
     """What in the files was not as it should be."""
+    domain_file: str = ""
+    """Where its domain was read from; empty if it has none."""
 
     @property
     def goal(self) -> Condition:
@@ -82,37 +74,6 @@ class HandWrittenPlan:
     def rules(self) -> Rules:
         """What derives facts."""
         return self.graph.rules
-
-
-@dataclass(frozen=True)
-class Draft:
-    """A plan of which only the head has been read: what others need to know in order to call it."""
-
-    name: str
-    entry: Mapped
-    domain: LanguageDomain
-    parameters: tuple[Variable, ...] | None
-    warnings: tuple[Tolerated, ...] = ()
-
-    @property
-    def action(self) -> LanguageAction:
-        """The plan as an action that others call."""
-        return LanguageAction(self.name, ActionKind.PLAN, self.entry.start, self.parameters)
-
-
-def read_domain(path: Path) -> LanguageDomain:
-    """Read the domain of a file, whatever else is in it.
-
-    Raises:
-        InputError: there is none, something is malformed, or has names that are not there.
-    """
-    documents, warnings = read_documents(path)
-    for document in documents:
-        _entries(document)
-    found = _domain_in(documents, warnings)
-    if found is None:
-        raise InputError("there is no domain in the file; expected the key 'actions'", Position(str(path), 1, 1))
-    return found
 
 
 def read_plans(path: Path, domain: Path | None = None) -> dict[str, HandWrittenPlan]:
@@ -128,25 +89,13 @@ def read_plans(path: Path, domain: Path | None = None) -> dict[str, HandWrittenP
     return finished(drafts(path, None if domain is None else read_domain(domain)))
 
 
-def drafts(path: Path, domain: LanguageDomain | None = None) -> list[Draft]:
-    """Read the heads of all plans of a file.
+def parse_plans(text: str, file: str = "plan.yaml", domain: LanguageDomain | None = None) -> dict[str, HandWrittenPlan]:
+    """Read all plans of a text, by name; see `read_plans`.
 
-    Raises:
-        InputError: there is none, or something is malformed.
+    >>> parse_plans("actions: {wave: }\\nplan: [wave: , wave: ]")["plan"].graph
+    <PlanGraph 2 calls, 1 orderings>
     """
-    documents, warnings = read_documents(path)
-    own = _domain_in(documents, warnings)
-    found: list[Draft] = []
-    for document in documents:
-        for name, entry in _entries(document):
-            _check_classes(entry)
-            params = entry.node("params")
-            parameters = None if params is None or params.is_null else read_typed(params)
-            chosen = _domain_of(entry, own, domain)
-            found.append(Draft(name, entry, chosen, parameters, tuple(dict.fromkeys((*warnings, *chosen.warnings)))))
-    if not found:
-        raise InputError("there is no plan in the file; expected the key 'plan'", documents[0].start)
-    return found
+    return finished(drafts_in(*parse_documents(text, file), domain))
 
 
 def finished(found: Sequence[Draft]) -> dict[str, HandWrittenPlan]:
@@ -168,67 +117,6 @@ def finished(found: Sequence[Draft]) -> dict[str, HandWrittenPlan]:
         cycle: list[str] = error.args[1]
         raise InputError(f"the plan would never end: {' is called by '.join(cycle)}", by_name[cycle[0]].entry.start) from error
     return plans
-
-
-# --- documents -----------------------------------------------------------------------------
-
-
-def _entries(document: Mapped) -> list[tuple[str, Mapped]]:
-    """Return the plans of a document: itself, or its recipes; refuse whatever else is in it."""
-    if "plan" in document.nodes:
-        document.only(*PLAN_KEYS, *DOMAIN_KEYS)
-        return [(document.string("name") or Path(document.file).stem, document)]
-    found: list[tuple[str, Mapped]] = []
-    for key, where, node in document.entries():
-        if key in DOMAIN_KEYS:
-            continue
-        recipe = node.mapped() if node.is_mapping and key not in PLAN_KEYS else None
-        if recipe is None or recipe.nodes.keys().isdisjoint(RECIPE_KEYS):
-            if key in PLAN_KEYS:
-                raise InputError(f"the key 'plan' is missing beside {key!r}", where)
-            Mapped(document.file, document.start, {key: document.nodes[key]}).only(*PLAN_KEYS, *DOMAIN_KEYS)
-            continue
-        recipe.only(*RECIPE_KEYS)
-        needed(recipe, "plan")
-        found.append((key, recipe))
-    return found
-
-
-def _domain_in(documents: Iterable[Mapped], warnings: tuple[Tolerated, ...] = ()) -> LanguageDomain | None:
-    found: LanguageDomain | None = None
-    for document in documents:
-        if not document.nodes.keys() & _ONLY_DOMAINS:
-            continue
-        if found is not None:
-            raise InputError("there is a domain in this file already", document.start)
-        found = domain_from(document, warnings)
-    return found
-
-
-def _domain_of(entry: Mapped, own: LanguageDomain | None, given: LanguageDomain | None) -> LanguageDomain:
-    path = entry.string("domain")
-    if path is None:
-        return own or given or LanguageDomain()
-    if own is not None:
-        raise InputError("the file has a domain itself; it cannot name another", entry.position("domain"))
-    file = Path(entry.file).parent / path
-    if not file.is_file():
-        raise InputError(f"there is no file {path!r} beside this one", entry.position("domain"))
-    return read_domain(file)
-
-
-def _check_classes(entry: Mapped) -> None:
-    """Refuse what the original implementation would import, unless it is what every plan has here."""
-    server, message = entry.node("server"), entry.node("action")
-    if server is not None and not server.is_null:
-        _, name = read_class(server)
-        if name not in _SERVERS:
-            error = unknown("kind of server", name, _SERVERS, server.position)
-            raise InputError(f"{error.message}; every plan becomes a ROS 2 action server, so the key may be left out", server.position)
-    if message is not None and not message.is_null:
-        module, _ = read_class(message)
-        if not module.endswith(".msg"):
-            raise message.wrong(f"{module!r} has no messages; expected a module such as 'rpn_recipe_planner_msgs.msg', or no key 'action'")
 
 
 # --- one plan ------------------------------------------------------------------------------
@@ -261,6 +149,7 @@ def _plan(draft: Draft, others: Mapping[str, Draft]) -> HandWrittenPlan:
         sources=domain.sources,
         calls=frozenset(call.action.name for call in graph.calls) & others.keys(),
         warnings=draft.warnings,
+        domain_file=domain.file,
     )
 
 

@@ -52,16 +52,14 @@ def read_recoveries(node: Node, scope: Scope, read_steps: ReadSteps) -> tuple[Wr
         return ()
     entry = node.mapped()
     entry.only("before", "during", "after")
-    found: list[WrittenRecovery] = []
-    for key, usual, own in (("before", _BEFORE, Cause.BEFORE), ("after", _AFTER, Cause.AFTER)):
-        found += [_recovery(long, usual, own, scope, read_steps) for long in _each(entry.node(key))]
+    found = [_recovery(long, _BEFORE, Cause.BEFORE, scope, read_steps) for long in _each(entry.node("before"))]
     during = entry.node("during")
     if during is not None and not during.is_null:
         outcomes = during.mapped()
         outcomes.only(*_DURING)
-        for outcome, cause in _DURING.items():
-            found += [_recovery(long, frozenset({cause}), None, scope, read_steps) for long in _each(outcomes.node(outcome))]
-    return tuple(found)
+        for outcome, _, chains in outcomes.entries():
+            found += [_recovery(long, frozenset({_DURING[outcome]}), None, scope, read_steps) for long in _each(chains)]
+    return (*found, *(_recovery(long, _AFTER, Cause.AFTER, scope, read_steps) for long in _each(entry.node("after"))))
 
 
 def _each(node: Node | None) -> tuple[Node, ...]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from math import inf
 from typing import Final
 
 from pnm.bindings import read_texts
@@ -14,7 +16,8 @@ from pnm.language.declarations import Declared, needed
 from pnm.language.formulas import read_condition
 from pnm.language.recoveries import read_recoveries
 from pnm.language.scope import Scope, shown, unknown
-from pnm.language.tree import CallStep, ChoiceStep, ConcurrentStep, Given, LoopStep, Place, SequenceStep, WrittenRecovery, WrittenStep
+from pnm.language.tree import CallStep, ChoiceStep, ConcurrentStep, Given, LoopStep, Place, SequenceStep, Wait, WrittenRecovery, WrittenStep
+from pnm.plan_graph import Moment
 from pnm.queries import KnowledgeOperation
 from pnm.yaml_files import Mapped, Node
 
@@ -22,7 +25,7 @@ DEFAULT_LIMIT: Final = 1000
 """How often a loop is repeated at most when the plan does not say."""
 MAX_LIMIT: Final = 1_000_000
 _PLACE: Final = ("id", "after")
-_CALL: Final = ("recoveries", "retries", "timeout", "resources", "store")
+_CALL: Final = ("recoveries", "retries", "timeout", "resources", "store", "end_after", "duration", "release", "deadline")
 OPTIONS: Final = (*_PLACE, *_CALL)
 """What may be said of a step beside what it does."""
 
@@ -36,12 +39,12 @@ class StepReader:
     variables: frozenset[str] = frozenset()
     """In a chain of recovery, the parameters of the call that recovers."""
 
-    @property
+    @cached_property
     def scope(self) -> Scope:
         """What values and conditions may use."""
         return Scope(self.variables, *self._others)
 
-    @property
+    @cached_property
     def _others(self) -> tuple[Mapping[str, int | None] | None, frozenset[str] | None, frozenset[str] | None]:
         scope = self.declared.scope()
         return scope.fluents, scope.objects, scope.types
@@ -99,9 +102,8 @@ class StepReader:
         if not heads:
             raise InputError(f"the step does nothing; expected an action beside {', '.join(entry.nodes) or 'nothing'}", entry.start)
         strange = next((head for head in heads if head not in self.actions), heads[1])
-        raise InputError(
-            f"a step does one thing; {strange!r} is a second one, and no option ({', '.join(OPTIONS)})", entry.nodes[strange][0]
-        )
+        message = f"a step does one thing; {strange!r} is a second one, and none of the options: {', '.join(OPTIONS)}"
+        raise InputError(message, entry.nodes[strange][0])
 
     def _loop(self, entry: Mapped, place: Place) -> LoopStep:
         entry.only("condition", "actions", "limit")
@@ -121,23 +123,35 @@ class StepReader:
 
     # --- calls ---
 
+    def _unknown_action(self, name: str, position: Position) -> InputError:
+        if all(action.kind is ActionKind.PLAN for action in self.actions.values()):
+            return InputError(
+                f"there is no domain that would have an action {name!r}; expected 'actions', or 'domain' and a file", position
+            )
+        return unknown("action", name, self.actions.keys(), position)
+
     def _call(self, name: str, entry: Mapped, place: Place) -> CallStep:
         if name not in self.actions:
-            raise unknown("action", name, self.actions.keys(), entry.nodes[name][0])
+            raise self._unknown_action(name, entry.nodes[name][0])
         action = self.actions[name]
         argument = needed(entry, name)
         told = Mapped(entry.file, entry.start, {}) if argument.is_null else argument.mapped()
         given = {key: self._given(action, key, where, node) for key, where, node in told.entries() if not _is_operation(action, key)}
+        options = Mapped(entry.file, entry.start, {key: value for key, value in entry.nodes.items() if key != name})
+        recoveries = options.node("recoveries")
         return CallStep(
             place,
             action,
             given,
             operation=self._operation(action, told) if action.kind is ActionKind.KB else None,
-            recoveries=None if entry.node("recoveries") is None else self.recoveries(action, needed(entry, "recoveries")),
-            retries=entry.whole("retries", None),
-            timeout=entry.number("timeout", None),
-            resources=tuple(entry.strings("resources")),
-            store=read_texts(entry, "store", "expected result fields and the variables to store them in"),
+            recoveries=None if recoveries is None else self.recoveries(action, recoveries),
+            retries=options.whole("retries", None),
+            timeout=options.number("timeout", None),
+            duration=options.number("duration", None),
+            release=options.number("release", 0.0),
+            deadline=options.number("deadline", inf),
+            resources=tuple(options.strings("resources")),
+            store=read_texts(options, "store", "expected result fields and the variables to store them in"),
         )
 
     def recoveries(self, action: LanguageAction, node: Node) -> tuple[WrittenRecovery, ...]:
@@ -177,20 +191,35 @@ def _check_object(action: LanguageAction, key: str, node: Node, declared: Declar
     if name.startswith(("?", "(")) or not declared.objects:
         return
     types = next(variable.types for variable in action.parameters or () if variable.name == f"?{key}")
-    fitting = {one for kind in types for one in declared.objects_by_type.get(kind, ())}
-    if name not in fitting:
+    kinds = {one for kind in declared.objects.get(name, ()) for one in declared.supertypes(kind)}
+    if kinds.isdisjoint(types):
+        fitting = {one for kind in types for one in declared.objects_by_type.get(kind, ())}
         raise unknown(f"object for {key} of {action.name} (one of type {' or '.join(types)})", name, fitting, node.position)
 
 
 def _place(entry: Mapped) -> Place:
-    after = entry.node("after")
-    if after is None:
-        return Place(entry.start, entry.string("id"))
-    items = (after,) if after.items is None else after.items
-    names = [(item.text, item.position) for item in items]
-    if wrong := [item for item in items if item.text is None]:
-        raise wrong[0].wrong(f"expected the id of a step, found {shown(wrong[0])}")
-    return Place(entry.start, entry.string("id"), tuple((name or "", where) for name, where in names))
+    after, end_after = entry.node("after"), entry.node("end_after")
+    start = None if after is None else _waits(after)
+    return Place(entry.start, entry.string("id"), start, () if end_after is None else _waits(end_after))
+
+
+def _waits(node: Node) -> tuple[Wait, ...]:
+    return tuple(map(_wait, (node,) if node.items is None else node.items))
+
+
+def _wait(node: Node) -> Wait:
+    """Read the id of a step, or ``{start: id}`` or ``{end: id, delay: seconds}``."""
+    if node.text is not None:
+        return Wait(node.text, node.position)
+    if not node.is_mapping:
+        raise node.wrong(f"expected the id of a step, found {shown(node)}")
+    entry = node.mapped()
+    entry.only("start", "end", "delay")
+    named = [(moment, name) for moment in Moment if (name := entry.string(moment.value)) is not None]
+    if len(named) != 1:
+        raise InputError("expected either 'start' or 'end' and the id of a step", entry.start)
+    ((moment, name),) = named
+    return Wait(name, entry.position(moment.value), moment, entry.number("delay", 0.0))
 
 
 def _check_ids(steps: tuple[WrittenStep, ...]) -> None:
@@ -200,6 +229,6 @@ def _check_ids(steps: tuple[WrittenStep, ...]) -> None:
             raise InputError(f"the id {step.place.id!r} is there twice", step.place.position)
         known |= {step.place.id} if step.place.id is not None else set()
     for step in steps:
-        for name, where in step.place.after or ():
-            if name not in known:
-                raise unknown("step with the id", name, known, where)
+        for wait in (*(step.place.after or ()), *step.place.end_after):
+            if wait.id not in known:
+                raise unknown("step with the id", wait.id, known, wait.position)

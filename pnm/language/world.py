@@ -8,8 +8,9 @@ from pathlib import Path
 
 from pnm.errors import InputError
 from pnm.language.domain import LanguageDomain
+from pnm.language.drafts import beside, drafts, read_domain
 from pnm.language.files import read_documents
-from pnm.language.plan import HandWrittenPlan, drafts, finished, read_domain
+from pnm.language.plan import HandWrittenPlan, finished
 from pnm.language.scope import unknown
 from pnm.sources.registry import Choice
 from pnm.yaml_files import Mapped
@@ -58,17 +59,9 @@ def read_world(path: Path, name: str | None = None) -> World:
 
 
 def _world(name: str, entry: Mapped, key: str) -> World:
-    folder = Path(entry.file).parent
     file = entry.string("domain")
-    domain = LanguageDomain() if file is None else read_domain(_existing(folder, file, entry, "domain"))
-    paths = [_existing(folder, one, entry, key) for one in entry.strings(key)]
+    domain = LanguageDomain() if file is None else read_domain(beside(entry, "domain", file))
+    paths = [beside(entry, key, one) for one in entry.strings(key)]
     if not paths:
         raise InputError(f"the world {name!r} has no plans; expected files under {key!r}", entry.start)
     return World(name, finished([draft for path in paths for draft in drafts(path, domain)]), domain)
-
-
-def _existing(folder: Path, file: str, entry: Mapped, key: str) -> Path:
-    path = folder / file
-    if not path.is_file():
-        raise InputError(f"there is no file {file!r} beside this one", entry.position(key))
-    return path

@@ -1,0 +1,275 @@
+"""Programs of the language made by hypothesis, and a world that answers them as it likes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from random import Random
+from typing import Any
+from uuid import UUID
+
+import yaml
+from hypothesis import strategies as st
+
+from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Request
+from pnm.events import Answered, Ask, Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tell, Tick, Wake, Withdraw
+from pnm.knowledge import Layered
+from pnm.queries import MISSING
+from pnm.run import Run
+
+Json = Any
+"""What YAML is written from."""
+
+DOMAIN = """
+types: robot place
+constants: r1 r2 - robot hall kitchen - place
+predicates: ["(at ?r - robot ?p - place)", (powered), (free)]
+actions:
+  plain: {}
+  given: {params: [x]}
+  asked: {params: [y], ask: {y: "Which one?"}, retries: 1}
+  checked: {preconditions: {Comparison: [eq, [{LocalQuery: v}, 1]]}}
+  looked: {effects: {Exists: [Query: seen]}}
+  moved:
+    params: "?r - robot ?p - place"
+    preconditions: {not: "(at ?r ?p)"}
+    effects: ["(at ?r ?p)", {when: {condition: (powered), effects: [{not: (free)}]}}]
+  lasting:
+    duration: 3
+    preconditions: {at_start: (free), over_all: (powered), at_end: {Query: v}}
+    effects: {at_start: [{not: (free)}], at_end: [(free)]}
+  arm: {resources: [arm]}
+  both: {resources: [arm, leg], retries: 2}
+  mended:
+    recoveries:
+      during: {aborted: [{arm: {}}, retry], lost: [{note: {operation: {RemoteUpdate: [v, 1]}}}, restart_plan]}
+  note: {type: kb_action, params: [operation]}
+"""
+COMMANDS = ("retry", "restart_action", "restart_plan", "skip_action", "fail", "replan")
+OUTCOMES = ("aborted", "preempted", "rejected", "unavailable", "timed_out", "lost")
+
+QUERIES = st.sampled_from([{one: name} for one in ("Query", "LocalQuery", "RemoteQuery", "PersonQuery") for name in ("v", "w")])
+VALUES: st.SearchStrategy[Json] = st.one_of(st.sampled_from([0, 1, 2, "text", True, None, [1, 2]]), QUERIES)
+CONDITIONS: st.SearchStrategy[Json] = st.recursive(
+    st.one_of(
+        st.sampled_from(["(powered)", "(free)", "(at r1 hall)", True]),
+        QUERIES,
+        st.builds(lambda query: {"Exists": [query]}, QUERIES),
+        st.builds(lambda op, a, b: {"Comparison": [op, [a, b]]}, st.sampled_from(["eq", "ne", "<", ">="]), VALUES, VALUES),
+    ),
+    lambda inner: st.one_of(
+        st.builds(lambda one: {"not": one}, inner),
+        st.builds(lambda word, parts: {word: parts}, st.sampled_from(["and", "or"]), st.lists(inner, max_size=3)),
+    ),
+    max_leaves=3,
+)
+OPERATIONS: st.SearchStrategy[Json] = st.one_of(
+    st.builds(
+        lambda word, name, value: {word: [name, value]},
+        st.sampled_from(["LocalUpdate", "RemoteUpdate", "Update", "PersonUpdate"]),
+        st.sampled_from(["v", "w", "seen"]),
+        st.one_of(VALUES, st.builds(lambda op, a, b: {"Operation": [op, [a, b]]}, st.sampled_from(["+", "mul"]), VALUES, VALUES)),
+    ),
+    QUERIES,
+)
+CALLS: st.SearchStrategy[Json] = st.one_of(
+    st.sampled_from(
+        [{name: {}} for name in ("plain", "asked", "checked", "looked", "lasting", "arm", "both", "mended", "given")]
+        + [{"moved": {"r": "r1", "p": "kitchen"}}, {"moved": {"r": "r2", "p": "hall"}}]
+    ),
+    st.builds(lambda value: {"given": {"x": value}}, VALUES),
+    st.builds(lambda operation: {"note": {"operation": operation}}, OPERATIONS),
+)
+
+
+@st.composite
+def _recoveries(draw: st.DrawFn, depth: int) -> Json:
+    def chain(commands: tuple[str, ...] = COMMANDS) -> Json:
+        found = [*draw(st.lists(_steps(depth - 1), max_size=2)), draw(st.sampled_from(commands))]
+        if draw(st.booleans()):
+            return found
+        return {"do": found, "times": draw(st.integers(1, 2))}
+
+    found: Json = {}
+    for check in draw(st.sets(st.sampled_from(["before", "after"]))):
+        one = chain()
+        found[check] = {**one, "when": draw(CONDITIONS)} if isinstance(one, dict) else one
+    during = draw(st.sets(st.sampled_from(OUTCOMES), max_size=2))
+    if during:
+        found["during"] = {outcome: chain((*COMMANDS, "continue")) for outcome in during}
+    return found
+
+
+@st.composite
+def _call(draw: st.DrawFn, depth: int) -> Json:
+    step = dict(draw(CALLS))
+    if draw(st.integers(0, 3)) == 0 and depth > 0:
+        step["recoveries"] = draw(_recoveries(depth))
+    if draw(st.integers(0, 4)) == 0:
+        step["resources"] = draw(st.lists(st.sampled_from(["arm", "leg", "eye"]), unique=True))
+    if draw(st.integers(0, 4)) == 0:
+        step["retries"] = draw(st.integers(0, 2))
+    return step
+
+
+@st.composite
+def _list(draw: st.DrawFn, depth: int, least: int = 0) -> Json:
+    """A list of steps, which may say themselves what they wait for."""
+    steps = draw(st.lists(_steps(depth), min_size=least, max_size=3))
+    if draw(st.integers(0, 3)) == 0:
+        for number, step in enumerate(steps):
+            if isinstance(step, dict):
+                step["id"] = f"s{number}"
+        known = [step["id"] for step in steps if isinstance(step, dict)]
+        for number, step in enumerate(steps):
+            if isinstance(step, dict) and draw(st.booleans()):
+                earlier = [name for name in known if int(name[1:]) < number]
+                step["after"] = draw(st.lists(st.sampled_from(earlier), unique=True)) if earlier else []
+    return steps
+
+
+def _steps(depth: int) -> st.SearchStrategy[Json]:
+    if depth <= 0:
+        return _call(0)
+    inner = depth - 1
+    return st.one_of(
+        _call(depth),
+        _call(depth),
+        st.builds(lambda steps: {"concurrent_actions": steps}, _list(inner)),
+        st.builds(lambda steps: {"sequence": steps}, _list(inner)),
+        _list(inner),
+        st.builds(
+            lambda condition, steps, limit: {"while": {"condition": condition, "actions": steps, "limit": limit}},
+            CONDITIONS,
+            _list(inner, 1),
+            st.integers(1, 3),
+        ),
+        st.builds(lambda condition, then, other: {"if": condition, "then": then, "else": other}, CONDITIONS, _list(inner), _list(inner)),
+    )
+
+
+@st.composite
+def programs(draw: st.DrawFn, depth: int = 3) -> str:
+    """The text of a file with a domain and a plan."""
+    plan = {
+        "initial_knowledge": draw(st.dictionaries(st.sampled_from(["v", "w"]), st.integers(0, 2))),
+        "facts": draw(st.lists(st.sampled_from(["(powered)", "(free)", "(at r1 hall)"]), unique=True)),
+        "restarts": draw(st.integers(1, 2)),
+        "on_failure": draw(st.sampled_from(["drain", "cancel"])),
+        "resources": {"arm": draw(st.integers(1, 2))},
+        "goal": draw(st.one_of(st.just(True), CONDITIONS)),
+        "plan": draw(_list(depth)),
+    }
+    return f"{DOMAIN}---\n{written(plan)}"
+
+
+def written(data: Json) -> str:
+    """Return the data as YAML."""
+    return yaml.dump(data, sort_keys=False, default_flow_style=False, Dumper=_Plain)
+
+
+class _Plain(yaml.SafeDumper):
+    """Writes no aliases: the file says everything where it stands."""
+
+    def ignore_aliases(self, data: object) -> bool:
+        return True
+
+
+# --- a world that answers as it likes ------------------------------------------------------
+
+
+@dataclass
+class Chaos:
+    """Answers everything a run asks for, in any order, at any time, late, twice or not before its limit.
+
+    The mutable state is what has a default.
+    """
+
+    run: Run
+    knowledge: Layered
+    random: Random
+    stops: bool = True
+    now: float = 0.0
+    wake: float | None = None
+    requests: dict[UUID, Request] = field(default_factory=dict)
+    """Sent, and not ended as far as the run was told."""
+    queues: dict[UUID, list[Event]] = field(default_factory=dict)
+    """What will still be said, by who says it."""
+    sent: list[str] = field(default_factory=list)
+
+    def play(self, steps: int = 20_000) -> Iterator[None]:
+        """Go on to the end, which must come; yield after every event."""
+        self._handle(Begin())
+        yield
+        for _ in range(steps):
+            if self.run.over:
+                return
+            self._handle(self._next())
+            yield
+        raise AssertionError(f"it never ends: {self.run.marking}")
+
+    def _next(self) -> Event:
+        chance = self.random.random()
+        if self.stops and chance < 0.005:
+            return Stop(cancel=self.random.random() < 0.7)
+        if chance < 0.05:
+            fact = self.random.choice([("powered",), ("free",), ("at", "r1", "hall"), ("at", "r1", "kitchen")])
+            self.knowledge.world.update({fact: self.random.random() < 0.6})
+            return KnowledgeChanged()
+        if self.queues and (self.wake is None or chance < 0.9):
+            who = self.random.choice(list(self.queues))
+            event = self.queues[who].pop(0)
+            if not self.queues[who]:
+                del self.queues[who]
+            self.now += self.random.choice([0.0, 0.0, 0.1, 1.0])
+            return event
+        assert self.wake is not None, f"it waits for nothing: {self.run.marking}"
+        self.now, self.wake = max(self.now, self.wake), None
+        return Tick()
+
+    def _handle(self, event: Event) -> None:
+        if isinstance(event, Ended):
+            self.requests.pop(event.request, None)
+        for command in self.run.handle(event, self.now):
+            self._do(command)
+        open_ = set(self.run.open_requests)
+        self.requests = {one: request for one, request in self.requests.items() if one in open_}
+
+    def _do(self, command: Command) -> None:
+        random = self.random
+        match command:
+            case Send(request):
+                self.requests[request.id] = request
+                self.sent.append(request.action.name)
+                self.queues[request.id] = self._answers(request)
+                if not self.queues[request.id]:
+                    del self.queues[request.id]
+            case Cancel(request) if random.random() < 0.7:
+                self.queues.setdefault(request, []).append(Ended(request, Outcome(OutcomeKind.CANCELED)))
+            case Wake(at):
+                self.wake = at if self.wake is None else min(at, self.wake)
+            case Ask(identity, _):
+                self.queues[identity] = [Answered(identity, random.choice([MISSING, None, 0, 1, 2, "text"]))]
+            case Withdraw(identity) if random.random() < 0.5:
+                self.queues.pop(identity, None)
+            case Tell(identity):
+                self.queues[identity] = [
+                    Ended(identity, Outcome(random.choice([OutcomeKind.SUCCEEDED, OutcomeKind.SUCCEEDED, *OutcomeKind])))
+                ]
+            case _:
+                pass
+
+    def _answers(self, request: Request) -> list[Event]:
+        random = self.random
+        kind = random.choice([OutcomeKind.SUCCEEDED, OutcomeKind.SUCCEEDED, OutcomeKind.SUCCEEDED, *OutcomeKind])
+        result = random.choice([{}, {"seen": 1}, {"v": random.randint(0, 2)}, {"w": "text"}])
+        accepted: list[Event] = [Accepted(request.id)] if random.random() < 0.8 else []
+        ended: list[Event] = [Ended(request.id, Outcome(kind, result if kind is OutcomeKind.SUCCEEDED else {}))]
+        hangs = random.random() < 0.1
+        return accepted + ([] if hangs else ended) + (ended if random.random() < 0.1 else [])
+
+
+def in_use(requests: Mapping[UUID, Request]) -> Counter[str]:
+    """Return how many open requests have each resource."""
+    return Counter(name for request in requests.values() for name in request.action.resources)
