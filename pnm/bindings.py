@@ -13,7 +13,7 @@ import string
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Final, Protocol
 
 from pnm.errors import InputError
 from pnm.expressions import UNDEFINED, Fluent, Unknown, Value, bind
@@ -22,6 +22,9 @@ from pnm.plan_graph import GroundAction
 from pnm.queries import MISSING
 from pnm.vocabulary import Vocabulary
 from pnm.yaml_files import Mapped, load_yaml
+
+ABOUT_THE_CALL: Final = frozenset({"action", "arguments", "duration"})
+"""Goal fields that tell of the call itself; they are filled as long as nobody knows which fields there are."""
 
 
 @dataclass(frozen=True, slots=True)

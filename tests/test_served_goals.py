@@ -35,7 +35,7 @@ JSON = st.recursive(
         ("[a]", "expected a mapping such as {shop: bakery} as parameters, found '[a]'"),
         ("shop", "expected a mapping"),
         ("{shop: bakery", "parameters:1:"),
-        ("{a: 1}\n---\n{b: 2}\n", "parameters:2:"),
+        ("{a: 1}\n---\n{b: 2}\n", "parameters:3:1: a second document begins here"),
         ("{a: 1, a: 2}", "parameters:1:8: "),
         ("? [a]\n: 1", "parameters:1:"),
         ("a: !!python/name:os.system", "parameters:1:4: "),

@@ -34,9 +34,6 @@ START: Final = 10.0
 _DEPTH: Final = 1000
 """How many answers we keep unread; they come in bursts when many goals end together."""
 
-_ABOUT: Final = frozenset({"action", "arguments", "duration"})
-"""Fields that are filled as long as nobody knows which fields there are; so a goal has them that was filled before its server came."""
-
 _log = logging.getLogger(__name__)
 
 
@@ -119,16 +116,13 @@ class ServerLink:
             self._dispatch(self._queued.popleft())
 
     def _dispatch(self, goal: Goal) -> None:
-        data = goal.request.goal
-        if not _ABOUT.isdisjoint(data.keys() - fields(self.type.Goal)):
-            unfilled = [name for name in fields(self.type.Goal) if name not in data]
-            if unfilled:
-                reason = f"{self.name} came when the goal had been filled; nobody has looked for values for {', '.join(unfilled)}"
-                goal.end(OutcomeKind.UNAVAILABLE, reason)
-                return
-            data = {name: data[name] for name in fields(self.type.Goal)}
+        known = fields(self.type.Goal)
+        if unfilled := goal.unfilled(known):
+            reason = f"{self.name} came when the goal had been filled; nobody has looked for values for {', '.join(unfilled)}"
+            goal.end(OutcomeKind.UNAVAILABLE, reason)
+            return
         try:
-            message = to_message(self.type.Goal, data)
+            message = to_message(self.type.Goal, goal.data(known))
             future = self._client.send_goal_async(message, goal_uuid=_ros_uuid(goal.request.id))
         except PnmError as error:
             goal.end(OutcomeKind.REJECTED, f"goal for {self.name}: {error}")

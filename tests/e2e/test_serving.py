@@ -50,7 +50,8 @@ forks:
         - wait: {time: 0.25}
         - [wait: {time: 0.5}, wait: {time: 78}]
 waits:
-  params: [time, value]
+  params: [time]
+  initial_knowledge: {time: 59}
   plan:
     - wait: {}
 goes_on:
@@ -71,6 +72,7 @@ asks_what_is_shared:
   plan:
     - know: {operation: {LocalUpdate: [eggs, {RemoteQuery: eggs}]}}
 alarmed:
+  on_failure: cancel
   plan:
     - concurrent_actions:
         - watched_wait: {time: 3002}
@@ -105,7 +107,12 @@ def workers(plan_scene_of_module: PlanScene) -> Workers:
 
 
 @pytest.fixture(scope="module")
-def served(plan_scene_of_module: PlanScene, workers: Workers) -> PlanScene:
+def knowing(plan_scene_of_module: PlanScene) -> Workers:
+    return plan_scene_of_module.workers(script="knowing_workers").ready()
+
+
+@pytest.fixture(scope="module")
+def served(plan_scene_of_module: PlanScene, workers: Workers, knowing: Workers) -> PlanScene:
     """A process that serves all of the plans, with the action servers that they need."""
     plan_scene_of_module.write(
         {
@@ -114,7 +121,6 @@ def served(plan_scene_of_module: PlanScene, workers: Workers) -> PlanScene:
             "world.yaml": "mine: {domain: domain.yaml, recipes: [plans.yaml]}\nother: {domain: domain.yaml, recipes: [plans.yaml]}",
         }
     )
-    plan_scene_of_module.workers(script="knowing_workers").ready()
     plan_scene_of_module.serve("--name", "mine").ready()
     return plan_scene_of_module
 
@@ -245,10 +251,11 @@ def test_what_is_stored_for_all_is_found_by_other_runs_and_by_other_programs(ser
     assert shared(served.knowledge, "eggs") == 102
 
 
-def test_a_condition_hears_of_what_an_action_server_stores_while_it_runs(served, workers):
+def test_a_condition_hears_of_what_an_action_server_stores_while_it_runs(served, workers, knowing):
     result = served.client("alarmed").result()
     assert (result["status"], result["reason"]) == (ABORTED, "invariant_false")
     assert {"event": "cancelled", "server": "wait", "value": 3002} in workers.objects()
+    assert {"event": "cancelled", "server": "alarm", "value": 1} in knowing.objects(), "it was not waited for"
 
 
 def shared(file: Path, name: str) -> object:
