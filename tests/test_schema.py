@@ -17,7 +17,7 @@ from planner_bridge.cli import app
 from planner_bridge.yaml_files import sections
 from planner_bridge.yaml_files.export import exported
 from pnm.errors import InputError
-from pnm.language import actions, domain, effects, files, plan, recoveries, steps, words
+from pnm.language import actions, domain, drafts, effects, files, recoveries, steps, words
 from pnm.language.files import SCHEMA
 from pnm.language.plan import read_plans
 from pnm.machine import OnFailure
@@ -58,8 +58,8 @@ def test_it_is_a_schema() -> None:
 @pytest.mark.parametrize(
     ("part", "known"),
     [
-        (KNOWN, {*domain.DOMAIN_KEYS, *plan.PLAN_KEYS, "plans"}),
-        (PARTS["recipe"], set(plan.RECIPE_KEYS)),
+        (KNOWN, {*domain.DOMAIN_KEYS, *drafts.PLAN_KEYS, "plans"}),
+        (PARTS["recipe"], set(drafts.RECIPE_KEYS)),
         (PARTS["action"], set(actions.ACTION_KEYS)),
         (PARTS["problem"], set(domain._PROBLEM_KEYS)),
         (PARTS["step"], {*actions.RESERVED, *steps.OPTIONS}),
@@ -97,7 +97,7 @@ def test_words_may_be_spelled_as_the_readers_allow() -> None:
 
 
 def test_whatever_else_a_reader_looks_for_by_name_is_a_key_of_the_schema_and_the_other_way_round() -> None:
-    folder = Path(plan.__file__).parent
+    folder = Path(files.__file__).parent
     called = [
         node
         for path in folder.glob("*.py")
@@ -108,7 +108,7 @@ def test_whatever_else_a_reader_looks_for_by_name_is_a_key_of_the_schema_and_the
     listed = {key for part in everything(KNOWN) if isinstance(part.get("properties"), dict) for key in part["properties"]}
     assert len(looked_for) > 20
     assert looked_for <= listed
-    named = {*domain.DOMAIN_KEYS, *plan.PLAN_KEYS, *plan.RECIPE_KEYS, *actions.ACTION_KEYS, *domain._PROBLEM_KEYS, *steps.OPTIONS}
+    named = {*domain.DOMAIN_KEYS, *drafts.PLAN_KEYS, *drafts.RECIPE_KEYS, *actions.ACTION_KEYS, *domain._PROBLEM_KEYS, *steps.OPTIONS}
     spoken = {words._spelled(word) for word in (*words.VALUES, *words.UPDATES, *effects._WORDS)}
     planners = {*sections._OPERATORS, "minimize", "maximize", "constraint", "moment", "variables", "effects"}
     assert listed <= looked_for | named | spoken | planners | {
