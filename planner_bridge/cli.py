@@ -22,6 +22,7 @@ from planner_bridge.cli_options import (
     command,
     faults_option,
     files,
+    knowledge_option,
     planning,
     tell,
     write,
@@ -31,7 +32,6 @@ from pnm.errors import InputError
 if TYPE_CHECKING:
     from planner_bridge.model import Problem
     from planner_bridge.pipeline import Where
-    from planner_bridge.tasks import Settings
     from pnm.actions.faults import Faults
     from pnm.bindings import Bindings
 
@@ -107,6 +107,7 @@ def net(domain: Path, problem: Path, written_as: str, output: Path | None, bindi
 @click.option("--actions", type=click.Choice(["simulated", "ros2"]), default="simulated", show_default=True, help="who performs actions")
 @bindings_option
 @faults_option
+@knowledge_option
 @planning
 @click.option("--replans", type=click.IntRange(0), default=10, show_default=True, help="how many new machines may follow the first")
 @click.option(
@@ -131,6 +132,7 @@ def run(
     actions: str,
     bindings: Path | None,
     faults: Path | None,
+    knowledge: Path | None,
     planner: str,
     timeout: float,
     replans: int,
@@ -151,9 +153,13 @@ def run(
     limits = Limits(replans=replans, seconds=seconds)
     settings = Settings(planner, timeout, limits=limits, on_failure=OnFailure(on_failure))
     if plan_file is not None:
+        from planner_bridge.cli_written import run_written
+
         if domain is not None:
             raise InputError("--plan comes in the place of DOMAIN and PROBLEM")
-        return _run_written(plan_file, name, given, where, faults, bindings, settings, as_json)
+        return run_written(
+            plan_file, name, given, actions=where, faults=faults, bindings=bindings, settings=settings, knowledge=knowledge, as_json=as_json
+        )
     if domain is None or problem is None:
         raise InputError("expected DOMAIN and PROBLEM, or --plan and a file")
     stopwatch = Stopwatch()
@@ -177,46 +183,21 @@ def run(
     return 0 if result.goal_reached else 1
 
 
-def _run_written(
-    file: Path,
-    name: str | None,
-    given: tuple[str, ...],
-    where: Where,
-    faults: Path | None,
-    bindings: Path | None,
-    settings: Settings,
-    as_json: bool,
-) -> int:
-    from planner_bridge.console import ConsoleObserver, Terminal, print_result
-    from planner_bridge.tasks import TaskObserver
-    from planner_bridge.written import carry_out
-    from pnm.actions.faults import NO_FAULTS, read_faults
-    from pnm.bindings import read_bindings
+@app.command()
+@click.option("--world", "file", type=FILE, required=True, help="a world of plans: a YAML file that names a domain and files with plans")
+@click.option("--name", help="which world of that file, if there are several")
+@knowledge_option
+@command
+def serve(file: Path, name: str | None, knowledge: Path | None) -> int:
+    """Offer every plan of a world as a ROS 2 action server, until interrupted."""
+    from planner_bridge.console import Terminal
+    from planner_bridge.serving import serve
+    from pnm.language.world import read_world
 
-    if bindings:
-        settings = replace(settings, bindings=read_bindings(bindings))
-    console = Terminal()
-    observer = TaskObserver() if as_json else ConsoleObserver(console)
-    chosen = read_faults(faults, None) if faults else NO_FAULTS
-    result = carry_out(file, name, _parameters(given), actions=where, faults=chosen, settings=settings, observer=observer)
-    if as_json:
-        print(json.dumps(result.as_json(), default=str), flush=True)
-    else:
-        print_result(console, result.task)
-    return 0 if result.task.goal_reached else 1
-
-
-def _parameters(given: tuple[str, ...]) -> dict[str, object]:
-    """Read ``name=value``, with values as YAML has them."""
-    from pnm.yaml_files import parse_value
-
-    found: dict[str, object] = {}
-    for one in given:
-        name, equals, text = one.partition("=")
-        if not name or not equals:
-            raise InputError(f"expected NAME=VALUE after --set, found {one!r}")
-        found[name] = parse_value(text, f"--set {name}")
-    return found
+    world = read_world(file, name)
+    tell(dict.fromkeys(warning for plan in world.plans.values() for warning in plan.warnings))
+    serve(world, file.parent, knowledge, Terminal())
+    return 0
 
 
 @app.command()

@@ -32,12 +32,18 @@ class ConsoleObserver(TaskObserver):
     """Prints a line per moment; shows what it waits for when the output is a terminal.
 
     The mutable state is the time at which the current task began, and the spinner.
+
+    Args:
+        console: where it prints.
+        label: what every line begins with, after the time.
+        began: the time from which lines count; that of the first line when not given.
     """
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, label: str = "", began: float | None = None) -> None:
         self._console = console
+        self._label = label
         self._waiting = ExitStack()
-        self._began: float | None = None
+        self._began = began
 
     def planning(self, planner: str) -> None:
         """Show that a planner is being asked."""
@@ -62,19 +68,19 @@ class ConsoleObserver(TaskObserver):
     def sent(self, call: ActionCall, request: Request, now: float) -> None:
         """Print that a call starts."""
         again = f" (attempt {request.attempt})" if request.attempt > 1 else ""
-        self._line(now, "[blue]start[/] ", f"{call.action}{again}")
+        self.line(now, "[blue]start[/] ", f"{call.action}{again}")
 
     def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:
         """Print how a request ended."""
         if outcome.kind is OutcomeKind.SUCCEEDED:
-            self._line(now, "[green]done[/]  ", str(call.action))
+            self.line(now, "[green]done[/]  ", str(call.action))
         else:
-            self._line(now, "[red]ended[/] ", f"{call.action}: {outcome.kind.value}{f': {outcome.message}' if outcome.message else ''}")
+            self.line(now, "[red]ended[/] ", f"{call.action}: {outcome.kind.value}{f': {outcome.message}' if outcome.message else ''}")
 
     def failed(self, failure: Failure, now: float) -> None:
         """Print that a failure place is marked."""
         step = failure.call.action if isinstance(failure.call, ActionCall) else failure.call
-        self._line(now, "[bold red]failed[/]", f"{step}: {failure.cause}; expected {failure.expected}; observed {failure.observed}")
+        self.line(now, "[bold red]failed[/]", f"{step}: {failure.cause}; expected {failure.expected}; observed {failure.observed}")
 
     def resigned(self, reason: str) -> None:
         """Print that a planner takes over."""
@@ -92,12 +98,13 @@ class ConsoleObserver(TaskObserver):
 
     def violated(self, violation: Violation, now: float) -> None:
         """Print that a constraint is violated."""
-        self._line(now, "[bold red]broken[/]", f"{violation.constraint}; observed {violation.observed}")
+        self.line(now, "[bold red]broken[/]", f"{violation.constraint}; observed {violation.observed}")
 
-    def _line(self, now: float, word: str, text: str) -> None:
+    def line(self, now: float, word: str, text: str) -> None:
+        """Print a line about a moment."""
         if self._began is None:
             self._began = now
-        self._console.print(f"  {now - self._began:8.2f} s  {word} {escape(text)}", highlight=False, soft_wrap=True)
+        self._console.print(f"  {now - self._began:8.2f} s  {escape(self._label)}{word} {escape(text)}", highlight=False, soft_wrap=True)
 
 
 def print_result(console: Console, result: TaskResult) -> None:

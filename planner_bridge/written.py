@@ -6,7 +6,7 @@ A recovery may end with `replan`: the plan has failed then, and a planner finds 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from pathlib import Path
@@ -32,7 +32,8 @@ from pnm.ledger import UNCONFIRMED
 from pnm.performing import Performer, Program
 from pnm.plan_graph import ActionCall
 from pnm.sites import RobotsSite, Ros2Site, Site
-from pnm.sources.registry import Surroundings, open_sources
+from pnm.sources.chain import Sources
+from pnm.sources.registry import Choice, Surroundings, open_sources
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,7 @@ def carry_out(
     faults: Faults = NO_FAULTS,
     settings: Settings | None = None,
     observer: TaskObserver | None = None,
+    knowledge: Path | None = None,
 ) -> PlanResult:
     """Carry out a plan of a file.
 
@@ -82,6 +84,7 @@ def carry_out(
         faults: what goes wrong in simulation.
         settings: bindings that come before those of the files; planner and limits, for when the plan asks for a planner.
         observer: is told what happens.
+        knowledge: the file in which global knowledge is kept, in place of what the plan chose.
 
     Raises:
         InputError: an input is wrong; nothing was started.
@@ -95,8 +98,17 @@ def carry_out(
         programs = {name: Program.of(plan) for name, plan in plans.items()}
     bindings = together(plans.values())
     site: Site = Ros2Site(bindings) if actions == "ros2" else simulated_site(plans[chosen], bindings, faults)
-    task = _WrittenTask(programs, chosen, site, replace(settings, bindings=bindings), observer or TaskObserver(), seconds)
-    return run_async(task.perform(parameters or {}, file.parent), virtual=actions == "simulated")
+    choices = sources_of(plans.values())
+    task = _WrittenTask(
+        programs,
+        chosen,
+        site,
+        replace(settings, bindings=bindings),
+        observer or TaskObserver(),
+        seconds,
+        lambda: open_sources(choices, Surroundings(getattr(site, "ros", None), file.parent), knowledge),
+    )
+    return run_async(task.perform(parameters or {}), virtual=actions == "simulated")
 
 
 @dataclass(frozen=True)
@@ -109,17 +121,19 @@ class _WrittenTask:
     settings: Settings
     observer: TaskObserver
     seconds: Stopwatch
+    open_sources: Callable[[], Sources]
+    """Who is asked what the run does not know; called once the site is open."""
 
     @property
     def _program(self) -> Program:
         return self.programs[self.name]
 
-    async def perform(self, parameters: Mapping[str, object], folder: Path) -> PlanResult:
+    async def perform(self, parameters: Mapping[str, object]) -> PlanResult:
         plan = self._program.plan
         world = KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules)
         try:
             await self.site.open(world)
-            sources = open_sources(plan.sources, Surroundings(ros=getattr(self.site, "ros", None), folder=folder))
+            sources = self.open_sources()
             try:
                 return await self._perform(Performer(self.programs, self.site, world, sources), parameters)
             finally:
@@ -172,6 +186,14 @@ def problem_of(plan: HandWrittenPlan, world: KnowledgeBase) -> Problem:
 def together(plans: Iterable[HandWrittenPlan]) -> Bindings:
     """Return the bindings of all plans, which are those of their domains."""
     return reduce(Bindings.before, (plan.bindings for plan in plans), Bindings())
+
+
+def sources_of(plans: Iterable[HandWrittenPlan]) -> tuple[Choice, ...]:
+    """Return the sources of knowledge that any of the plans chose, each once."""
+    found: dict[str, Choice] = {}
+    for choice in (choice for plan in plans for choice in plan.sources):
+        found.setdefault(f"{choice.name} {choice.options}", choice)
+    return tuple(found.values())
 
 
 def simulated_site(plan: HandWrittenPlan, bindings: Bindings, faults: Faults = NO_FAULTS) -> RobotsSite:

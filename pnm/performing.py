@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from functools import partial
 from typing import Final
 from uuid import UUID, uuid4
 
-from pnm.actions.base import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Reporter, Request
+from pnm.actions.base import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Report, Reporter, Request
 from pnm.analysis import Proof, verify
 from pnm.errors import InputError
 from pnm.executor import Executor
@@ -28,7 +29,8 @@ from pnm.queries import MISSING
 from pnm.results import RunResult
 from pnm.run import Run
 from pnm.sites import Site
-from pnm.sources.base import Source
+from pnm.sources.base import Asker, Source
+from pnm.sources.chain import Sources
 
 _ABOUT_THE_CALL: Final = frozenset({"action", "arguments", "duration"})
 """Goal fields that tell of the call itself: no parameters of a plan."""
@@ -55,7 +57,17 @@ class Performance:
 
     program: Program
     executor: Executor
+    client: PlansClient
     result: RunResult | None = None
+
+    @property
+    def running(self) -> tuple[str, ...]:
+        """The calls that are under way, those in a plan that this one calls behind the name of the call."""
+        found: list[str] = []
+        for request, call in self.executor.run.open_calls.items():
+            called = self.client.performance(request)
+            found += [f"{call.action}: {inner}" for inner in called.running] if called and called.running else [str(call.action)]
+        return tuple(found)
 
     @property
     def variables(self) -> dict[str, object]:
@@ -90,15 +102,19 @@ class Performer:
     """The first four bytes of the identities of all runs and requests: action servers find this process by them."""
     going_on: list[Performance] = field(default_factory=list)
 
-    async def prepare(self) -> None:
-        """Get ready to carry out everything that is in the plans, as far as the plans tell who does it."""
+    async def prepare(self) -> tuple[str, ...]:
+        """Get ready to carry out everything that is in the plans, as far as the plans tell who does it.
+
+        Returns the names of servers that are not there yet.
+        """
+        await self.site.share(self.prefix, self.knowledge_of, self.source or Sources())
         needed = [
             call.action
             for program in self.programs.values()
             for call in program.plan.graph.calls
             if call.action.operation is None and call.action.name not in self.programs and program.plan.bindings.names_server(call.action)
         ]
-        await self.site.prepare(dict.fromkeys(needed))
+        return await self.site.prepare(dict.fromkeys(needed))
 
     def perform(self, name: str, parameters: Mapping[str, object] | None = None, observer: Observer | None = None) -> Performance:
         """Get a run of the plan ready; `execute` carries it out.
@@ -112,7 +128,7 @@ class Performer:
         _check_parameters(program.plan, given)
         knowledge = Layered(self.world, KnowledgeBase(variables={**program.plan.variables, **given}))
         identity = UUID(bytes=self.prefix + uuid4().bytes[4:])
-        client = PlansClient(self)
+        client = PlansClient(self, observer)
         run = Run(
             program.machine,
             knowledge,
@@ -122,7 +138,7 @@ class Performer:
             asks=self.source is not None,
             observer=observer,
         )
-        return Performance(program, Executor(run, client, self.source, name))
+        return Performance(program, Executor(run, client, self.source, name), client)
 
     async def execute(self, performance: Performance) -> RunResult:
         """Carry the plan out, within its time."""
@@ -140,29 +156,37 @@ class Performer:
             if timer:
                 timer.cancel()
 
-    def knowledge_of(self, request: UUID) -> Layered | None:
-        """Return what the run knows whose request this is; None when it is not, or no longer, open."""
+    def knowledge_of(self, request: UUID) -> tuple[Layered, Asker] | None:
+        """Return what the run knows whose request this is, and whom it asks as; None when it is not, or no longer, open."""
         for performance in self.going_on:
-            if request in performance.executor.run.open_requests:
-                return performance.executor.run.knowledge
+            run = performance.executor.run
+            if request in run.open_requests:
+                return run.knowledge, Asker(run.id, performance.program.plan.name)
         return None
 
 
-def _check_parameters(plan: HandWrittenPlan, given: Iterable[str]) -> None:
-    if plan.parameters is not None:
-        for name in given:
-            if name not in plan.parameters:
-                raise InputError(f"{plan.name} has no parameter {name!r}; expected {', '.join(plan.parameters) or 'none'}")
+def _check_parameters(plan: HandWrittenPlan, given: Mapping[str, object]) -> None:
+    known = plan.parameters
+    for name in given:
+        if known is not None and name not in known:
+            near = get_close_matches(name, known, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"expected {', '.join(known) or 'none'}"
+            raise InputError(f"{plan.name} has no parameter {name!r}; {hint}")
 
 
 class PlansClient:
     """Carries out calls of plans as runs of their own, and passes all others on to the site.
 
+    Args:
+        performer: carries out the plans.
+        observer: is told what happens in them as well.
+
     The mutable state is the performances by request, the requests that were cancelled, and the tasks that carry them out.
     """
 
-    def __init__(self, performer: Performer) -> None:
+    def __init__(self, performer: Performer, observer: Observer | None = None) -> None:
         self._performer = performer
+        self._observer = observer
         self._performances: dict[UUID, Performance] = {}
         self._cancelled: set[UUID] = set()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -179,7 +203,7 @@ class PlansClient:
     def send(self, request: Request, report: Reporter, /) -> None:
         """Begin to carry the plan out, or send the goal."""
         if request.action.name not in self._performer.programs:
-            self._client.send(request, report)
+            self._client.send(request, partial(self._reported, report))
             return
         task = asyncio.get_running_loop().create_task(self._perform(request, report))
         self._tasks.add(task)
@@ -193,10 +217,19 @@ class PlansClient:
         else:
             self._client.cancel(request)
 
+    def performance(self, request: UUID) -> Performance | None:
+        """Return what goes on for a request that calls a plan."""
+        return self._performances.get(request)
+
+    def _reported(self, report: Reporter, what: Report) -> None:
+        if isinstance(what, Ended):
+            self._performer.site.over(what.request)
+        report(what)
+
     async def _perform(self, request: Request, report: Callable[[Accepted | Ended], None]) -> None:
         given = {name: value for name, value in request.goal.items() if name not in _ABOUT_THE_CALL}
         try:
-            performance = self._performer.perform(request.action.name, given)
+            performance = self._performer.perform(request.action.name, given, self._observer)
         except InputError as error:
             report(Ended(request.id, Outcome(OutcomeKind.REJECTED, message=str(error))))
             return

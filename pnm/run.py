@@ -47,7 +47,7 @@ from pnm.machine import (
 )
 from pnm.marking import Marking
 from pnm.observer import Observer
-from pnm.plan_graph import GroundAction, Loop
+from pnm.plan_graph import ActionCall, GroundAction, Loop
 from pnm.queries import Question, Unanswered
 from pnm.results import RunResult
 
@@ -153,6 +153,11 @@ class Run:
     def open_requests(self) -> tuple[UUID, ...]:
         """The requests that are not over, as far as is known."""
         return tuple(self._calls.open)
+
+    @property
+    def open_calls(self) -> dict[UUID, ActionCall]:
+        """The calls whose requests are not over, as far as is known, as they were sent."""
+        return {request: self._calls.as_sent(call) for request, call in self._calls.open.items()}
 
     def result(self) -> RunResult:
         """Return how the run ended."""

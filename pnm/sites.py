@@ -9,13 +9,18 @@ import asyncio
 import logging
 from collections.abc import Iterable
 from time import monotonic
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
+from uuid import UUID
 
 from pnm.actions.base import ActionClient
 from pnm.actions.simulated import SimulatedRobots, sense
 from pnm.bindings import Bindings
 from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import GroundAction
+from pnm.sources.base import Source
+
+if TYPE_CHECKING:
+    from pnm.ros.knowledge_services import Find, KnowledgeServices
 
 DISCOVERY: Final = 10.0
 """Seconds that robots may take to appear which are started together with us; later, who is missing fails by name."""
@@ -33,8 +38,20 @@ class Site(Protocol):
     async def open(self, knowledge: KnowledgeBase) -> None:
         """Connect, and bring the knowledge up to date with what is observed."""
 
-    async def prepare(self, actions: Iterable[GroundAction]) -> None:
-        """Get ready to carry out these actions."""
+    async def share(self, mark: bytes, find: Find, source: Source) -> None:
+        """Let whoever carries out a request ask, and change, what the run knows that has sent it.
+
+        Args:
+            mark: what the identities of all requests begin with.
+            find: finds the knowledge by the identity of the request.
+            source: asked for what runs do not know themselves.
+        """
+
+    def over(self, request: UUID, /) -> None:
+        """Note that a request is over: nobody needs to know anything for it any more."""
+
+    async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
+        """Get ready to carry out these actions; return the names of servers that are not there yet."""
 
     async def close(self) -> None:
         """Disconnect."""
@@ -57,8 +74,15 @@ class RobotsSite:
         sense(self.robots.world, knowledge, self._assumed)
         self.robots.begin()
 
-    async def prepare(self, actions: Iterable[GroundAction]) -> None:
+    async def share(self, mark: bytes, find: Find, source: Source) -> None:
+        """Do nothing: simulated robots ask for nothing."""
+
+    def over(self, request: UUID, /) -> None:
+        """Do nothing."""
+
+    async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Do nothing: simulated robots are always ready."""
+        return ()
 
     async def close(self) -> None:
         """Stop the world."""
@@ -66,15 +90,27 @@ class RobotsSite:
 
 
 class Ros2Site:
-    """The action servers found in the ROS 2 graph, and the facts published on `knowledge/sensed`."""
+    """The action servers found in the ROS 2 graph, and the facts published on `knowledge/sensed`.
 
-    def __init__(self, bindings: Bindings) -> None:
+    Args:
+        bindings: how actions are bound to servers.
+        name: of the node.
+
+    The mutable state is what `open` and `share` make.
+    """
+
+    def __init__(self, bindings: Bindings, name: str = "pnm") -> None:
         self._bindings = bindings
+        self._name = name
+        self._client: Any = None
+        self._services: KnowledgeServices | None = None
+        self.ros: Any = None
+        """The thread of the node, once the site is open."""
 
     @property
     def client(self) -> ActionClient:
-        """The client of every action server."""
-        return self._client
+        """The client of every action server, once the site is open."""
+        return self._client  # type: ignore[no-any-return]
 
     async def open(self, knowledge: KnowledgeBase) -> None:
         """Join the ROS 2 graph and wait for the first report about the world, if anybody publishes one."""
@@ -83,7 +119,7 @@ class Ros2Site:
         from pnm.ros.sensing import Facts, Sensing
 
         loop = asyncio.get_running_loop()
-        self.ros = RosThread("pnm")
+        self.ros = RosThread(self._name)
         self._client = Ros2ActionClient(self.ros, self._bindings, loop)
         lag = self._bindings.lag
 
@@ -100,11 +136,29 @@ class Ros2Site:
         self._sensing = Sensing(self.ros, loop, tell)
         await self._sensing.first(DISCOVERY)
 
-    async def prepare(self, actions: Iterable[GroundAction]) -> None:
+    async def share(self, mark: bytes, find: Find, source: Source) -> None:
+        """Offer the two services that action servers find by the identity of their goal."""
+        from pnm.ros.goal_ids import service_prefix
+        from pnm.ros.knowledge_services import KnowledgeServices
+
+        self._services = KnowledgeServices(self.ros, asyncio.get_running_loop(), service_prefix(mark), find, source)
+        await self._services.open()
+
+    def over(self, request: UUID, /) -> None:
+        """Withdraw what a server is still asking for the request."""
+        if self._services is not None:
+            self._services.end(request)
+
+    async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Look for the servers of these actions; wait for them only while this node itself is new."""
-        await self._client.prepare(actions, self.ros.joined + DISCOVERY - monotonic())
+        missing: tuple[str, ...] = await self._client.prepare(actions, self.ros.joined + DISCOVERY - monotonic())
+        return missing
 
     async def close(self) -> None:
         """Leave the ROS 2 graph."""
-        self._client.close()
-        self.ros.close()
+        if self._services is not None:
+            await self._services.close()
+        if self._client is not None:
+            self._client.close()
+        if self.ros is not None:
+            await asyncio.to_thread(self.ros.close)  # what still happens on its thread may need this loop

@@ -196,3 +196,37 @@ def test_nobody_has_to_read_to_the_end(command: list[str]) -> None:
 
 def test_unsound_is_an_error_with_a_trace() -> None:
     assert Unsound("it ends", ["a", "b"]).trace == ("a", "b")
+
+
+# --- export and import ---------------------------------------------------------------------
+
+PATROL = (str(ROOT / "domains/patrol/domain.pddl"), str(ROOT / "problems/patrol/p01.pddl"))
+
+
+def test_what_is_exported_is_imported_again(tmp_path: Path) -> None:
+    assert pnm("export", *PATROL, "-o", str(tmp_path / "x.yaml"), "--plan").returncode == 0
+    done = pnm("import", str(tmp_path / "x.yaml"), "-o", str(tmp_path / "new" / "folder"))
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    again = pnm("export", *(str(tmp_path / "new" / "folder" / name) for name in ("domain.pddl", "problem.pddl")), "--plan")
+    assert again.stdout == (tmp_path / "x.yaml").read_text(encoding="utf-8")
+    assert "\nplan:\n  - move: {robot: r1, from: dock1, to: gate}\n" in again.stdout
+
+
+def test_a_plan_for_the_first_implementation_is_exported() -> None:
+    assert "\n---\ninitial_knowledge:\n" in pnm("export", *PATROL, "--seed-compatible").stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "message"),
+    [
+        (("export", PATROL[0], "--plan"), 2, "a plan is for a problem; expected its file after "),
+        (("export", *DELIVERY, "--seed-compatible"), 2, "the first implementation has no way to say the duration of the action 'load'"),
+        (("export", str(ROOT / "nothing.pddl")), 2, f"{ROOT}/nothing.pddl:1:1: cannot be read: No such file or directory"),
+        (("import", str(ROOT / "nothing.yaml"), "-o", "x"), 2, f"{ROOT}/nothing.yaml:1:1: cannot be read: No such file or directory"),
+        (("import", FAULTS, "-o", "x"), 2, f"{FAULTS}:1:1: there is no domain in the file; expected the key 'actions'"),
+    ],
+)
+def test_what_cannot_be_exported_or_imported(arguments: tuple[str, ...], status: int, message: str, tmp_path: Path) -> None:
+    done = pnm(*arguments)
+    assert done.returncode == status
+    assert done.stderr.startswith(message)

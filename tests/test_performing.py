@@ -15,6 +15,7 @@ from pnm.errors import InputError
 from pnm.knowledge import KnowledgeBase
 from pnm.language.plan import read_plans
 from pnm.performing import Performer, Program
+from pnm.sources.base import Asker
 from pnm.sources.memory import MemoryKnowledge
 
 GUIDE = """
@@ -76,9 +77,14 @@ def test_a_plan_has_a_limit(tmp_path: Path) -> None:
     assert "the plan's limit of 3 s is reached" in failure.observed
 
 
+def test_a_plan_that_is_called_may_take_long(tmp_path: Path) -> None:
+    slow = GUIDE.replace("duration: 5", "duration: 5000").replace("timeout: 60", "timeout: 80000")
+    assert carry_out(written(tmp_path, slow), parameters={"shop": "pharmacy"}).task.goal_reached
+
+
 def test_names_of_plans_and_parameters_are_checked(tmp_path: Path) -> None:
     file = written(tmp_path, GUIDE)
-    with pytest.raises(InputError, match="outer has no parameter 'shp'; expected shop"):
+    with pytest.raises(InputError, match=r"outer has no parameter 'shp'; did you mean 'shop'\?"):
         carry_out(file, parameters={"shp": 1})
     with pytest.raises(InputError, match="there is no plan 'otter'; expected --name and one of outer, inner"):
         carry_out(file, "otter")
@@ -98,7 +104,8 @@ def test_two_runs_of_a_plan_go_on_side_by_side_with_their_own_knowledge(tmp_path
         running = asyncio.gather(performer.execute(one), performer.execute(two))
         await asyncio.sleep(1)
         (request,) = one.executor.run.open_requests
-        assert performer.knowledge_of(request) is one.executor.run.knowledge
+        knowledge, asker = performer.knowledge_of(request) or pytest.fail("nobody knows the request")
+        assert (knowledge, asker) == (one.executor.run.knowledge, Asker(one.executor.run.id, "inner"))
         assert request.bytes[:4] == performer.prefix
         await running
         assert performer.knowledge_of(request) is None
@@ -120,6 +127,7 @@ def test_cancelling_a_plan_cancels_the_plan_it_calls(tmp_path: Path) -> None:
         running = asyncio.ensure_future(performer.execute(outer))
         await asyncio.sleep(7)
         assert [one.program.plan.name for one in performer.going_on] == ["outer", "inner"]
+        assert outer.running == ("inner(pharmacy): go(pharmacy)",)
         outer.executor.stop()
         result = await running
         assert not result.goal

@@ -97,7 +97,7 @@ def test_words_may_be_spelled_as_the_readers_allow() -> None:
 
 
 def test_whatever_else_a_reader_looks_for_by_name_is_a_key_of_the_schema_and_the_other_way_round() -> None:
-    folder = Path(files.__file__).parent
+    folder = Path(drafts.__file__).parent
     called = [
         node
         for path in folder.glob("*.py")

@@ -11,7 +11,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from planner_bridge.comments import Table
+from planner_bridge.comments import Note, Table
 from planner_bridge.model import ActionSchema, Domain, Preference, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain
 from planner_bridge.pddl.comments import comments
@@ -58,7 +58,6 @@ def there_and_back(problem: Problem, table: Table) -> None:
     assert told(found.comments) == told(table)
     assert problem_as_yaml(problem, found.comments) == text
     yaml.safe_load(text)
-    assert max(len(line) for line in text.splitlines() if "#" not in line) <= 105
 
 
 # --- files ---------------------------------------------------------------------------------
@@ -86,6 +85,11 @@ def test_what_is_imported_is_what_was_exported(pair: tuple[Path, Path], tmp_path
     assert [comments_in(text) for text in found.values()] == [comments_in(text) for text in texts]
 
 
+@pytest.mark.parametrize("pair", OWN, ids=lambda pair: f"{pair[0].parent.name}-{pair[1].stem}")
+def test_lines_are_not_too_long_for_people(pair: tuple[Path, Path]) -> None:
+    assert max(len(line) for line in exported(*pair).text.splitlines() if "#" not in line) <= 100
+
+
 def test_a_small_domain_looks_as_it_ever_did() -> None:
     assert exported(*PATROL).text == GOLDEN.read_text(encoding="utf-8")
 
@@ -105,7 +109,7 @@ def whole(domain: Domain) -> Domain:
     return found.domain
 
 
-@settings(max_examples=25, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@settings(max_examples=8, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(
     st.tuples(test_pddl.INSTANTANEOUS, test_pddl.DURATIVE),
     st.lists(test_pddl.RULES, max_size=2),
@@ -127,7 +131,7 @@ def test_a_domain_comes_back(
     assert [list(part) for part in (found.types, found.actions)] == [list(part) for part in (domain.types, domain.actions)]
 
 
-@settings(max_examples=25, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@settings(max_examples=8, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(
     test_pddl.values(st.just(True)),
     test_pddl.TIMED,
@@ -162,7 +166,7 @@ def test_a_problem_comes_back(
     there_and_back(problem, {})
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.data(), st.booleans())
 def test_generated_problems_come_back(data: st.DataObject, timed: bool) -> None:
     there_and_back(data.draw(generated.problems(generated.Features(timed=timed))), {})
@@ -296,6 +300,12 @@ def test_characters_that_yaml_does_not_allow_are_left_out_of_comments() -> None:
     assert domain_as_yaml(parse_domain(text), comments(text, "domain")) == "# a b c d\nname: d\n"
 
 
+def test_what_a_file_says_to_editors_is_no_comment() -> None:
+    assert parse("# yaml-language-server: $schema=x.json\n# mine\nname: d\ntypes: []\n", "x.yaml").comments == {
+        ("domain",): Note(before=("; mine",))
+    }
+
+
 def test_comments_inside_texts_are_no_comments() -> None:
     text = "(define (domain d) (:requirements :hierarchy) (:task t ; why\n :parameters ()) ; own\n)"
     domain = parse_domain(text)
@@ -354,6 +364,14 @@ def test_other_ways_to_write_it_are_read() -> None:
         "x.yaml:3:8: warning: :typing is needed here but not among the :requirements",
         "x.yaml:9:5: warning: 'type' of go is left out: PDDL has nothing like it",
     ]
+
+
+def test_every_text_of_a_list_says_its_own_types() -> None:
+    text = "types: [t]\nfunctions: [(f), (g) - t, (h)]\nconstants: [a, b - t, c]\nactions: {go: {params: [x, y - t, z]}}\n"
+    found = parse(text, "x.yaml").domain
+    assert [one.values for one in found.functions.values()] == [(), ("t",), ()]
+    assert dict(found.constants) == {"a": ("object",), "b": ("t",), "c": ("object",)}
+    assert [one.types for one in found.actions["go"].parameters] == [("object",), ("t",), ("object",)]
 
 
 HEAD = "name: d\npredicates: [(p), (q)]\n"

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import inf
 from pathlib import Path
 from typing import TypeAlias
 
 import pytest
 
+from pnm.analysis import verify
 from pnm.conditions import TRUE, Compare, Computed, Holds
 from pnm.effects import Set
 from pnm.errors import InputError
@@ -16,7 +18,7 @@ from pnm.generation import generate
 from pnm.language import HandWrittenPlan, read_plans
 from pnm.language.lowering import MAX_NESTING, MAX_STEPS
 from pnm.machine import OnFailure
-from pnm.plan_graph import EMPTY, ActionCall, Cause, Choice, Junction, Loop, Recovery, Then
+from pnm.plan_graph import EMPTY, ActionCall, Cause, Choice, Junction, Loop, Moment, Recovery, Then
 from pnm.queries import Layer, Literal, Operation, Query, Update
 
 ReadAll: TypeAlias = Callable[[str], dict[str, HandWrittenPlan]]
@@ -356,6 +358,56 @@ plan:
     assert orderings(plan) == {(0, 1), (0, 2), (3, 4), (2, 6), (0, 6), (6, 5)}
 
 
+def test_starts_ends_and_times_are_waited_for(read: Read) -> None:
+    plan = read(
+        f"""\
+{ACTIONS}plan:
+  - go:
+    id: one
+    end_after: [two, {{start: three}}]
+  - go:
+    id: two
+    after: [{{start: one}}]
+    release: 3
+    deadline: 60
+  - go:
+    id: three
+    after: [{{end: two, delay: 2.5}}]
+"""
+    )
+    start, end = Moment.START, Moment.END
+    told = [((one.before.call, one.before.moment), (one.after.call, one.after.moment), one.delay) for one in plan.graph.orderings]
+    assert told == [
+        ((1, end), (0, end), 0.0),
+        ((2, start), (0, end), 0.0),
+        ((0, start), (1, start), 0.0),
+        ((1, end), (2, start), 2.5),
+    ]
+    assert [(call.release, call.deadline, bool(call.recoveries)) for call in plan.graph.calls] == [
+        (0.0, inf, False),
+        (3.0, 60.0, True),
+        (0.0, inf, False),
+    ]
+    verify(generate(plan.graph, plan.bindings))
+
+
+@pytest.mark.parametrize(
+    ("steps", "message"),
+    [
+        ("{go: , id: a, end_after: [b]}, {go: , id: b, after: [a]}", "steps wait for each other: "),
+        ("{concurrent_actions: [], id: a}, {go: , after: [{start: a}]}", "'a' is no call; only the end of such a step can be waited for"),
+        ("{go: , id: a, after: []}, {go: , end_after: [{end: a, delay: 1}], after: []}", "an end cannot be delayed"),
+        ("{go: , id: a}, {go: , after: [{strat: a}]}", "unknown key 'strat'; did you mean 'start'?"),
+        ("{go: , id: a}, {go: , after: [{delay: 2}]}", "expected either 'start' or 'end' and the id of a step"),
+        ("{go: , id: a, recoveries: {during: {aborted: [retry]}}}, {go: , after: [{start: a}]}", "a step with recoveries cannot have"),
+    ],
+)
+def test_what_cannot_be_waited_for(read: Read, steps: str, message: str) -> None:
+    with pytest.raises(InputError) as raised:
+        read(f"{ACTIONS}plan: [{steps}]\n")
+    assert message in str(raised.value)
+
+
 # --- recoveries ----------------------------------------------------------------------------
 
 USUAL = (
@@ -366,7 +418,7 @@ USUAL = (
 
 def test_what_is_done_when_nobody_says(read: Read) -> None:
     plan = read(f"{ACTIONS}plan: [go: , say: , set: {{operation: {{Query: a}}}}]\n")
-    assert [one.recoveries for one in plan.graph.calls] == [USUAL, USUAL[:1], ()]
+    assert [one.recoveries for one in plan.graph.calls] == [USUAL[1:], USUAL[:1], ()]
     assert [one.retries for one in plan.graph.calls] == [0, 0, 0]
 
 

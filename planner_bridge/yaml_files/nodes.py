@@ -78,11 +78,25 @@ class Parts:
             raise node.wrong(f"expected {what}, found {shown(node)}")
         return found
 
-    def texts(self, node: Node | None) -> tuple[Part, ...]:
-        """Read a text, or a list of texts, as the words of all."""
+    def texts(self, node: Node | None, kind: str = "object") -> tuple[Part, ...]:
+        """Read a text, or a list of texts, as the words of all.
+
+        Args:
+            node: the text or the list.
+            kind: what names of a text are if it does not say; in PDDL, the next type would be theirs.
+        """
         if node is None or node.is_null:
             return ()
-        return self.text(node) if node.items is None else tuple([part for item in node.items for part in self.text(item)])
+        if node.items is None:
+            return self.text(node)
+        texts = [self.text(item) for item in node.items if not item.is_null]
+        last = max((number for number, words in enumerate(texts) if _is_typed(words)), default=0)
+        untyped = [number < last and bool(words) and not _is_typed(words[-2:]) for number, words in enumerate(texts)]
+        kinds = [self._kind(words[-1].offset, kind) if missing else () for words, missing in zip(texts, untyped, strict=True)]
+        return tuple([part for words, own in zip(texts, kinds, strict=True) for part in (*words, *own)])
+
+    def _kind(self, offset: int, kind: str) -> tuple[Part, Part]:
+        return self.atom("-", offset), self.atom(kind, offset)
 
     # --- conditions ---
 
@@ -226,6 +240,10 @@ class Parts:
 
     def _bound(self, operation: str, node: Node, offset: int) -> Group:
         return self.headed(operation, (self.atom("?duration", offset), self.expression(node)), offset)
+
+
+def _is_typed(words: tuple[Part, ...]) -> bool:
+    return any(isinstance(word, Atom) and word.text[0] == "-" for word in words)
 
 
 def _is_early(node: Node) -> bool:

@@ -20,7 +20,8 @@ from typing import Final, assert_never
 
 from planner_bridge.grounding import ground_action
 from planner_bridge.model import ActionSchema, Problem
-from planner_bridge.pddl.forms import number_text
+from planner_bridge.pddl.forms import effects_form, number_text
+from planner_bridge.pddl.layout import flat
 from planner_bridge.plan import Plan, PlanStep
 from planner_bridge.state import initial_knowledge
 from planner_bridge.yaml_files.emitter import Bare, Entry, Mapping, Sequence, Value, document, items, single
@@ -171,9 +172,7 @@ class _Writer:
                 case Set(fluent) if condition == TRUE:
                     numbers[fluent] = self._number(effect, numbers, alone=len(changes) == 1)
                 case Set():
-                    raise InputError(
-                        f"the first implementation has no way to say a conditional effect on a value, {effect}, of {self.place}"
-                    )
+                    raise self._impossible(f"a conditional effect on a value, {flat(effects_form((effect,)))},")
         for fluent, when in deleted:
             self._store(
                 self._variable(fluent), _FALSE if when is None else _both("and", self._holds(fluent), single("not", _is_true(when)))

@@ -134,7 +134,7 @@ class _Cutter:
     def _declared(self, entry: Mapped, *keys: str) -> Iterator[Group]:
         for key in keys:
             if key in entry.nodes:
-                words: tuple[Part, ...] = self.parts.texts(entry.node(key))
+                words: tuple[Part, ...] = self.parts.texts(entry.node(key), "number" if key == "functions" else "object")
                 if key == "requirements":
                     words = tuple(
                         [self.parts.atom(f":{one.text.lstrip(':')}", one.offset) if isinstance(one, Atom) else one for one in words]
@@ -262,13 +262,10 @@ class _Cutter:
 
     def _parameters(self, node: Node) -> Group:
         """Read typed variables; in a list, names may stand without their ``?``."""
-        items = [item for item in node.items or (node,) if not item.is_null]
-        words = [part for item in items for part in self.parts.text(item)]
-        if node.items is not None and words and isinstance(words[0], Atom):
-            words = [*self._marked(words)]
-        return self.parts.group(words, self.parts.offset(node))
+        words = self.parts.texts(node)
+        return self.parts.group(words if node.items is None else self._marked(words), self.parts.offset(node))
 
-    def _marked(self, words: list[Part]) -> Iterator[Part]:
+    def _marked(self, words: tuple[Part, ...]) -> Iterator[Part]:
         is_type = False
         for word in words:
             if isinstance(word, Atom) and not is_type and word.text[0] not in "?-":

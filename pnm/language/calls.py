@@ -89,7 +89,7 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tu
     own = Substitution.of(given)
     operation = _operation(step, outer)
     names = _parameters(step, operation)
-    duration = _duration(action, own, facts)
+    duration = _duration(action, own, facts) if step.duration is None else step.duration
     return (
         GroundAction(
             action.name,
@@ -157,10 +157,11 @@ def _duration(action: LanguageAction, own: Substitution, facts: Facts) -> float 
 def usual_recoveries(action: LanguageAction) -> tuple[Recovery, ...]:
     """Return what is done when neither the step nor the action says it.
 
-    A call that was preempted counts as done, and one whose effects are missing is repeated.
+    A call that was preempted counts as done, unless it would be believed to have effects that it may not have had; one whose
+    effects are missing is repeated.
     """
     found: list[Recovery] = []
-    if action.kind is not ActionKind.KB:
+    if action.kind is not ActionKind.KB and not (action.start_effects or action.end_effects):
         found.append(Recovery(frozenset({Cause.CANCELED}), Then.CONTINUE, EMPTY))
     if action.expected != TRUE or action.end_condition != TRUE or action.start_effects or action.end_effects:
         found.append(Recovery(frozenset({Cause.EFFECTS_MISSING}), Then.RETRY, EMPTY, EFFECT_RETRIES))

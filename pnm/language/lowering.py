@@ -7,7 +7,7 @@ several others there is a junction, so that orderings do not multiply.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
 from typing import Final, NamedTuple, assert_never
@@ -66,7 +66,7 @@ class _Region:
 
 
 class Lowering:
-    """Makes the graph of one plan. The mutable state is how many steps there are so far.
+    """Makes the graph of one plan. The mutable state is how many steps there are so far, and which have recoveries written for them.
 
     Args:
         recoveries: gives what the domain says about recovering when calls of an action fail.
@@ -79,6 +79,7 @@ class Lowering:
         self._facts = facts
         self._restarts = restarts
         self._made = 0
+        self._recovering: dict[int, Position] = {}
 
     def graph(
         self, plan: SequenceStep, goal: Condition = TRUE, rules: Rules = NO_RULES, capacities: Mapping[str, int] | None = None
@@ -93,7 +94,22 @@ class Lowering:
 
     def _flow(self, steps: SequenceStep, region: _Region) -> Flow:
         self._sequence(steps, region)
-        return region.flow
+        return replace(region.flow, steps=tuple(self._without_usual(region)))
+
+    def _without_usual(self, region: _Region) -> Iterator[Step]:
+        """Yield the steps; a call whose start others wait for, or whose end waits itself, can only be tried again or fail."""
+        special = {one.before.call for one in region.orderings if one.before.moment is Moment.START}
+        special |= {one.after.call for one in region.orderings if one.after.moment is Moment.END}
+        for step in region.steps:
+            if step.index in special and isinstance(step, ActionCall) and step.recoveries:
+                if step.index in self._recovering:
+                    raise InputError(
+                        "a step with recoveries cannot have others wait for its start, nor its end wait for others",
+                        self._recovering[step.index],
+                    )
+                yield replace(step, recoveries=())
+            else:
+                yield step
 
     # --- blocks ---
 
@@ -126,17 +142,21 @@ class Lowering:
     def _ordered(self, steps: tuple[WrittenStep, ...], region: _Region, *, in_sequence: bool) -> Ends:
         """Put the steps of a list into the flow: in the order that ``after`` says, or else in sequence or at the same time."""
         parts = [self._place(step, region) for step in steps]
-        if any(step.place.after is not None for step in steps):
+        if any(step.place.after is not None or step.place.end_after for step in steps):
             parts = [part if part.first else self._junction(step.place.position, region) for part, step in zip(parts, steps, strict=True)]
             waits = _waits(steps, in_sequence=in_sequence)
         else:
             parts = [part for part in parts if part.first]
-            waits = [(number - 1,) if number and in_sequence else () for number in range(len(parts))]
+            waits = [(_After(number - 1),) if number and in_sequence else () for number in range(len(parts))]
         for part, before in zip(parts, waits, strict=True):
-            self._link([last for one in before for last in parts[one].last], part.first, region)
-        waited = {one for before in waits for one in before}
+            plain = [parts[one.step] for one in before if one.is_plain]
+            self._link([last for earlier in plain for last in earlier.last], part.first, region)
+            for one in before:
+                if not one.is_plain:
+                    region.orderings += _special(one, parts[one.step], part)
+        waited = {one.step for before in waits for one in before if one.moment is Moment.END}
         return Ends(
-            tuple(first for part, before in zip(parts, waits, strict=True) if not before for first in part.first),
+            tuple(first for part, before in zip(parts, waits, strict=True) if not _is_late(before) for first in part.first),
             tuple(last for number, part in enumerate(parts) if number not in waited for last in part.last),
         )
 
@@ -175,11 +195,15 @@ class Lowering:
                 message = f"to recover would never end: {chain}; give this step recoveries of its own, or none: 'recoveries: {{}}'"
                 raise InputError(message, step.place.position)
             recovering = (*recovering, step.action.name)
+        if written:
+            self._recovering[number] = step.place.position
         inner = _Region(outer_values(step.action, own), region.depth + 1, recovering)
         return ActionCall(
             number,
             action,
             recoveries=(*(self._recovery(one, own, inner) for one in written), *usual_recoveries(step.action)),
+            release=step.release,
+            deadline=step.deadline,
             timeout=step.timeout,
             retries=step.action.binding.retries if step.retries is None else step.retries,
             store=tuple(step.store.items()),
@@ -192,26 +216,70 @@ class Lowering:
         return Recovery(written.causes, written.then, chain, times, TRUE if written.when is None else own.condition(written.when))
 
 
-def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[int, ...]]:
-    """Return for every step of a list those it waits for.
+@dataclass(frozen=True, slots=True)
+class _After:
+    """That a step waits for another of its list."""
+
+    step: int
+    moment: Moment = Moment.END
+    """Of the other one."""
+    delay: float = 0.0
+    own: Moment = Moment.START
+    """What waits for it."""
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether its start waits for the end of the other, and for nothing more."""
+        return self == _After(self.step)
+
+
+def _is_late(waits: tuple[_After, ...]) -> bool:
+    return any(one.own is Moment.START for one in waits)
+
+
+def _special(after: _After, earlier: Ends, part: Ends) -> list[Ordering]:
+    before = earlier.last if after.moment is Moment.END else earlier.first
+    own = part.first if after.own is Moment.START else part.last
+    return [Ordering(PlanEvent(one, after.moment), PlanEvent(two, after.own), delay=after.delay) for one in before for two in own]
+
+
+def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[_After, ...]]:
+    """Return for every step of a list what it waits for.
 
     Raises:
-        InputError: steps wait for each other.
+        InputError: steps wait for each other, or for the start of what is no call.
     """
     numbers = {step.place.id: number for number, step in enumerate(steps) if step.place.id is not None}
-    found: list[tuple[int, ...]] = []
+    found: list[tuple[_After, ...]] = []
     for number, step in enumerate(steps):
-        if step.place.after is not None:
-            found.append(tuple(dict.fromkeys(numbers[name] for name, _ in step.place.after)))
-        else:
-            found.append((number - 1,) if number and in_sequence else ())
-    try:
-        TopologicalSorter(dict(enumerate(found))).prepare()
-    except CycleError as error:
-        cycle: list[int] = error.args[1]
-        names = " < ".join(steps[one].place.id or f"the step in line {steps[one].place.position.line}" for one in cycle)
-        raise InputError(f"steps wait for each other: {names}", steps[cycle[0]].place.position) from error
+        waits = [_After(numbers[one.id], one.moment, one.delay) for one in step.place.after or ()]
+        if step.place.after is None and number and in_sequence:
+            waits = [_After(number - 1)]
+        waits += [_After(numbers[one.id], one.moment, one.delay, Moment.END) for one in step.place.end_after]
+        for one in step.place.end_after:
+            if one.delay:
+                raise InputError("an end cannot be delayed: it comes when the action's time is up", one.position)
+        for one in (*(step.place.after or ()), *step.place.end_after):
+            if one.moment is Moment.START and not isinstance(steps[numbers[one.id]], CallStep):
+                raise InputError(f"{one.id!r} is no call; only the end of such a step can be waited for", one.position)
+        found.append(tuple(dict.fromkeys(waits)))
+    _check_cycles(steps, found)
     return found
+
+
+def _check_cycles(steps: tuple[WrittenStep, ...], waits: list[tuple[_After, ...]]) -> None:
+    graph: dict[tuple[int, Moment], set[tuple[int, Moment]]] = {}
+    for number, before in enumerate(waits):
+        graph.setdefault((number, Moment.START), set())
+        graph.setdefault((number, Moment.END), set()).add((number, Moment.START))
+        for one in before:
+            graph.setdefault((number, one.own), set()).add((one.step, one.moment))
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        cycle = list(dict.fromkeys(step for step, _ in error.args[1]))
+        names = " < ".join(steps[one].place.id or f"the step in line {steps[one].place.position.line}" for one in (*cycle, cycle[0]))
+        raise InputError(f"steps wait for each other: {names}", steps[cycle[0]].place.position) from error
 
 
 # --- numbers -------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from math import inf
 from typing import Final
 
 from pnm.bindings import read_texts
@@ -15,7 +16,8 @@ from pnm.language.declarations import Declared, needed
 from pnm.language.formulas import read_condition
 from pnm.language.recoveries import read_recoveries
 from pnm.language.scope import Scope, shown, unknown
-from pnm.language.tree import CallStep, ChoiceStep, ConcurrentStep, Given, LoopStep, Place, SequenceStep, WrittenRecovery, WrittenStep
+from pnm.language.tree import CallStep, ChoiceStep, ConcurrentStep, Given, LoopStep, Place, SequenceStep, Wait, WrittenRecovery, WrittenStep
+from pnm.plan_graph import Moment
 from pnm.queries import KnowledgeOperation
 from pnm.yaml_files import Mapped, Node
 
@@ -23,7 +25,7 @@ DEFAULT_LIMIT: Final = 1000
 """How often a loop is repeated at most when the plan does not say."""
 MAX_LIMIT: Final = 1_000_000
 _PLACE: Final = ("id", "after")
-_CALL: Final = ("recoveries", "retries", "timeout", "resources", "store")
+_CALL: Final = ("recoveries", "retries", "timeout", "resources", "store", "end_after", "duration", "release", "deadline")
 OPTIONS: Final = (*_PLACE, *_CALL)
 """What may be said of a step beside what it does."""
 
@@ -145,6 +147,9 @@ class StepReader:
             recoveries=None if recoveries is None else self.recoveries(action, recoveries),
             retries=options.whole("retries", None),
             timeout=options.number("timeout", None),
+            duration=options.number("duration", None),
+            release=options.number("release", 0.0),
+            deadline=options.number("deadline", inf),
             resources=tuple(options.strings("resources")),
             store=read_texts(options, "store", "expected result fields and the variables to store them in"),
         )
@@ -193,14 +198,28 @@ def _check_object(action: LanguageAction, key: str, node: Node, declared: Declar
 
 
 def _place(entry: Mapped) -> Place:
-    after = entry.node("after")
-    if after is None:
-        return Place(entry.start, entry.string("id"))
-    items = (after,) if after.items is None else after.items
-    names = [(item.text, item.position) for item in items]
-    if wrong := [item for item in items if item.text is None]:
-        raise wrong[0].wrong(f"expected the id of a step, found {shown(wrong[0])}")
-    return Place(entry.start, entry.string("id"), tuple((name or "", where) for name, where in names))
+    after, end_after = entry.node("after"), entry.node("end_after")
+    start = None if after is None else _waits(after)
+    return Place(entry.start, entry.string("id"), start, () if end_after is None else _waits(end_after))
+
+
+def _waits(node: Node) -> tuple[Wait, ...]:
+    return tuple(map(_wait, (node,) if node.items is None else node.items))
+
+
+def _wait(node: Node) -> Wait:
+    """Read the id of a step, or ``{start: id}`` or ``{end: id, delay: seconds}``."""
+    if node.text is not None:
+        return Wait(node.text, node.position)
+    if not node.is_mapping:
+        raise node.wrong(f"expected the id of a step, found {shown(node)}")
+    entry = node.mapped()
+    entry.only("start", "end", "delay")
+    named = [(moment, name) for moment in Moment if (name := entry.string(moment.value)) is not None]
+    if len(named) != 1:
+        raise InputError("expected either 'start' or 'end' and the id of a step", entry.start)
+    ((moment, name),) = named
+    return Wait(name, entry.position(moment.value), moment, entry.number("delay", 0.0))
 
 
 def _check_ids(steps: tuple[WrittenStep, ...]) -> None:
@@ -210,6 +229,6 @@ def _check_ids(steps: tuple[WrittenStep, ...]) -> None:
             raise InputError(f"the id {step.place.id!r} is there twice", step.place.position)
         known |= {step.place.id} if step.place.id is not None else set()
     for step in steps:
-        for name, where in step.place.after or ():
-            if name not in known:
-                raise unknown("step with the id", name, known, where)
+        for wait in (*(step.place.after or ()), *step.place.end_after):
+            if wait.id not in known:
+                raise unknown("step with the id", wait.id, known, wait.position)

@@ -4,13 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import inf
 from typing import TypeAlias
 
 from pnm.conditions import Condition
 from pnm.errors import Position
 from pnm.language.actions import LanguageAction
-from pnm.plan_graph import Cause, Then
+from pnm.plan_graph import Cause, Moment, Then
 from pnm.queries import Data, KnowledgeOperation
+
+
+@dataclass(frozen=True, slots=True)
+class Wait:
+    """What a step waits for: the end, or the start, of another step of the same list."""
+
+    id: str
+    position: Position
+    moment: Moment = Moment.END
+    delay: float = 0.0
+    """Seconds that must pass besides."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,8 +31,10 @@ class Place:
 
     position: Position
     id: str | None = None
-    after: tuple[tuple[str, Position], ...] | None = None
-    """The steps of the same list it waits for; None for the one before it."""
+    after: tuple[Wait, ...] | None = None
+    """What its start waits for; None for the step before it."""
+    end_after: tuple[Wait, ...] = ()
+    """What its end waits for: only a call has one that can wait."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +72,12 @@ class CallStep:
     """In place of what the action says; None if the step says nothing."""
     retries: int | None = None
     timeout: float | None = None
+    duration: float | None = None
+    """Chosen within the bounds that the action gives."""
+    release: float = 0.0
+    """Seconds after the beginning of the plan before which it must not start."""
+    deadline: float = inf
+    """Seconds after the beginning of the plan by which it must have ended."""
     resources: tuple[str, ...] = ()
     """Besides those of the action."""
     store: Mapping[str, str] = field(default_factory=dict)

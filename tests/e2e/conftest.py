@@ -7,11 +7,14 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import pytest
 
-from tests.e2e.scene import Scene
+from tests.e2e.plans import PlanScene
+from tests.e2e.scene import Place, Scene
+
+P = TypeVar("P", bound=Place)
 
 
 @contextmanager
@@ -34,16 +37,14 @@ def ros_domain() -> Iterator[int]:
 def staging(folder: Path) -> Iterator[Callable[..., Scene]]:
     """Set scenes; their processes end with the block."""
     with ExitStack() as stack:
-        scenes: list[Scene] = []
+        yield lambda name, **options: _set(lambda here, number: Scene(name, here, number, **options), folder, stack)
 
-        def stage(name: str, **options: Any) -> Scene:
-            here = folder / f"scene{len(scenes)}"
-            here.mkdir()
-            scenes.append(Scene(name, here, stack.enter_context(ros_domain()), **options))
-            stack.callback(scenes[-1].close)
-            return scenes[-1]
 
-        yield stage
+def _set(make: Callable[[Path, int], P], folder: Path, stack: ExitStack) -> P:
+    here = Path(tempfile.mkdtemp(dir=folder))
+    scene = make(here, stack.enter_context(ros_domain()))
+    stack.callback(scene.close)
+    return scene
 
 
 @pytest.fixture
@@ -57,3 +58,17 @@ def stage_of_module(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callab
     """Set scenes that may go on while other tests of the module run."""
     with staging(tmp_path_factory.mktemp("scenes")) as make:
         yield make
+
+
+@pytest.fixture
+def plan_scene(tmp_path: Path) -> Iterator[PlanScene]:
+    """A ROS domain without anybody in it."""
+    with ExitStack() as stack:
+        yield _set(PlanScene, tmp_path, stack)
+
+
+@pytest.fixture(scope="module")
+def plan_scene_of_module(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PlanScene]:
+    """The same, for all tests of a module."""
+    with ExitStack() as stack:
+        yield _set(PlanScene, tmp_path_factory.mktemp("scenes"), stack)

@@ -85,7 +85,38 @@ class Run(Program):
         return status, self.objects()[-1]
 
 
-class Scene:
+class Place:
+    """A ROS domain of its own, and the processes in it.
+
+    Args:
+        folder: for the files of the scene.
+        ros_domain: its number.
+        quick: have processes look out for each other more often than every 3 s, which is the default.
+    """
+
+    def __init__(self, folder: Path, ros_domain: int, *, quick: bool = False) -> None:
+        self.folder = folder
+        self.environment = {
+            "ROS_DOMAIN_ID": str(ros_domain),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",  # killed processes would leave shared memory behind
+        }
+        if quick:
+            self.environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = written(folder / "dds.xml", QUICK)
+        self._programs: list[Program] = []
+
+    def start(self, program: P) -> P:
+        """Have a program end with the scene."""
+        self._programs.append(program)
+        return program
+
+    def close(self) -> None:
+        """End all processes."""
+        for program in self._programs:
+            program.close()
+
+
+class Scene(Place):
     """A problem that is played in a ROS domain of its own.
 
     Args:
@@ -111,22 +142,15 @@ class Scene:
         quick: bool = False,
         texts: tuple[str, str] | None = None,
     ) -> None:
+        super().__init__(folder, ros_domain, quick=quick)
         if texts:
-            self.files = [_written(folder / "domain.pddl", texts[0]), _written(folder / "problem.pddl", texts[1])]
+            self.files = [written(folder / "domain.pddl", texts[0]), written(folder / "problem.pddl", texts[1])]
         else:
             domain, number = name.split("/")
             self.files = [str(ROOT / "domains" / domain / "domain.pddl"), str(ROOT / "problems" / domain / f"{number}.pddl")]
-        self._faults = ["--faults", _written(folder / "faults.yaml", faults)] if faults else []
-        self._bindings = ["--bindings", _written(folder / "bindings.yaml", bindings)] if bindings else []
+        self._faults = ["--faults", written(folder / "faults.yaml", faults)] if faults else []
+        self._bindings = ["--bindings", written(folder / "bindings.yaml", bindings)] if bindings else []
         self._speed = ["--speed", speed]
-        self.environment = {
-            "ROS_DOMAIN_ID": str(ros_domain),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",  # killed processes would leave shared memory behind
-        }
-        if quick:
-            self.environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = _written(folder / "dds.xml", QUICK)
-        self._programs: list[Program] = []
 
     @cached_property
     def problem(self) -> Problem:
@@ -142,11 +166,6 @@ class Scene:
         """Start a run."""
         options = ("--actions", "ros2", "--json", *self._bindings, *options)
         return self.start(Run(["-m", "planner_bridge", "run", *self.files, *options], self.environment))
-
-    def start(self, program: P) -> P:
-        """Have a program end with the scene."""
-        self._programs.append(program)
-        return program
 
     def play(self, *options: str) -> Story:
         """Start the robots and a run, wait for its end, and judge it."""
@@ -172,11 +191,6 @@ class Scene:
                 assert dict(map(parse_statement, event["facts"])) == world.facts()
         return world
 
-    def close(self) -> None:
-        """End all processes."""
-        for program in self._programs:
-            program.close()
-
 
 def play_together(*scenes: Scene) -> list[Story]:
     """Play several scenes at the same time."""
@@ -185,6 +199,6 @@ def play_together(*scenes: Scene) -> list[Story]:
     return [scene.judge(run, simulation) for scene, run, simulation in zip(scenes, runs, simulations, strict=True)]
 
 
-def _written(path: Path, text: str) -> str:
+def written(path: Path, text: str) -> str:
     path.write_text(text, encoding="utf-8")
     return str(path)

@@ -1,0 +1,58 @@
+"""What `pnm run --plan` does."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+from planner_bridge.console import ConsoleObserver, Terminal, print_result
+from planner_bridge.pipeline import Where
+from planner_bridge.tasks import Settings, TaskObserver
+from planner_bridge.written import carry_out
+from pnm.actions.faults import NO_FAULTS, read_faults
+from pnm.bindings import read_bindings
+from pnm.errors import InputError
+from pnm.yaml_files import parse_value
+
+
+def run_written(
+    file: Path,
+    name: str | None,
+    given: tuple[str, ...],
+    *,
+    actions: Where,
+    faults: Path | None,
+    bindings: Path | None,
+    settings: Settings,
+    knowledge: Path | None,
+    as_json: bool,
+) -> int:
+    """Carry out a hand-written plan, tell how it went, and return the exit status."""
+    console = Terminal()
+    result = carry_out(
+        file,
+        name,
+        _parameters(given),
+        actions=actions,
+        faults=read_faults(faults, None) if faults else NO_FAULTS,
+        settings=replace(settings, bindings=read_bindings(bindings)) if bindings else settings,
+        observer=TaskObserver() if as_json else ConsoleObserver(console),
+        knowledge=knowledge,
+    )
+    if as_json:
+        print(json.dumps(result.as_json(), default=str), flush=True)
+    else:
+        print_result(console, result.task)
+    return 0 if result.task.goal_reached else 1
+
+
+def _parameters(given: tuple[str, ...]) -> dict[str, object]:
+    """Read ``name=value``, with values as YAML has them."""
+    found: dict[str, object] = {}
+    for one in given:
+        name, equals, text = one.partition("=")
+        if not name or not equals:
+            raise InputError(f"expected NAME=VALUE after --set, found {one!r}")
+        found[name] = parse_value(text, f"--set {name}")
+    return found

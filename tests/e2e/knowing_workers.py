@@ -1,0 +1,61 @@
+"""Action servers that ask, and change, what the run knows that has called them. Run as a module.
+
+remember  stores its value as the local variable ``spam`` and the global one ``eggs``, and answers with what it then finds there
+alarm     stores the local variable ``alarm``, and answers once it is asked to end
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from contextlib import suppress
+from typing import Any
+
+import rclpy
+from pnm_interfaces.action import EstimateTime
+from rclpy.action import CancelResponse
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+
+from pnm.ros.action_server import PnmActionServer
+from tests.e2e.workers import say
+
+
+class Knowing(Node):  # type: ignore[misc]
+    def __init__(self) -> None:
+        super().__init__("knowing_workers")
+        accept = CancelResponse.ACCEPT
+        self.server = PnmActionServer(self, EstimateTime, "remember", self.remember, cancel_callback=lambda _: accept)
+        self.other = PnmActionServer(self, EstimateTime, "alarm", self.alarm, cancel_callback=lambda _: accept)
+
+    def remember(self, goal: Any) -> Any:
+        value = goal.request.value
+        say("start", "remember", value)
+        self.server.update_kb(goal, PnmActionServer.UPDATE_LOCAL, "spam", value)
+        self.server.update_kb(goal, PnmActionServer.UPDATE_GLOBAL, "eggs", value + 100)
+        local = self.server.query_kb(goal, PnmActionServer.QUERY_ALL, "spam")
+        shared = self.server.query_kb(goal, PnmActionServer.QUERY_GLOBAL, "eggs")
+        say("found", "remember", [local, shared])
+        goal.succeed()
+        return EstimateTime.Result(time=local)
+
+    def alarm(self, goal: Any) -> Any:
+        say("start", "alarm", goal.request.value)
+        self.other.update_kb(goal, PnmActionServer.UPDATE_LOCAL, "alarm", True)
+        threading.Event().wait(0.2)
+        say("end", "alarm", goal.request.value)
+        goal.succeed()
+        return EstimateTime.Result(time=0)
+
+
+def main() -> None:
+    rclpy.init()
+    node = Knowing()
+    sys.stdout.write("ready\n")
+    sys.stdout.flush()
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(node)
+
+
+if __name__ == "__main__":
+    main()

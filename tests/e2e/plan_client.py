@@ -1,0 +1,91 @@
+"""A client of a plan's action server that knows nothing of this project but the type of its goals. Run as a script.
+
+    plan_client.py PLAN CANCEL_ON PARAMETERS...    sends a goal for each of the parameters, all at once
+    plan_client.py --cancel-all SERVER             cancels whatever goals an action server has
+
+A goal is cancelled as soon as feedback says that a call of the name CANCEL_ON is under way, if that is not empty.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import rclpy
+from action_msgs.srv import CancelGoal
+from pnm_interfaces.action import RunPlan
+from rclpy.action import ActionClient
+
+
+def say(event: str, goal: int, **fields: Any) -> None:
+    sys.stdout.write(json.dumps({"event": event, "goal": goal, **fields}) + "\n")
+    sys.stdout.flush()
+
+
+class Sender:
+    def __init__(self, node: Any, plan: str, cancel_on: str) -> None:
+        self.client = ActionClient(node, RunPlan, plan)
+        self.cancel_on = cancel_on
+        self.handles: dict[int, Any] = {}
+        self.cancelled: set[int] = set()
+        self.waiting = 0
+
+    def send(self, number: int, parameters: str) -> None:
+        self.waiting += 1
+        goal = RunPlan.Goal(parameters=parameters)
+        sent = self.client.send_goal_async(goal, lambda message: self.hear(number, message.feedback))
+        sent.add_done_callback(lambda future: self.answered(number, future.result()))
+
+    def answered(self, number: int, handle: Any) -> None:
+        say("answered", number, accepted=handle.accepted)
+        if not handle.accepted:
+            self.waiting -= 1
+            return
+        self.handles[number] = handle
+        handle.get_result_async().add_done_callback(lambda future: self.ended(number, future.result()))
+
+    def hear(self, number: int, feedback: Any) -> None:
+        running = list(feedback.running)
+        say("feedback", number, running=running, ended=feedback.ended, restarts=feedback.restarts)
+        wanted = self.cancel_on and any(f"{self.cancel_on}(" in call for call in running)
+        if wanted and number in self.handles and number not in self.cancelled:
+            self.cancelled.add(number)
+            self.handles[number].cancel_goal_async()
+
+    def ended(self, number: int, answer: Any) -> None:
+        told = answer.result
+        say(
+            "result",
+            number,
+            status=answer.status,
+            success=told.success,
+            reason=told.reason,
+            message=told.message,
+            results=json.loads(told.results or "null"),
+        )
+        self.waiting -= 1
+
+
+def cancel_all(node: Any, server: str) -> None:
+    client = node.create_client(CancelGoal, f"{server}/_action/cancel_goal")
+    assert client.wait_for_service(30.0)
+    rclpy.spin_until_future_complete(node, client.call_async(CancelGoal.Request()), timeout_sec=30.0)
+
+
+def main(plan: str, cancel_on: str, *parameters: str) -> None:
+    rclpy.init()
+    node = rclpy.create_node("plain_client")
+    if plan == "--cancel-all":
+        cancel_all(node, cancel_on)
+        return
+    sender = Sender(node, plan, cancel_on)
+    assert sender.client.wait_for_server(30.0), f"there is no {plan}"
+    for number, text in enumerate(parameters):
+        sender.send(number, text)
+    while sender.waiting:
+        rclpy.spin_once(node)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

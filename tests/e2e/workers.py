@@ -1,0 +1,106 @@
+"""Action servers that know nothing of this project: plain `rclpy`. Run as a module, with the names of those wanted.
+
+    dummy_server  answers with the time that it was given as a value
+    add_one       answers with one more than the value
+    broken        aborts
+    wait          waits; until it is cancelled if that takes longer than a minute
+    four_waits    is called wait, too, and lets its goals go when four of them are there at the same time
+
+Each says what it does: what servers say of goals is the truth.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import rclpy
+from pnm_interfaces.action import EstimateTime, Wait
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+
+_lock = threading.Lock()
+
+
+def say(event: str, server: str, value: Any) -> None:
+    with _lock:
+        sys.stdout.write(json.dumps({"event": event, "server": server, "value": value}) + "\n")
+        sys.stdout.flush()
+
+
+def answers(server: str, more: int) -> Callable[[Any], Any]:
+    def execute(handle: Any) -> Any:
+        say("start", server, handle.request.value)
+        say("end", server, handle.request.value)
+        handle.succeed()
+        return EstimateTime.Result(time=handle.request.value + more)
+
+    return execute
+
+
+def broken(handle: Any) -> Any:
+    say("start", "broken", handle.request.value)
+    handle.abort()
+    return EstimateTime.Result(time=99)
+
+
+def wait(handle: Any) -> Any:
+    time = handle.request.time
+    say("start", "wait", time)
+    pause = threading.Event()
+    for _ in range(int(time / 0.05) if time <= 60 else 10**6):
+        if handle.is_cancel_requested:
+            say("cancelled", "wait", time)
+            handle.canceled()
+            return Wait.Result()
+        pause.wait(0.05)
+    say("end", "wait", time)
+    handle.succeed()
+    return Wait.Result()
+
+
+class FourWaits:
+    """Goals that meet."""
+
+    def __init__(self) -> None:
+        self.all_there = threading.Barrier(4)
+
+    def __call__(self, handle: Any) -> Any:
+        say("start", "wait", handle.request.time)
+        self.all_there.wait(60.0)
+        say("end", "wait", handle.request.time)
+        handle.succeed()
+        return Wait.Result()
+
+
+KNOWN: dict[str, tuple[str, Any, Callable[[Any], Any]]] = {
+    "dummy_server": ("dummy_server", EstimateTime, answers("dummy_server", 0)),
+    "add_one": ("add_one", EstimateTime, answers("add_one", 1)),
+    "broken": ("broken", EstimateTime, broken),
+    "wait": ("wait", Wait, wait),
+    "four_waits": ("wait", Wait, FourWaits()),
+}
+
+
+def main(*names: str) -> None:
+    rclpy.init()
+    node = rclpy.create_node(f"workers_{'_'.join(names)}")
+    group = ReentrantCallbackGroup()
+    for wanted in names:
+        name, kind, execute = KNOWN[wanted]
+        ActionServer(node, kind, name, execute, callback_group=group, cancel_callback=lambda _: CancelResponse.ACCEPT)
+    executor = MultiThreadedExecutor(8)
+    executor.add_node(node)
+    sys.stdout.write("ready\n")
+    sys.stdout.flush()
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        executor.spin()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
