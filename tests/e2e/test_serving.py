@@ -192,7 +192,7 @@ def test_a_goal_that_is_cancelled_ends_when_the_action_server_has_confirmed_it(s
     client = served.client("waits", {"time": 3006}, cancel_on="wait")
     result = client.result()
     assert (result["status"], result["success"], result["reason"]) == (CANCELED, False, "cancelled")
-    assert {"event": "cancelled", "server": "wait", "value": 3006} in workers.objects()
+    workers.happens("cancelled", "wait", 3006)
     assert client.hears("feedback", running=["wait(3006)"])["ended"] == 0
 
 
@@ -200,7 +200,7 @@ def test_cancelling_reaches_what_a_plan_runs_that_is_called_by_another(served, w
     client = served.client("calls", {"shop": "bakery"}, cancel_on="wait")
     result = client.result()
     assert (result["status"], result["reason"]) == (CANCELED, "cancelled")
-    assert {"event": "cancelled", "server": "wait", "value": 3003} in workers.objects()
+    workers.happens("cancelled", "wait", 3003)
     client.hears("feedback", running=["called(bakery, 3003): wait(3003)"])
 
 
@@ -254,8 +254,8 @@ def test_what_is_stored_for_all_is_found_by_other_runs_and_by_other_programs(ser
 def test_a_condition_hears_of_what_an_action_server_stores_while_it_runs(served, workers, knowing):
     result = served.client("alarmed").result()
     assert (result["status"], result["reason"]) == (ABORTED, "invariant_false")
-    assert {"event": "cancelled", "server": "wait", "value": 3002} in workers.objects()
-    assert {"event": "cancelled", "server": "alarm", "value": 1} in knowing.objects(), "it was not waited for"
+    workers.happens("cancelled", "wait", 3002)
+    knowing.happens("cancelled", "alarm", 1)
 
 
 def shared(file: Path, name: str) -> object:
