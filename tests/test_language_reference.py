@@ -22,6 +22,7 @@ from pnm.language.drafts import PLAN_KEYS
 from pnm.language.effects import read_effects
 from pnm.language.formulas import read_condition
 from pnm.language.recoveries import COMMANDS
+from pnm.language.steps import OPTIONS
 from pnm.performing import Program
 from pnm.queries import CHANGING, OPERATORS, compute
 from pnm.yaml_files import Node, parse_yaml
@@ -94,7 +95,7 @@ def test_the_tables_have_every_key_and_every_operator() -> None:
     coded = set(re.findall(r"`([^`\s]+)`", TEXT))
     assert {*ACTION_KEYS} - {"instances"} <= coded
     assert {*PLAN_KEYS} <= coded
-    assert {*COMMANDS} <= coded
+    assert {*COMMANDS, *OPTIONS} <= coded
     assert OPERATORS.keys() | CHANGING <= coded
 
 
