@@ -63,6 +63,14 @@ def chosen_plan(plans: Mapping[str, HandWrittenPlan], name: str | None) -> str:
     return candidates[0]
 
 
+def calling(plans: Mapping[str, HandWrittenPlan], name: str) -> tuple[str, ...]:
+    """Return the name of a plan and of all that it calls, or that these call."""
+    found = [name]
+    for one in found:
+        found += [other for other in sorted(plans[one].calls) if other not in found]
+    return tuple(found)
+
+
 def carry_out(
     file: Path,
     name: str | None = None,
@@ -95,7 +103,7 @@ def carry_out(
         plans = {name: replace(plan, bindings=settings.bindings.before(plan.bindings)) for name, plan in read_plans(file).items()}
         chosen = chosen_plan(plans, name)
     with seconds.of("translate"):
-        programs = {name: Program.of(plan) for name, plan in plans.items()}
+        programs = {name: Program.of(plans[name]) for name in calling(plans, chosen)}
     bindings = together(plans.values())
     site: Site = Ros2Site(bindings) if actions == "ros2" else simulated_site(plans[chosen], bindings, faults)
     choices = sources_of(plans.values())

@@ -152,9 +152,10 @@ def _resolve(source: object, own: Mapping[str, object], knowledge: Lookup, find:
         return MISSING if MISSING in parts else parts
     if not isinstance(source, str):
         return source
-    if source.startswith(("?", "$")):
-        name = source[1:]
-        return own[name] if name in own else find(name)
+    if source.startswith("?"):
+        return own.get(source[1:], MISSING)
+    if source.startswith("$"):
+        return own[source[1:]] if source[1:] in own else find(source[1:])
     if source.startswith("("):
         env = {f"?{name}": value for name, value in own.items() if isinstance(value, str)}
         value = knowledge.value(bind(parse_fluent(source), env))

@@ -64,6 +64,7 @@ class Ros2ActionClient:
         """
         keys = dict.fromkeys(map(self._key, actions))
         links = await self._ros.ask(lambda: [self._link(key) for key in keys])
+        self._ros.call(self._keep_looking)
         until = monotonic() + limit
         while True:
             missing = await self._ros.ask(lambda: tuple(link.name for link in links if not link.ready()))
@@ -129,7 +130,7 @@ class Ros2ActionClient:
                 _log.debug("the event loop is closed; nobody hears of %s", what)
 
     def _keep_looking(self) -> None:
-        """Have the timer run while, and only while, a goal is under way."""
+        """Have the timer run while, and only while, a goal is under way or the type of a server is not known yet."""
         if self._timer is None:
             self._timer = self._ros.timer(LOOK, self._look)
         elif self._timer.is_canceled():
@@ -138,7 +139,7 @@ class Ros2ActionClient:
     def _look(self) -> None:
         for link in self._links.values():
             link.look()
-        if not self._goals:
+        if not self._goals and all(link.type is not None for link in self._links.values()):
             self._timer.cancel()
 
     def _lose_all(self) -> None:
