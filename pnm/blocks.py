@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final, TypeAlias
 
 from pnm.machine import OnFailure, PetriNetMachine, Region
@@ -131,8 +132,10 @@ class Anatomy:
         """Cut the block of a step, or the frame, out of the machine; what it holds becomes a single step."""
         machine = self.machine
         regions = self.regions.get(owner, [])
-        steps = (*(step_of(machine, name) for name in self.transitions[owner]), *self._inside(regions))
-        own_records = self._own_records(owner)
+        own_records = self._restarts if owner is None else ()
+        left_out = self.machine.restart_places.keys() - set(own_records) if owner is None else set()
+        own = (step_of(machine, name) for name in self.transitions[owner])
+        steps = (*(one for one in own if not one.inputs.keys() & left_out), *self._inside(regions))
         places = tuple(dict.fromkeys(place for step in steps for place in (*step.inputs, *step.outputs)))
         held = {place for region in regions for place in (*region.first, *region.last)}
         shared = machine.resource_places | frozenset(machine.restart_places)
@@ -161,9 +164,27 @@ class Anatomy:
         )
         return Block(owner, _counted(part), first, rest, early)
 
-    def _own_records(self, owner: Owner) -> list[str]:
-        """Return the places that steps inside the frame mark to have the plan begin anew."""
-        return [*self.machine.restart_places] if owner is None else []
+    @cached_property
+    def _restarts(self) -> tuple[str, ...]:
+        """Return places that steps inside the frame mark to have the plan begin anew: all, or as many as matter.
+
+        If the frame treats all of them alike, what can happen depends on whether none, one or several are marked.
+        """
+        machine, places = self.machine, self.machine.restart_places
+        taking: dict[str, list[object]] = {place: [machine.initial[place], place in machine.failure_places] for place in places}
+        numbers: list[int] = []
+        for number, name in enumerate(self.transitions[None]):
+            inputs, outputs = machine.net.inputs[name], machine.net.outputs[name]
+            touched = [place for place in (*inputs, *outputs) if place in taking]
+            if touched:
+                rest = {place: weight for place, weight in inputs.items() if place not in taking}
+                taking[touched[0]].append((machine.rules[name].guard, rest, inputs.get(touched[0]), outputs))
+                numbers.append(number)
+            if len(touched) > 1 or any(place in taking for place in outputs):
+                return tuple(places)
+        are_alike = all(one == next(iter(taking.values())) for one in taking.values())
+        stand_together = not numbers or numbers == [*range(numbers[0], numbers[-1] + 1)]
+        return tuple(places)[:ENOUGH] if are_alike and stand_together else tuple(places)
 
     def _is_output(self, place: str, owner: Owner) -> bool:
         final = place in (self.machine.goal_place, self.machine.failed_place)
@@ -175,7 +196,7 @@ class Anatomy:
             first = dict.fromkeys(region.first, 1)
             yield Step("inside", Inside(), first, dict.fromkeys(region.last, 1))
             if region.owner is None:
-                for place in self.machine.restart_places:
+                for place in self._restarts:
                     yield Step("restart asked", Inside(), {**first, _may_come(place): 1}, {**first, place: 1})
 
     def note_waits(self, block: Block, waits: dict[Event, set[Event]]) -> None:

@@ -17,7 +17,7 @@ from pnm.bindings import Binding, Bindings, goal_data
 from pnm.checks import Intention, finished, intention, lag_of_effects, unseen
 from pnm.conditions import ground
 from pnm.consultation import Consultation
-from pnm.effects import Changes, ground_effects, undo, values_before
+from pnm.effects import Changes, ground_effects, is_fixed, undo, values_before
 from pnm.events import Cancel, Command, Send, Tell
 from pnm.expressions import Environment
 from pnm.knowledge import Layered
@@ -81,11 +81,12 @@ class Calls:
         """Return the binding of the call's action."""
         return self._bindings.of(self._plan.calls[call].action.name)
 
-    def consult(self, call: int | None, answers: Mapping[Question, object]) -> Consultation:
-        """Return what a decision about the call is made from."""
+    def consult(self, call: int | None, answers: Mapping[Question, object] | None) -> Consultation:
+        """Return what a decision about the call is made from; without answers, when nobody can be asked any more."""
+        asks = self._asks and answers is not None
         if call is None or call >= len(self._plan.calls):
-            return Consultation(self._knowledge, answers=answers, asks=self._asks)
-        return Consultation(self._knowledge, self._plan.calls[call].action, self.binding(call), answers, self._asks)
+            return Consultation(self._knowledge, answers=answers or {}, asks=asks)
+        return Consultation(self._knowledge, self._plan.calls[call].action, self.binding(call), answers or {}, asks)
 
     def ready(self, call: int, consulted: Consultation) -> GroundAction:
         """Return the action with what knowledge now has for the parameters that the plan leaves open."""
@@ -109,6 +110,24 @@ class Calls:
         return lag_of_effects(self._intended[call].expected, self.action(call), consulted)
 
     # --- deeds --------------------------------------------------------------------------------
+
+    def foresee(self, deed: Deed | None, call: int, consulted: Consultation) -> None:
+        """Work out what the deed is going to change.
+
+        Raises:
+            Unanswered: that depends on a question, which has to be asked before the deed is done.
+        """
+        if not self._asks:
+            return
+        match deed:
+            case Deed.SEND:
+                action = self.ready(call, consulted)
+                if not all(map(is_fixed, (*action.start_effects, *action.end_effects))):
+                    intention(replace(self._plan.calls[call], action=action), consulted)
+            case Deed.FINISH if not all(map(is_fixed, self._intended[call].end_effects)):
+                finished(self.action(call), self._intended[call], consulted)
+            case _:
+                pass
 
     def do(self, deed: Deed, call: int, attempt: int, consulted: Consultation) -> None:
         """Do what the firing of a transition brings about; `attempt` counts the requests each time the call is reached."""

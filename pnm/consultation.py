@@ -7,7 +7,7 @@ token leaves the place at which it is being decided.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from uuid import UUID
 
@@ -15,7 +15,7 @@ from pnm.bindings import DEFAULT, Binding, open_parameters
 from pnm.expressions import NOTHING, Environment, Fluent, Unknown, Value
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.plan_graph import GroundAction
-from pnm.queries import MISSING, Layer, Question, Unanswered, compute
+from pnm.queries import MISSING, Layer, Question, Unanswered, Uncomputable, compute
 
 _NO_ACTION = GroundAction("")
 
@@ -92,16 +92,31 @@ class Consultation:
 
     def given(self, action: GroundAction, /) -> dict[str, object]:
         """Return the values that the plan gives to goal fields, or leaves open for knowledge to fill, as far as there are any."""
-        values = {name: self.parameter(f"?{name}") for name in open_parameters(self.action)}
-        values |= {name: compute(data, self) for name, data in action.given}
+        values = {name: self._parameter(name) for name in open_parameters(self.action)}
+        values |= {name: self._parameter(name) for name, _ in action.given}
         return {name: value for name, value in values.items() if value is not MISSING}
 
     def environment(self) -> Environment:
         """Return what knowledge has for the parameters that the plan leaves open: names of objects, or other values as JSON text."""
         if not any(value.startswith("?") for value in self.action.arguments):
             return NOTHING
-        found = {f"?{name}": self.parameter(f"?{name}") for name in open_parameters(self.action)}
+        found = {f"?{name}": self._parameter(name) for name in open_parameters(self.action)}
         return {name: value if isinstance(value, str) else json.dumps(value) for name, value in found.items() if value is not MISSING}
+
+    def uncomputable(self, names: Iterable[str], /) -> Iterator[str]:
+        """Say for which of the parameters, without ``?``, the plan gives what cannot be computed, and why."""
+        for name in names:
+            try:
+                self.parameter(f"?{name}")
+            except Uncomputable as error:
+                yield str(error)
+
+    def _parameter(self, name: str) -> object:
+        """Return the value of a parameter, without ``?``; what cannot be computed is missing."""
+        try:
+            return self.parameter(f"?{name}")
+        except Uncomputable:
+            return MISSING
 
 
 class Questions:

@@ -111,7 +111,9 @@ class Executor:
                 answer = await self._source.query(question, self._asker)
         except SourceError as error:
             message = str(error)
-        except Exception:  # of somebody else's knowledge base: the run waits for an answer
+        except (Exception, asyncio.CancelledError):  # of somebody else's knowledge base: the run waits for an answer
+            if _is_cancelled():
+                raise
             _log.exception("%s cannot be asked", question)
             message = f"{question} cannot be asked"
         self._inbox.put_nowait(Answered(identity, answer, message))
@@ -123,9 +125,11 @@ class Executor:
                 await self._source.update(question, value, self._asker)
         except SourceError as error:
             outcome = Outcome(OutcomeKind.ABORTED, message=str(error))
-        except Exception as error:
+        except (Exception, asyncio.CancelledError) as error:
+            if _is_cancelled():
+                raise
             _log.exception("%s cannot be stored", question)
-            outcome = Outcome(OutcomeKind.ABORTED, message=f"{question} cannot be stored: {error}")
+            outcome = Outcome(OutcomeKind.ABORTED, message=f"{question} cannot be stored: {str(error) or type(error).__name__}")
         self._inbox.put_nowait(Ended(identity, outcome))
 
     def _wake_at(self, at: float | None) -> None:
@@ -137,3 +141,9 @@ class Executor:
         if not self._change_waits:
             self._change_waits = True
             self._inbox.put_nowait(KnowledgeChanged())
+
+
+def _is_cancelled() -> bool:
+    """Tell whether this talk itself is cancelled; otherwise a source has been, by somebody else."""
+    task = asyncio.current_task()
+    return task is not None and task.cancelling() > 0

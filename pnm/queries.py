@@ -212,9 +212,13 @@ def asked(query: Query, answers: Answers) -> Question:
 
     Raises:
         Unanswered: they depend on something that has to be asked first.
-        Uncomputable: the name is not a text.
+        Uncomputable: the name is not a text, or JSON cannot say the meta data.
     """
-    return Question(named(query.name, answers), query.layer, json.dumps(_null(compute(query.meta, answers)), sort_keys=True))
+    name, meta = named(query.name, answers), _null(compute(query.meta, answers))
+    try:
+        return Question(name, query.layer, json.dumps(meta, sort_keys=True))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise Uncomputable(f"what is told about {name} cannot be said in JSON: {error}") from error
 
 
 def named(name: Data, answers: Answers) -> str:
@@ -239,17 +243,29 @@ def operate(name: str, operands: list[object]) -> object:
     if name in _GROWING and _size(operands) > MAX_SIZE:
         raise Uncomputable(f"{name} of operands as large as that")
     try:
-        return OPERATORS[name](*operands)
-    except (TypeError, ValueError, ArithmeticError, LookupError) as error:
+        if name == "mod" and isinstance(operands[0], str):
+            raise TypeError("the remainder of a text")  # in Python that is another operation, which makes texts of any size
+        found = OPERATORS[name](*operands)
+        if isinstance(found, complex) or (isinstance(found, int) and found.bit_length() > MAX_BITS):
+            raise ValueError("the result is no number that JSON can say")
+    except (TypeError, ValueError, ArithmeticError, LookupError, RecursionError) as error:
+        raise Uncomputable(f"{name}({_shown(operands)}): {error}") from error
+    return found
+
+
+def _shown(operands: list[object]) -> str:
+    try:
         shown = ", ".join(map(repr, operands))
-        raise Uncomputable(f"{name}({shown if len(shown) < 200 else '…'}): {error}") from error
+    except (ValueError, RecursionError):
+        return "…"
+    return shown if len(shown) < 200 else "…"
 
 
-def _size(operands: list[object]) -> float:
+def _size(operands: list[object]) -> int:
     """Return an upper bound for how many characters, items or bits the result has."""
     sizes = [len(one) if isinstance(one, str | list | dict) else one.bit_length() if isinstance(one, int) else 64 for one in operands]
     counts = [one for one in operands if isinstance(one, int) and not isinstance(one, bool)]
-    return float(sum(sizes)) * max([1, *map(abs, counts)]) if counts else float(sum(sizes))
+    return sum(sizes) * max([1, *map(abs, counts)])
 
 
 def _setitem(container: object, key: object, value: object) -> object:
@@ -265,6 +281,8 @@ def _delitem(container: object, key: object) -> object:
 
 
 MAX_SIZE: Final = 1_000_000
+MAX_BITS: Final = 14_000
+"""Of a whole number: Python writes none of more than 4300 digits."""
 _PLAIN: Final = (
     *("eq", "ne", "lt", "le", "gt", "ge", "is_", "is_not", "contains", "countOf", "indexOf", "truth", "not_"),
     *("abs", "add", "floordiv", "mod", "mul", "neg", "pos", "pow", "sub", "truediv", "concat", "getitem", "index"),

@@ -271,6 +271,8 @@ class Run:
                 continue
             try:
                 opens = self._opens(transition, place)
+                if opens <= self._now and (call := self._rules[transition].call) is not None:
+                    self._calls.foresee(self._rules[transition].deed, call, self._consult(call))
             except Unanswered as needed:  # and so are all rules after this one
                 self._ask(place, needed.question)
                 self._undecided[place] = None
@@ -333,7 +335,7 @@ class Run:
                 assert_never(rule.guard)
 
     def _consult(self, call: int | None) -> Consultation:
-        answers = {} if self._deciding is None else self._questions.answers_at(self._deciding)
+        answers = None if self._deciding is None else self._questions.answers_at(self._deciding)
         return self._calls.consult(call, answers)
 
     def _holds(self, condition: Condition, rule: Rule) -> bool:
@@ -416,7 +418,8 @@ class Run:
                 return rule.name, f"(not {condition})", observed(condition, self._consult(step))
             case DataMissing():
                 missing = self._calls.goal(step, self._consult(step))[1]
-                why = "".join(f"; {message}" for message in self._questions.silence_at(self._deciding))
+                silence = self._questions.silence_at(self._deciding)
+                why = "".join(f"; {message}" for message in (*silence, *self._consult(step).uncomputable(missing)))
                 return rule.name, f"values for {', '.join(missing)}", f"no argument, variable or constant of that name{why}"
             case Due(seconds):
                 return rule.name, f"an end within {seconds:g} s of the plan's start", f"{self._now - (self._origin or 0.0):g} s have passed"

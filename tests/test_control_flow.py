@@ -20,7 +20,7 @@ from pnm.run import Run
 from pnm.state_space import Unsound
 from tests.machines import ordering
 from tests.programs import RUN, outcomes, play
-from tests.test_machine import mutants
+from tests.test_machine import _less_output, mutants
 
 OK: Condition = Holds(("ok",))
 ONCE = Bindings({f"a{index}": Binding(retries=0) for index in range(10)})
@@ -209,6 +209,20 @@ def test_restarting_the_plan_ends_what_is_beside_it_first_and_begins_once() -> N
     assert story.actions == ["a0", "a1"] * 2
 
 
+def test_however_many_calls_may_restart_the_plan_the_proof_costs_the_same() -> None:
+    def proof(number: int) -> int:
+        return verify(generate(plan(*(call(index, on(Cause.ABORTED, Then.RESTART_PLAN)) for index in range(number))))).states
+
+    assert proof(10) == proof(3) == proof(2)
+
+
+def test_a_call_whose_wish_to_restart_is_treated_otherwise_is_found() -> None:
+    machine = generate(plan(*(call(index, on(Cause.ABORTED, Then.RESTART_PLAN)) for index in range(4))))
+    third = [*machine.restart_places][2]
+    with pytest.raises(Unsound):
+        verify(replace(machine, net=_less_output(machine.net, f"restart_too {third}", "restarting")))
+
+
 def test_a_call_that_others_would_undo_is_not_counted_as_failed_when_the_plan_begins_anew() -> None:
     beside = plan(call(0, on(Cause.ABORTED, Then.RESTART_PLAN)), call(1, on(Cause.ABORTED, Then.RETRY)))
     assert play(beside, outcomes(a0=["aborted"], a1=["aborted"]), bindings=ONCE).result.goal
@@ -225,6 +239,14 @@ def test_a_resource_is_had_by_one_call_at_a_time() -> None:
 
 
 # --- knowledge -----------------------------------------------------------------------------
+
+
+def test_what_keeps_a_resource_while_it_waits_for_others_is_not_sound() -> None:
+    machine = generate(plan(call(0, resources=("arm",)), call(1, resources=("arm",)), orders=("1s<0e",)), ONCE)
+    with pytest.raises(Unsound, match="keeps resources that they may need"):
+        verify(machine)
+    with pytest.raises(Unsound):
+        explore(machine)
 
 
 def test_an_update_of_global_knowledge_is_awaited_and_a_local_one_is_not() -> None:

@@ -8,12 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from pnm.analysis import verify
 from pnm.conditions import evaluate
 from pnm.consultation import Consultation
 from pnm.errors import InputError
 from pnm.expressions import Fluent, Unknown, Value
-from pnm.generation import generate
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.language import read_domain, read_plans, read_world
 from pnm.language.actions import ACTION_KEYS
@@ -22,6 +20,7 @@ from pnm.language.drafts import PLAN_KEYS
 from pnm.language.effects import read_effects
 from pnm.language.formulas import read_condition
 from pnm.language.recoveries import COMMANDS
+from pnm.language.steps import OPTIONS
 from pnm.performing import Program
 from pnm.queries import CHANGING, OPERATORS, compute
 from pnm.yaml_files import Node, parse_yaml
@@ -50,11 +49,15 @@ def items(kind: str) -> list[tuple[Node, str]]:
 @pytest.mark.parametrize("name", [name for name in FILES if not name.startswith("wrong") and name != "faults.yaml"])
 def test_every_file_is_read_and_its_machine_proved(name: str, tmp_path: Path) -> None:
     put_files(TEXT, tmp_path)
-    if "plan:" not in FILES[name]:
-        assert read_domain(tmp_path / name).actions
-        return
-    for plan in read_plans(tmp_path / name).values():
-        verify(generate(plan.graph, plan.bindings, on_failure=plan.on_failure))
+    match name:
+        case "kitchen.yaml":
+            assert read_domain(tmp_path / name).actions
+            return
+        case "world.yaml":
+            plans = read_world(tmp_path / name).plans
+        case _:
+            plans = read_plans(tmp_path / name)
+    assert all(Program.of(plan) for plan in plans.values())
 
 
 @pytest.mark.parametrize("one", COMMANDS_SHOWN, ids=lambda one: one.command)
@@ -66,7 +69,7 @@ def test_commands_print_what_the_page_says(one: Shown, tmp_path: Path) -> None:
 
 
 def test_every_file_is_shown_in_use() -> None:
-    used = {word for one in COMMANDS_SHOWN for word in one.command.split()} | {"kitchen.yaml"}
+    used = {word for one in COMMANDS_SHOWN for word in one.command.split()} | {"kitchen.yaml", "world.yaml"}
     assert FILES.keys() <= used
 
 
@@ -94,7 +97,7 @@ def test_the_tables_have_every_key_and_every_operator() -> None:
     coded = set(re.findall(r"`([^`\s]+)`", TEXT))
     assert {*ACTION_KEYS} - {"instances"} <= coded
     assert {*PLAN_KEYS} <= coded
-    assert {*COMMANDS} <= coded
+    assert {*COMMANDS, *OPTIONS} <= coded
     assert OPERATORS.keys() | CHANGING <= coded
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from planner_bridge.tasks import Settings
 from planner_bridge.written import carry_out, chosen_plan, simulated_site, together
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.bindings import Binding, Bindings
@@ -15,7 +16,9 @@ from pnm.errors import InputError
 from pnm.knowledge import KnowledgeBase
 from pnm.language.plan import read_plans
 from pnm.performing import Performer, Program
+from pnm.queries import Question
 from pnm.sources.base import Asker
+from pnm.sources.chain import Sources
 from pnm.sources.memory import MemoryKnowledge
 
 GUIDE = """
@@ -201,3 +204,84 @@ def test_bindings_of_a_file_come_before_those_of_the_domain(tmp_path: Path) -> N
     action = plan.graph.calls[0].action
     assert plan.bindings.server(action) == "drive"
     assert Bindings({"move": Binding(server="walk")}).before(plan.bindings).server(action) == "walk"
+
+
+# --- what cannot be computed, and what has to be asked first ---
+
+COMPUTED = """
+initial_knowledge: {big: 1%s, list: [1]}
+actions: {act: {params: [x]}, note: {type: kb_action}}
+plan:
+  - %s
+"""
+NOT_COMPUTED = {
+    "the remainder of a text": "{Operation: [mod, ['%99999999999d', 5]]}",
+    "no number that JSON can say": "{Operation: [pow, [-8, 0.5]]}",
+    "unsupported operand": "{Operation: [truediv, [{Query: big}, a]]}",
+    "division by zero": "{Operation: [truediv, [1, 0]]}",
+    "as large as that": "{Operation: [mul, [a, {Query: big}]]}",
+    "the name of a variable": "{Query: {Query: list}}",
+}
+
+
+@pytest.mark.parametrize("why", NOT_COMPUTED)
+@pytest.mark.parametrize("step", ["act: {x: %s}", "note: {operation: {LocalUpdate: [v, %s]}}"], ids=["goal", "update"])
+def test_what_cannot_be_computed_is_a_failure_of_the_call(tmp_path: Path, step: str, why: str) -> None:
+    text = COMPUTED % ("0" * 400, step % NOT_COMPUTED[why])
+    task = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite").task
+    (failure,) = task.failures
+    assert failure.cause in ("aborted", "data_missing")
+    assert why in failure.observed
+
+
+CONDITIONAL = """
+predicates: [(free)]
+actions:
+  note: {type: kb_action}
+  act: {duration: 3, effects: {at_end: [{when: {condition: {Comparison: [eq, [{RemoteQuery: mode}, fast]]}, effects: [(free)]}}]}}
+  quick: {effects: [{when: {condition: {Comparison: [eq, [{RemoteQuery: mode}, fast]]}, effects: [(free)]}}]}
+goal: (free)
+plan:
+  - note: {operation: {RemoteUpdate: [mode, fast]}}
+  - %s:
+"""
+
+
+@pytest.mark.parametrize("action", ["act", "quick"])
+def test_effects_may_depend_on_global_knowledge(tmp_path: Path, action: str) -> None:
+    unseen = Settings(bindings=Bindings(assumed=frozenset({"free"})))
+    assert carry_out(written(tmp_path, CONDITIONAL % action), settings=unseen, knowledge=tmp_path / "k.sqlite").task.goal_reached
+
+
+def test_effects_that_depend_on_a_question_do_not_happen_when_the_run_is_stopped(tmp_path: Path) -> None:
+    text = "timeout: 2\n" + CONDITIONAL % "act"
+    task = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite").task
+    assert "limit of 2 s" in task.reason
+
+
+class Cancelled:
+    """A source whose connection was cancelled by somebody else."""
+
+    async def query(self, question: Question, asker: Asker, /) -> object:
+        raise asyncio.CancelledError
+
+    async def update(self, question: Question, value: object, asker: Asker, /) -> None:
+        raise asyncio.CancelledError
+
+    async def close(self) -> None:
+        """Do nothing."""
+
+
+@pytest.mark.parametrize("operation", ["{LocalUpdate: [v, {RemoteQuery: w}]}", "{RemoteUpdate: [v, 1]}"])
+def test_a_source_that_was_cancelled_by_somebody_else_is_a_failure(tmp_path: Path, operation: str) -> None:
+    (plan,) = read_plans(written(tmp_path, f"actions: {{note: {{type: kb_action}}}}\nplan: [note: {{operation: {operation}}}]")).values()
+    site = simulated_site(plan, plan.bindings)
+    performer = Performer({plan.name: Program.of(plan)}, site, KnowledgeBase(), Sources([Cancelled()]))
+
+    async def performed() -> None:
+        await site.open(performer.world)
+        result = await performer.execute(performer.perform(plan.name))
+        assert "cannot be" in result.failures[0].observed
+        await site.close()
+
+    run_async(asyncio.wait_for(performed(), 100), virtual=True)

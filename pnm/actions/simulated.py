@@ -64,7 +64,7 @@ class SimulatedRobots:
     _lost: set[str] = field(default_factory=set)
     _seen: dict[int, int] = field(default_factory=dict)
     _begun: bool = False
-    _timers: set[asyncio.TimerHandle] = field(default_factory=set)
+    _timers: dict[Callable[[], None], asyncio.TimerHandle] = field(default_factory=dict)
 
     def begin(self) -> None:
         """Start the world's clock, once: timed changes count from here."""
@@ -78,7 +78,7 @@ class SimulatedRobots:
 
     def close(self) -> None:
         """Stop the world: nothing happens in it any more."""
-        for timer in self._timers:
+        for timer in self._timers.values():
             timer.cancel()
 
     # --- ActionClient ---------------------------------------------------------------------------
@@ -204,11 +204,11 @@ class SimulatedRobots:
 
     def _later(self, seconds: float, callback: Callable[..., object], *args: object) -> asyncio.TimerHandle:
         def run() -> None:
-            self._timers.discard(timer)
+            del self._timers[run]
             callback(*args)
 
         timer = asyncio.get_running_loop().call_later(seconds / self.speed, run)
-        self._timers.add(timer)
+        self._timers[run] = timer  # not in a set: all timers of the same moment have the same hash
         return timer
 
 
