@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+from planner_bridge.cli_options import tell
 from planner_bridge.console import ConsoleObserver, Terminal, print_result
 from planner_bridge.pipeline import Where
 from planner_bridge.tasks import Settings, TaskObserver
@@ -54,6 +55,7 @@ def run_written(
         settings=replace(settings, bindings=read_bindings(bindings)) if bindings else settings,
         observer=TaskObserver() if as_json else ConsoleObserver(console),
         knowledge=knowledge,
+        warn=tell,
     )
     if as_json:
         print(json.dumps(result.as_json(), default=str), flush=True)
