@@ -19,9 +19,11 @@ from planner_bridge.cli_options import (
     Seconds,
     as_json_option,
     bindings_option,
+    chosen_files,
     command,
     faults_option,
     files,
+    files_or_plan,
     knowledge_option,
     planning,
     tell,
@@ -72,37 +74,50 @@ def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: boo
 
 
 @app.command()
-@files
+@files_or_plan
 @click.option("--format", "written_as", type=click.Choice(["json", "dot"]), default="json", show_default=True, help="how it is written")
 @click.option("-o", "--output", type=FILE, help="a file; by default the terminal")
 @bindings_option
 @planning
 @command
-def net(domain: Path, problem: Path, written_as: str, output: Path | None, bindings: Path | None, planner: str, timeout: float) -> int:
-    """Plan, and write the machine."""
+def net(
+    *,
+    domain: Path | None,
+    problem: Path | None,
+    plan_file: Path | None,
+    name: str | None,
+    written_as: str,
+    output: Path | None,
+    bindings: Path | None,
+    planner: str,
+    timeout: float,
+) -> int:
+    """Plan, and write the machine; or write that of a plan that somebody has written."""
     from planner_bridge.planning import solve
     from planner_bridge.plans import plan_graph
     from pnm.export.dot import to_dot
     from pnm.export.json import to_json
     from pnm.generation import generate
 
-    loaded = _load(domain, problem)
-    chosen = _bindings(bindings, domain, loaded)
-    found = solve(loaded, planner=planner, timeout=timeout)
-    if found.plan is None:
-        print(f"no plan: {found.reason}", file=sys.stderr)
-        return 1
-    machine = generate(plan_graph(loaded, found.plan), chosen)
-    text = to_json(machine) if written_as == "json" else to_dot(machine)
-    write(output, text)
+    chosen = chosen_files(domain, problem, plan_file)
+    if isinstance(chosen, Path):
+        from planner_bridge.cli_written import machine_of
+
+        machine = machine_of(chosen, name, bindings)
+    else:
+        loaded = _load(*chosen)
+        bound = _bindings(bindings, chosen[0], loaded)
+        found = solve(loaded, planner=planner, timeout=timeout)
+        if found.plan is None:
+            print(f"no plan: {found.reason}", file=sys.stderr)
+            return 1
+        machine = generate(plan_graph(loaded, found.plan), bound)
+    write(output, to_json(machine) if written_as == "json" else to_dot(machine))
     return 0
 
 
 @app.command()
-@click.argument("domain", type=FILE, required=False)
-@click.argument("problem", type=FILE, required=False)
-@click.option("--plan", "plan_file", type=FILE, help="a hand-written plan in YAML, in place of DOMAIN and PROBLEM")
-@click.option("--name", help="which plan of that file, if there are several")
+@files_or_plan
 @click.option("--set", "given", metavar="NAME=VALUE", multiple=True, help="a parameter of that plan; the value as YAML")
 @click.option("--actions", type=click.Choice(["simulated", "ros2"]), default="simulated", show_default=True, help="who performs actions")
 @bindings_option
@@ -152,20 +167,17 @@ def run(
     where: Where = "ros2" if actions == "ros2" else "simulated"
     limits = Limits(replans=replans, seconds=seconds)
     settings = Settings(planner, timeout, limits=limits, on_failure=OnFailure(on_failure))
-    if plan_file is not None:
+    chosen = chosen_files(domain, problem, plan_file)
+    if isinstance(chosen, Path):
         from planner_bridge.cli_written import run_written
 
-        if domain is not None:
-            raise InputError("--plan comes in the place of DOMAIN and PROBLEM")
         return run_written(
-            plan_file, name, given, actions=where, faults=faults, bindings=bindings, settings=settings, knowledge=knowledge, as_json=as_json
+            chosen, name, given, actions=where, faults=faults, bindings=bindings, settings=settings, knowledge=knowledge, as_json=as_json
         )
-    if domain is None or problem is None:
-        raise InputError("expected DOMAIN and PROBLEM, or --plan and a file")
     stopwatch = Stopwatch()
     with stopwatch.of("parse"):
-        loaded = _load(domain, problem)
-        settings = replace(settings, bindings=_bindings(bindings, domain, loaded))
+        loaded = _load(*chosen)
+        settings = replace(settings, bindings=_bindings(bindings, chosen[0], loaded))
     console = Terminal()
     result = achieve(
         None,

@@ -77,6 +77,12 @@ def options(*options: Decorator) -> Decorator:
 
 
 files = options(click.argument("domain", type=FILE), click.argument("problem", type=FILE))
+files_or_plan = options(
+    click.argument("domain", type=FILE, required=False),
+    click.argument("problem", type=FILE, required=False),
+    click.option("--plan", "plan_file", type=FILE, help="a hand-written plan in YAML, in place of DOMAIN and PROBLEM"),
+    click.option("--name", help="which plan of that file, if there are several"),
+)
 planning = options(
     click.option("--planner", default="kairos", show_default=True, help="kairos, any engine of unified-planning, race, or race:NAME,NAME"),
     click.option("--timeout", type=Seconds(0.01), default=30.0, show_default=True, help="seconds the planner may take"),
@@ -85,6 +91,21 @@ as_json_option = click.option("--json", "as_json", is_flag=True, help="print one
 bindings_option = click.option("--bindings", type=FILE, help="how actions are bound to servers; by default bindings.yaml beside DOMAIN")
 knowledge_option = click.option("--knowledge", type=FILE, help="the SQLite file of the global knowledge, in place of what plans choose")
 faults_option = click.option("--faults", type=FILE, help="what goes wrong in simulation")
+
+
+def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | None) -> Path | tuple[Path, Path]:
+    """Return the file of a plan, or DOMAIN and PROBLEM.
+
+    Raises:
+        InputError: there is neither, or both.
+    """
+    if plan_file is not None:
+        if domain is not None:
+            raise InputError("--plan comes in the place of DOMAIN and PROBLEM")
+        return plan_file
+    if domain is None or problem is None:
+        raise InputError("expected DOMAIN and PROBLEM, or --plan and a file")
+    return domain, problem
 
 
 def write(path: Path | None, text: str) -> None:

@@ -1,4 +1,4 @@
-"""What `pnm run --plan` does."""
+"""What `pnm run --plan` and `pnm net --plan` do."""
 
 from __future__ import annotations
 
@@ -6,14 +6,30 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+from planner_bridge.cli_options import tell
 from planner_bridge.console import ConsoleObserver, Terminal, print_result
 from planner_bridge.pipeline import Where
 from planner_bridge.tasks import Settings, TaskObserver
-from planner_bridge.written import carry_out
+from planner_bridge.written import carry_out, chosen_plan
 from pnm.actions.faults import NO_FAULTS, read_faults
 from pnm.bindings import read_bindings
 from pnm.errors import InputError
+from pnm.generation import generate
+from pnm.language.plan import read_plans
+from pnm.machine import PetriNetMachine
 from pnm.yaml_files import parse_value
+
+
+def machine_of(file: Path, name: str | None, bindings: Path | None) -> PetriNetMachine:
+    """Return the machine of a hand-written plan.
+
+    Raises:
+        InputError: a file is wrong, or it is not clear which plan is meant.
+    """
+    plans = read_plans(file)
+    plan = plans[chosen_plan(plans, name)]
+    chosen = read_bindings(bindings).before(plan.bindings) if bindings else plan.bindings
+    return generate(plan.graph, chosen, on_failure=plan.on_failure)
 
 
 def run_written(
@@ -39,6 +55,7 @@ def run_written(
         settings=replace(settings, bindings=read_bindings(bindings)) if bindings else settings,
         observer=TaskObserver() if as_json else ConsoleObserver(console),
         knowledge=knowledge,
+        warn=tell,
     )
     if as_json:
         print(json.dumps(result.as_json(), default=str), flush=True)

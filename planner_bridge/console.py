@@ -83,7 +83,7 @@ class ConsoleObserver(TaskObserver):
     def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:
         """Print how a request ended."""
         if outcome.kind is OutcomeKind.SUCCEEDED:
-            self.line(now, "[green]done[/]  ", str(call.action))
+            self.line(now, "[green]done[/]  ", str(call.action.operation or call.action))
         else:
             self.line(now, "[red]ended[/] ", f"{call.action}: {outcome.kind.value}{f': {outcome.message}' if outcome.message else ''}")
 
@@ -124,10 +124,8 @@ def print_result(console: Console, result: TaskResult) -> None:
     sent = sum(call.attempts for call in result.calls)
     assumed = sum(call.assumed for call in result.calls)
     told = f"; {assumed} calls had effects that nothing reports" if assumed else ""
-    counts = ", ".join(
-        _count(number, word)
-        for number, word in ((result.plans, "plan"), (result.replans, "replan"), (sent, "request"), (len(result.failures), "failure"))
-    )
+    planned = ((result.plans, "plan"), (result.replans, "replan")) if result.plans or not result.episodes else ()
+    counts = ", ".join(_count(number, word) for number, word in (*planned, (sent, "request"), (len(result.failures), "failure")))
     console.print(f"         {counts}{told}", highlight=False, soft_wrap=True)
     for line in (*map(_constraint, result.constraints), *map(_preference, result.preferences)):
         console.print(f"         {escape(line)}", highlight=False, soft_wrap=True)

@@ -37,7 +37,7 @@ from pnm.machine import PetriNetMachine
 from pnm.plan_graph import PlanGraph, PlanGraphError
 from pnm.results import RunResult
 from pnm.run import Run
-from pnm.sites import Ros2Site, Site
+from pnm.sites import Ros2Site, Site, schedule
 from pnm.state_space import Unsound
 
 Where: TypeAlias = Literal["simulated", "ros2"]
@@ -161,10 +161,7 @@ class _Task:
     def _watch_the_clock(self, at_the_end: ExitStack) -> None:
         """Begin; let those timed facts come true by themselves that nobody reports."""
         self.began = asyncio.get_running_loop().time()
-        world = self.knowledge.world
-        for change in self.problem.timed:
-            assumed = {fluent: value for fluent, value in change.changes.items() if not world.is_sensed(fluent)}
-            at_the_end.callback(asyncio.get_running_loop().call_at(self.began + change.time, world.update, assumed).cancel)
+        at_the_end.callback(schedule(self.knowledge.world, self.problem.timed, self.began))
 
     def _watch_the_constraints(self, at_the_end: ExitStack) -> None:
         """Look at the initial state, and from now on whenever something changes or a moment comes that matters."""

@@ -22,6 +22,8 @@ from pnm.rules import Rule, Rules
 from pnm.sites import Ros2Site
 from pnm.sources.registry import Surroundings, open_sources
 
+_PREPARED: Final = 1.0
+"""Seconds in which the action servers that are there are found; plans are offered before those come that are not there yet."""
 _SHOWN: Final = 200
 """Characters of parameters and results that a line shows."""
 
@@ -70,13 +72,19 @@ async def _offer(performer: Performer, site: Ros2Site, terminal: Terminal) -> No
     from pnm.ros.plan_servers import PlanServers  # here, because rclpy is an extra
 
     servers = PlanServers(site.ros, performer, Reporter(terminal))
-    for name in await performer.prepare():
-        terminal.print(f"[bold yellow]missing[/]  there is no action server {name} yet", highlight=False, soft_wrap=True)
+    names = await servers.names()
+    preparing = asyncio.ensure_future(performer.prepare())
     try:
-        names = await servers.open()
+        await asyncio.wait((preparing,), timeout=_PREPARED)
+        if preparing.done():
+            preparing.result()  # raises what is wrong
+        await servers.open(names)
         terminal.print(f"ready: {len(names)} action servers: {', '.join(names.values())}", highlight=False, soft_wrap=True, markup=False)
+        for name in await preparing:
+            terminal.print(f"[bold yellow]missing[/]  there is no action server {name} yet", highlight=False, soft_wrap=True)
         await asyncio.Event().wait()
     finally:
+        preparing.cancel()
         await servers.close()
 
 

@@ -25,14 +25,14 @@ from pnm.bindings import Bindings
 from pnm.clock import run_async
 from pnm.conditions import TRUE
 from pnm.effects import names_written
-from pnm.errors import InputError
+from pnm.errors import InputError, Tolerated
 from pnm.expressions import Unknown
 from pnm.knowledge import KnowledgeBase
 from pnm.language.plan import HandWrittenPlan, read_plans
 from pnm.ledger import UNCONFIRMED
 from pnm.performing import Performer, Program
 from pnm.plan_graph import ActionCall
-from pnm.sites import RobotsSite, Ros2Site, Site
+from pnm.sites import RobotsSite, Ros2Site, Site, schedule
 from pnm.sources.chain import Sources
 from pnm.sources.registry import Choice, Surroundings, open_sources
 
@@ -77,6 +77,14 @@ def chosen_plan(plans: Mapping[str, HandWrittenPlan], name: str | None) -> str:
     return candidates[0]
 
 
+def calling(plans: Mapping[str, HandWrittenPlan], name: str) -> tuple[str, ...]:
+    """Return the name of a plan and of all that it calls, or that these call."""
+    found = [name]
+    for one in found:
+        found += [other for other in sorted(plans[one].calls) if other not in found]
+    return tuple(found)
+
+
 def carry_out(
     file: Path,
     name: str | None = None,
@@ -87,6 +95,7 @@ def carry_out(
     settings: Settings | None = None,
     observer: TaskObserver | None = None,
     knowledge: Path | None = None,
+    warn: Callable[[Iterable[Tolerated]], None] | None = None,
 ) -> PlanResult:
     """Carry out a plan of a file.
 
@@ -99,6 +108,7 @@ def carry_out(
         settings: bindings that come before those of the files; planner and limits, for when the plan asks for a planner.
         observer: is told what happens.
         knowledge: the file in which global knowledge is kept, in place of what the plan chose.
+        warn: is told what in the files was not as it should be.
 
     Raises:
         InputError: an input is wrong; nothing was started.
@@ -108,8 +118,10 @@ def carry_out(
         settings = settings or Settings()
         plans = {name: replace(plan, bindings=settings.bindings.before(plan.bindings)) for name, plan in read_plans(file).items()}
         chosen = chosen_plan(plans, name)
+    if warn:
+        warn(plans[chosen].warnings)
     with seconds.of("translate"):
-        programs = {name: Program.of(plan) for name, plan in plans.items()}
+        programs = {name: Program.of(plans[name]) for name in calling(plans, chosen)}
     bindings = together(plans.values())
     site: Site = Ros2Site(bindings) if actions == "ros2" else simulated_site(plans[chosen], bindings, faults)
     choices = sources_of(plans.values())
@@ -156,12 +168,16 @@ class _WrittenTask:
             await self.site.close()
 
     async def _perform(self, performer: Performer, parameters: Mapping[str, object]) -> PlanResult:
-        began = asyncio.get_running_loop().time()
         performance = performer.perform(self.name, parameters, self.observer)
         self.observer.generated(self._program.machine, self._program.proof)
         await performer.prepare()
-        with self.seconds.of("execute"):
-            result = await performer.execute(performance)
+        began = asyncio.get_running_loop().time()
+        stop_time = schedule(performer.world, self._program.plan.timed, began)
+        try:
+            with self.seconds.of("execute"):
+                result = await performer.execute(performance)
+        finally:
+            stop_time()
         task = TaskResult(result.goal, result.reason, 0, (Episode(self._program.machine, result),), self.seconds.seconds, began)
         if any(failure.replan for failure in result.failures):
             task = await self._replanned(task, performer.world)

@@ -160,6 +160,8 @@ def _check_rules(machine: PetriNetMachine, call: int | None, names: list[str]) -
             raise Unsound(f"{name} listens to another call")
         if (rule.deed is Deed.SEND) is not bool(waiting & set(outputs)):
             raise Unsound(f"{name} does not send the request that is waited for, or sends one that is not")
+        if machine.resource_places & set(outputs) and machine.orderings.keys() & set(machine.net.inputs[name]):
+            raise Unsound(f"{name} waits for others while it keeps resources that they may need")
         if any(machine.failure_places.get(place, call) != call for place in outputs):
             raise Unsound(f"{name} marks the failure of another call")
         if machine.goal_place in outputs and rule.guard != Holding(machine.plan.goal):

@@ -13,7 +13,7 @@ import string
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Final, Protocol
 
 from pnm.errors import InputError
 from pnm.expressions import UNDEFINED, Fluent, Unknown, Value, bind
@@ -22,6 +22,9 @@ from pnm.plan_graph import GroundAction
 from pnm.queries import MISSING
 from pnm.vocabulary import Vocabulary
 from pnm.yaml_files import Mapped, load_yaml
+
+ABOUT_THE_CALL: Final = frozenset({"action", "arguments", "duration"})
+"""Goal fields that tell of the call itself; they are filled as long as nobody knows which fields there are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,9 +155,10 @@ def _resolve(source: object, own: Mapping[str, object], knowledge: Lookup, find:
         return MISSING if MISSING in parts else parts
     if not isinstance(source, str):
         return source
-    if source.startswith(("?", "$")):
-        name = source[1:]
-        return own[name] if name in own else find(name)
+    if source.startswith("?"):
+        return own.get(source[1:], MISSING)
+    if source.startswith("$"):
+        return own[source[1:]] if source[1:] in own else find(source[1:])
     if source.startswith("("):
         env = {f"?{name}": value for name, value in own.items() if isinstance(value, str)}
         value = knowledge.value(bind(parse_fluent(source), env))

@@ -49,8 +49,9 @@ class Executor:
     async def execute(self) -> RunResult:
         """Run to the end and return how it ended; the run's own limits bound the time.
 
-        Cancelling the task stops the run: what its actions are doing is cancelled and waited for.
+        Cancelling the task stops the run: what its actions are doing is cancelled and waited for. Cancelling it again leaves them alone.
         """
+        is_stopped = False
         layers = self.run.knowledge.world, self.run.knowledge.local
         stop_listening = [layer.listen(self._changed) for layer in layers]
         self._inbox.put_nowait(Begin())
@@ -59,6 +60,9 @@ class Executor:
                 try:
                     event = await self._inbox.get()
                 except asyncio.CancelledError:
+                    if is_stopped:
+                        raise
+                    is_stopped = True
                     cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
                     event = Stop()
                 if isinstance(event, KnowledgeChanged):

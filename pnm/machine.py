@@ -222,6 +222,11 @@ class PetriNetMachine:
         """Failures, restarts asked for, and budgets: nothing starts from them, they are looked at from other places."""
         return frozenset(self.failure_places) | frozenset(self.restart_places) | self.budget_places
 
+    @cached_property
+    def border_places(self) -> frozenset[str]:
+        """Places between steps and what holds them."""
+        return frozenset(place for region in self.regions for place in (*region.first, *region.last))
+
     def role(self, place: str) -> str:
         """Return ``goal``, ``failure``, ``restart``, ``budget``, ``resource``, ``ordering`` or, for all other places, nothing."""
         if place == self.goal_place:

@@ -12,11 +12,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import partial
-from typing import Final
 from uuid import UUID, uuid4
 
 from pnm.actions.base import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Report, Reporter, Request
 from pnm.analysis import Proof, verify
+from pnm.bindings import ABOUT_THE_CALL
 from pnm.errors import InputError
 from pnm.executor import Executor
 from pnm.generation import generate
@@ -31,9 +31,6 @@ from pnm.run import Run
 from pnm.sites import Site
 from pnm.sources.base import Asker, Source
 from pnm.sources.chain import Sources
-
-_ABOUT_THE_CALL: Final = frozenset({"action", "arguments", "duration"})
-"""Goal fields that tell of the call itself: no parameters of a plan."""
 
 
 @dataclass(frozen=True)
@@ -227,7 +224,7 @@ class PlansClient:
         report(what)
 
     async def _perform(self, request: Request, report: Callable[[Accepted | Ended], None]) -> None:
-        given = {name: value for name, value in request.goal.items() if name not in _ABOUT_THE_CALL}
+        given = {name: value for name, value in request.goal.items() if name not in ABOUT_THE_CALL}
         try:
             performance = self._performer.perform(request.action.name, given, self._observer)
         except InputError as error:

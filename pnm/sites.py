@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final, Protocol
 from uuid import UUID
@@ -15,6 +15,7 @@ from uuid import UUID
 from pnm.actions.base import ActionClient
 from pnm.actions.simulated import SimulatedRobots, sense
 from pnm.bindings import Bindings
+from pnm.effects import TimedChange
 from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import GroundAction
 from pnm.sources.base import Source
@@ -55,6 +56,21 @@ class Site(Protocol):
 
     async def close(self) -> None:
         """Disconnect."""
+
+
+def schedule(knowledge: KnowledgeBase, timed: Iterable[TimedChange], began: float) -> Callable[[], None]:
+    """Let those facts change by themselves that nobody reports, so many seconds after the beginning; return what stops that."""
+    loop = asyncio.get_running_loop()
+    timers: list[asyncio.TimerHandle] = []
+    for change in timed:
+        assumed = {fluent: value for fluent, value in change.changes.items() if not knowledge.is_sensed(fluent)}
+        timers.append(loop.call_at(began + change.time, knowledge.update, assumed))
+
+    def stop() -> None:
+        for timer in timers:
+            timer.cancel()
+
+    return stop
 
 
 class RobotsSite:

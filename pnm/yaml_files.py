@@ -58,9 +58,14 @@ def parse_value(text: str, origin: str) -> object:
         origin: where it comes from, for errors.
 
     Raises:
-        InputError: it is not YAML, or too large.
+        InputError: it is not YAML, more than one value, or too large.
     """
-    return _plain(compose(text, origin)[0], origin) if text.strip() else ""
+    if not text.strip():
+        return ""
+    first, *others = compose(text, origin)
+    if others:
+        raise InputError("a second document begins here; expected one", position(others[0], origin))
+    return _plain(first, origin)
 
 
 def _plain(node: yaml.Node, file: str) -> object:

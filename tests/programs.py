@@ -88,7 +88,9 @@ class Player:
         match command:
             case Send(request):
                 self.story.append((request.action.name, request.goal))
-                self.events += [Accepted(request.id), Ended(request.id, self.answer(request))]
+                outcome = self.answer(request)
+                refused = outcome.kind in (OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE)
+                self.events += [*([] if refused else [Accepted(request.id)]), Ended(request.id, outcome)]
             case Cancel(request_id):
                 self.events.append(Ended(request_id, Outcome(OutcomeKind.CANCELED)))
             case Wake(at):

@@ -241,6 +241,14 @@ def test_a_resource_is_had_by_one_call_at_a_time() -> None:
 # --- knowledge -----------------------------------------------------------------------------
 
 
+def test_what_keeps_a_resource_while_it_waits_for_others_is_not_sound() -> None:
+    machine = generate(plan(call(0, resources=("arm",)), call(1, resources=("arm",)), orders=("1s<0e",)), ONCE)
+    with pytest.raises(Unsound, match="keeps resources that they may need"):
+        verify(machine)
+    with pytest.raises(Unsound):
+        explore(machine)
+
+
 def test_an_update_of_global_knowledge_is_awaited_and_a_local_one_is_not() -> None:
     both = plan(store(0, "spam", Literal.of("eggs"), Layer.ALL), store(1, "ham", local("spam")), orders=("0e<1s",))
     story = play(both, known={})

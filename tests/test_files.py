@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange, ground_name, read_faults
 from pnm.bindings import Binding, Bindings, goal_data, read_bindings
+from pnm.consultation import Consultation
 from pnm.errors import InputError, Position
 from pnm.expressions import UNKNOWN
 from pnm.knowledge import KnowledgeBase, Layered
@@ -311,7 +312,7 @@ Names = tuple[str, ...]
     ],
 )
 def test_goal_fields_are_filled_by_name(goal: Goal, fields: Names | None, filled: Mapping[str, object], missing: Names) -> None:
-    assert goal_data(MOVE, Binding(goal=goal), fields, KNOWN) == (filled, missing)
+    assert goal_data(MOVE, Binding(goal=goal), fields, Consultation(KNOWN)) == (filled, missing)
 
 
 # --- faults -----------------------------------------------------------------------------------

@@ -80,6 +80,7 @@ def carry_out(text: str, seed: int) -> None:
     assert result.reason
 
 
+@pytest.mark.timeout(900)
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(programs(), st.integers(0, 2**32))
 def test_any_program_is_proved_ends_and_loses_no_token(text: str, seed: int) -> None:

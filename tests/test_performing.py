@@ -22,6 +22,7 @@ from pnm.knowledge import KnowledgeBase
 from pnm.language.plan import read_plans
 from pnm.performing import Performer, Program
 from pnm.queries import Question
+from pnm.sites import schedule
 from pnm.sources.base import Asker
 from pnm.sources.chain import Sources
 from pnm.sources.memory import MemoryKnowledge
@@ -202,6 +203,31 @@ def test_why_no_planner_finds_another_way(tmp_path: Path, old: str, new: str, wh
     task = carry_out(written(tmp_path, ROOMS.replace(old, new)), faults=BLOCKED).task
     assert not task.goal_reached
     assert why in task.reason
+
+
+def test_facts_that_nobody_reports_change_by_themselves(tmp_path: Path) -> None:
+    text = ROOMS.replace("    - (way c b)\n", "    - (way c b)\n    - {at: 4, facts: [(open)]}\n").replace(
+        "  - (at ?r - robot ?x - room)\n", "  - (at ?r - robot ?x - room)\n  - (open)\n"
+    )
+    (plan,) = read_plans(written(tmp_path, text)).values()
+    world = KnowledgeBase(plan.facts, objects=plan.objects)
+
+    async def later() -> None:
+        stop = schedule(world, plan.timed, asyncio.get_running_loop().time())
+        await asyncio.sleep(3.9)
+        assert not world.value(("open",))
+        await asyncio.sleep(0.2)
+        assert world.value(("open",)) is True
+        stop()
+
+    run_async(later(), virtual=True)
+
+
+def test_what_files_get_wrong_is_told(tmp_path: Path) -> None:
+    heard: list[str] = []
+    mended = "...\n" + GUIDE
+    carry_out(written(tmp_path, mended), parameters={"shop": "a"}, warn=lambda found: heard.extend(one.message for one in found))
+    assert heard
 
 
 def test_bindings_of_a_file_come_before_those_of_the_domain(tmp_path: Path) -> None:

@@ -143,7 +143,7 @@ def test_the_examples_are_valid_and_name_the_schema(path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["delivery", "mall_guide", "patrol"])
 def test_exported_domains_are_valid(name: str) -> None:
-    found = exported(ROOT / "domains" / name / "domain.pddl", ROOT / "problems" / name / "p01.pddl")
+    found = exported(ROOT / "domains" / name / "domain.pddl", ROOT / "problems" / name / "p01.pddl", with_plan=True)
     assert problems(found.text) == []
 
 

@@ -55,7 +55,7 @@ def about(name: str, layer: Layer = Layer.GLOBAL, meta: object = None) -> Questi
 
 def run(main: Coroutine[Any, Any, Any], *, virtual: bool = True) -> Any:
     async def bounded() -> Any:
-        return await asyncio.wait_for(main, 120.0)
+        return await asyncio.wait_for(main, 1000.0)
 
     return run_async(bounded(), virtual=virtual)
 
@@ -96,7 +96,7 @@ class Scripted:
 def test_knowledge_bases_are_asked_in_order(layer: Layer) -> None:
     sources = Sources([Scripted({"a": 1}), Scripted({"a": 2, "b": None, "c": False})])
     found = [run(sources.query(about(name, layer), ME)) for name in "abcd"]
-    assert found == [1, None, False, MISSING]
+    assert found == [1, MISSING, False, MISSING]
 
 
 @pytest.mark.parametrize("question", [about("shop", Layer.PERSON), about("USER"), about("CONTROLLER", Layer.ALL)], ids=str)
@@ -118,6 +118,8 @@ def test_an_update_goes_where_the_next_query_finds_it() -> None:
     run(sources.update(about("a"), "new", ME))
     assert run(sources.query(about("a"), ME)) == "new"
     assert second.updates == []
+    run(sources.update(about("a"), None, ME))
+    assert run(first.query(about("a"), ME)) is MISSING
 
 
 @pytest.mark.parametrize(
@@ -141,7 +143,7 @@ def test_storing_without_a_knowledge_base_is_an_error() -> None:
         run(Sources().update(about("a"), 1, ME))
 
 
-@pytest.mark.parametrize("error", [SourceError("the disk is full"), TimeoutError("the disk is full")])
+@pytest.mark.parametrize("error", [SourceError("the disk is full"), TimeoutError("the disk is full"), InputError("the disk is full")])
 def test_a_failing_source_is_not_passed_over(error: Exception) -> None:
     with pytest.raises(SourceError, match="the disk is full"):
         run(Sources([Scripted(error=error), Scripted({"a": 1})]).query(about("a"), ME))
@@ -270,14 +272,15 @@ def test_what_is_stored_is_there_later(tmp_path: Path) -> None:
     async def main() -> None:
         knowledge = SqliteKnowledge(file)
         await stored(knowledge, a=1, b={"x": [None, "ü"]}, c=False)
-        await stored(knowledge, a=2)
+        await stored(knowledge, a=2, d=1)
+        await stored(knowledge, d=None, e=None)
         await knowledge.close()
         await knowledge.close()
         with pytest.raises(SourceError, match="is closed"):
             await knowledge.query(about("a"), ME)
 
     run(main())
-    assert run(read(file, "a", "b", "c", "d")) == [2, {"x": [None, "ü"]}, False, MISSING]
+    assert run(read(file, "a", "b", "c", "d", "e")) == [2, {"x": [None, "ü"]}, False, MISSING, MISSING]
 
 
 def corrupt(path: Path) -> None:
@@ -514,6 +517,18 @@ def test_a_source_of_a_package(registered: None, tmp_path: Path, monkeypatch: py
     assert repr(open_sources([Choice("shops"), Choice("screen")], Surroundings())) == "<Sources <MemoryKnowledge>; <MemoryKnowledge>>"
     with pytest.raises(InputError, match="'broken' is registered but cannot be loaded: No module named 'gone'"):
         open_sources([Choice("broken")], Surroundings())
+
+
+def test_a_limit_that_is_chosen_is_waited_for(registered: None) -> None:
+    slow = Scripted({"shop": 1}, seconds=200)
+    register_source("slow", lambda options, surroundings: slow)
+    register_source("thinker", lambda options, surroundings: slow, layer=Layer.PERSON)
+    short = open_sources([Choice("slow"), Choice("thinker", {"limit": "long"})], Surroundings())
+    long = open_sources([Choice("slow", {"limit": 250}), Choice("thinker", {"limit": 250.0})], Surroundings())
+    for layer in (Layer.GLOBAL, Layer.PERSON):
+        with pytest.raises(SourceError, match="within"):
+            run(short.query(about("shop", layer), ME))
+        assert run(long.query(about("shop", layer), ME)) == 1
 
 
 @pytest.mark.parametrize(

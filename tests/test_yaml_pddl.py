@@ -11,7 +11,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from planner_bridge.comments import Table
+from planner_bridge.comments import Note, Table
 from planner_bridge.model import ActionSchema, Domain, Preference, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain
 from planner_bridge.pddl.comments import comments
@@ -298,6 +298,12 @@ def test_comments_about_nothing_that_is_written_stay_nearby() -> None:
 def test_characters_that_yaml_does_not_allow_are_left_out_of_comments() -> None:
     text = "; a\x0cb\u2028c\x85d\n(define (domain d))"
     assert domain_as_yaml(parse_domain(text), comments(text, "domain")) == "# a b c d\nname: d\n"
+
+
+def test_what_a_file_says_to_editors_is_no_comment() -> None:
+    assert parse("# yaml-language-server: $schema=x.json\n# mine\nname: d\ntypes: []\n", "x.yaml").comments == {
+        ("domain",): Note(before=("; mine",))
+    }
 
 
 def test_comments_inside_texts_are_no_comments() -> None:

@@ -46,6 +46,8 @@ actions:
       during: {aborted: [{arm: {}}, retry], lost: [{note: {operation: {RemoteUpdate: [v, 1]}}}, restart_plan]}
   note: {type: kb_action, params: [operation]}
 """
+FREE = frozenset({"plain", "given", "asked", "checked", "looked", "moved", "lasting", "note"})
+"""Actions without resources and recoveries."""
 COMMANDS = ("retry", "restart_action", "restart_plan", "skip_action", "fail", "replan")
 OUTCOMES = ("aborted", "preempted", "rejected", "unavailable", "timed_out", "lost")
 
@@ -110,6 +112,8 @@ def _call(draw: st.DrawFn, depth: int) -> Json:
         step["resources"] = draw(st.lists(st.sampled_from(["arm", "leg", "eye"]), unique=True))
     if draw(st.integers(0, 4)) == 0:
         step["retries"] = draw(st.integers(0, 2))
+    if draw(st.integers(0, 9)) == 0:
+        step[draw(st.sampled_from(["release", "deadline"]))] = draw(st.sampled_from([0.0, 1.0, 30.0]))
     return step
 
 
@@ -125,8 +129,22 @@ def _list(draw: st.DrawFn, depth: int, least: int = 0) -> Json:
         for number, step in enumerate(steps):
             if isinstance(step, dict) and draw(st.booleans()):
                 earlier = [name for name in known if int(name[1:]) < number]
-                step["after"] = draw(st.lists(st.sampled_from(earlier), unique=True)) if earlier else []
+                step["after"] = draw(_waits(earlier, steps))
+                if _is_free(step) and draw(st.booleans()):
+                    step["end_after"] = [wait for wait in draw(_waits(earlier, steps)) if "delay" not in wait]
     return steps
+
+
+def _waits(names: list[str], steps: list[Json]) -> st.SearchStrategy[Json]:
+    """Some of the steps with these names: their ends, in time or later, or the starts of calls that may be waited for."""
+    ends = [wait for name in names for wait in (name, {"end": name}, {"end": name, "delay": 0.5})]
+    starts = [{"start": name} for name in names if _is_free(steps[int(name[1:])])]
+    return st.lists(st.sampled_from([*ends, *starts]), max_size=2) if names else st.just([])
+
+
+def _is_free(step: Json) -> bool:
+    """Tell whether this is a call without resources and recoveries."""
+    return not FREE.isdisjoint(step) and step.keys().isdisjoint({"resources", "recoveries"})
 
 
 def _steps(depth: int) -> st.SearchStrategy[Json]:

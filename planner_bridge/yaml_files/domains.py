@@ -21,6 +21,10 @@ from pnm.rules import Rule
 from pnm.yaml_loader import MAX_DEPTH
 
 NOTHING_SAID: Final[Table] = {}
+SCHEMA_MARK: Final = "# yaml-language-server:"
+"""Begins a comment that is for editors."""
+SCHEMA: Final = ""
+"""Where editors find the JSON Schema of these files; empty as long as there is none."""
 
 
 def write_domain(domain: Domain, table: Table = NOTHING_SAID) -> str:
@@ -48,7 +52,7 @@ def written(entries: Iterable[Entry]) -> str:
     whole = Mapping(tuple(entries))
     if depth(whole) >= MAX_DEPTH:
         raise InputError(f"this is nested too deeply for YAML files, which may have {MAX_DEPTH} lists and mappings in each other")
-    return document(whole)
+    return (f"{SCHEMA_MARK} $schema={SCHEMA}\n" if SCHEMA else "") + document(whole)
 
 
 # --- domains -------------------------------------------------------------------------------

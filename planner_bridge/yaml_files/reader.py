@@ -17,6 +17,7 @@ from planner_bridge.model import Domain, Problem
 from planner_bridge.pddl.items import items
 from planner_bridge.pddl.reader import domain_from, problem_from
 from planner_bridge.pddl.sexpr import Source
+from planner_bridge.yaml_files.domains import SCHEMA_MARK
 from planner_bridge.yaml_files.sections import Definitions, definitions
 from pnm.text_files import read_text
 from pnm.yaml_files import MAX_BYTES, Mapped
@@ -82,6 +83,8 @@ def _remarks(text: str, nodes: Iterable[yaml.Node]) -> Iterator[Remark]:
     starts = [start for start, _ in spans]
     for match in _COMMENT.finditer(text):
         before = bisect_right(starts, match.start())
+        if match.group().startswith(SCHEMA_MARK):
+            continue
         if not before or spans[before - 1][1] <= match.start():
             yield Remark(match.group().rstrip(), match.start())
 

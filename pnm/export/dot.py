@@ -17,6 +17,9 @@ _COLOURS = {
     "": "#455a64",
 }
 
+_DOTS = 5
+"""Tokens that are drawn as dots; more are counted."""
+
 
 def to_dot(machine: PetriNetMachine) -> str:
     """Return the machine as a directed graph."""
@@ -30,6 +33,7 @@ def _body(machine: PetriNetMachine) -> Iterator[str]:
     for step in machine.plan.steps:
         yield from _cluster(machine, step, transitions, "  ")
     inside = {place for places in machine.blocks.values() for place in places}
+    inside |= {place for region in machine.regions if region.owner is not None for place in (*region.first, *region.last)}
     yield from (f"  {_place(machine, place)}" for place in machine.net.places if place not in inside)
     yield from (f"  {_transition(machine, name)}" for name in transitions[None])
     for arc in machine.net.arcs:
@@ -42,6 +46,9 @@ def _cluster(machine: PetriNetMachine, step: Step, transitions: Mapping[int | No
     yield f'{indent}subgraph cluster_{step.index} {{ label={_quote(str(step))}; color=gray; fontname="sans-serif";'
     yield from (f"{indent}  {_place(machine, place, f'{step} ')}" for place in machine.blocks[step.index])
     yield from (f"{indent}  {_transition(machine, name)}" for name in transitions[step.index])
+    held = (region for region in machine.regions if region.owner == step.index)
+    inner_places = dict.fromkeys(place for region in held for place in (*region.first, *region.last))
+    yield from (f"{indent}  {_place(machine, place)}" for place in inner_places)
     for flow in flows(step):
         for inner in flow.steps:
             yield from _cluster(machine, inner, transitions, f"{indent}  ")
@@ -52,7 +59,10 @@ def _place(machine: PetriNetMachine, place: str, title: str = "") -> str:
     label = place.removeprefix(title)
     if place in machine.orderings:
         label = ", ".join(map(" ".join, machine.orderings[place].protects))
-    label += " •" * machine.initial[place]
+    elif place in machine.border_places:
+        label = ""  # its arcs say which steps it connects
+    tokens = machine.initial[place]
+    label += " •" * tokens if tokens <= _DOTS else f" {tokens}"
     return f"{_quote(place)} [shape=circle, label={_quote(label)}, color={_quote(_COLOURS[machine.role(place)])}];"
 
 

@@ -66,7 +66,7 @@ class _Region:
 
 
 class Lowering:
-    """Makes the graph of one plan. The mutable state is how many steps there are so far, and which have recoveries written for them.
+    """Makes the graph of one plan. The mutable state is how many steps there are so far, where calls stand, and which say how to recover.
 
     Args:
         recoveries: gives what the domain says about recovering when calls of an action fail.
@@ -79,7 +79,8 @@ class Lowering:
         self._facts = facts
         self._restarts = restarts
         self._made = 0
-        self._recovering: dict[int, Position] = {}
+        self._positions: dict[int, Position] = {}
+        self._recovering: set[int] = set()
 
     def graph(
         self, plan: SequenceStep, goal: Condition = TRUE, rules: Rules = NO_RULES, capacities: Mapping[str, int] | None = None
@@ -99,13 +100,18 @@ class Lowering:
     def _without_usual(self, region: _Region) -> Iterator[Step]:
         """Yield the steps; a call whose start others wait for, or whose end waits itself, can only be tried again or fail."""
         special = {one.before.call for one in region.orderings if one.before.moment is Moment.START}
-        special |= {one.after.call for one in region.orderings if one.after.moment is Moment.END}
+        waiting = {one.after.call for one in region.orderings if one.after.moment is Moment.END}
+        special |= waiting
         for step in region.steps:
+            if isinstance(step, ActionCall) and step.index in waiting and step.action.resources:
+                raise InputError(
+                    "a step with resources cannot have its end wait for others: it would keep them from those", self._positions[step.index]
+                )
             if step.index in special and isinstance(step, ActionCall) and step.recoveries:
                 if step.index in self._recovering:
                     raise InputError(
                         "a step with recoveries cannot have others wait for its start, nor its end wait for others",
-                        self._recovering[step.index],
+                        self._positions[step.index],
                     )
                 yield replace(step, recoveries=())
             else:
@@ -195,8 +201,9 @@ class Lowering:
                 message = f"to recover would never end: {chain}; give this step recoveries of its own, or none: 'recoveries: {{}}'"
                 raise InputError(message, step.place.position)
             recovering = (*recovering, step.action.name)
+        self._positions[number] = step.place.position
         if written:
-            self._recovering[number] = step.place.position
+            self._recovering.add(number)
         inner = _Region(outer_values(step.action, own), region.depth + 1, recovering)
         return ActionCall(
             number,

@@ -44,7 +44,7 @@ def read_world(path: Path, name: str | None = None) -> World:
     if len(documents) > 1:
         raise InputError("a second document begins here; expected one", documents[1].start)
     top = documents[0]
-    if "plans" in top.nodes:
+    if not top.nodes.keys().isdisjoint(("plans", "domain")):
         top.only("domain", "plans", "name")
         return _world(top.string("name") or path.stem, top, "plans")
     worlds = top.mappings()

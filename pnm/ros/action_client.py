@@ -11,7 +11,7 @@ from typing import Any, Final
 from uuid import UUID
 
 from pnm.actions.base import Ended, Outcome, OutcomeKind, Report, Reporter, Request
-from pnm.bindings import Bindings
+from pnm.bindings import ABOUT_THE_CALL, Bindings
 from pnm.errors import PnmError
 from pnm.plan_graph import GroundAction
 from pnm.ros.goals import Goal
@@ -64,6 +64,7 @@ class Ros2ActionClient:
         """
         keys = dict.fromkeys(map(self._key, actions))
         links = await self._ros.ask(lambda: [self._link(key) for key in keys])
+        self._ros.call(self._keep_looking)
         until = monotonic() + limit
         while True:
             missing = await self._ros.ask(lambda: tuple(link.name for link in links if not link.ready()))
@@ -78,7 +79,8 @@ class Ros2ActionClient:
 
     def send(self, request: Request, report: Reporter, /) -> None:
         """Send the goal; `report` is called later, on the event loop's thread."""
-        if not self._ros.call(partial(self._send, request, report)):
+        is_blind = request.goal.keys() >= ABOUT_THE_CALL and self.goal_fields(request.action) is None
+        if not self._ros.call(partial(self._send, request, report, is_blind)):
             self._loop.call_soon(report, Ended(request.id, Outcome(OutcomeKind.UNAVAILABLE, message=_CLOSED)))
 
     def cancel(self, request: UUID, /) -> None:
@@ -101,8 +103,9 @@ class Ros2ActionClient:
             self._links[key] = ServerLink(self._ros.node, *key, self._ros.joined)
         return self._links[key]
 
-    def _send(self, request: Request, report: Reporter) -> None:
-        goal = Goal(request, self._bindings.of(request.action.name).accept, partial(self._tell, report))
+    def _send(self, request: Request, report: Reporter, is_blind: bool) -> None:
+        binding = self._bindings.of(request.action.name)
+        goal = Goal(request, binding.accept, partial(self._tell, report), binding.goal, is_blind)
         try:
             link = self._link(self._key(request.action))
             self._goals[request.id] = goal, link
@@ -129,7 +132,7 @@ class Ros2ActionClient:
                 _log.debug("the event loop is closed; nobody hears of %s", what)
 
     def _keep_looking(self) -> None:
-        """Have the timer run while, and only while, a goal is under way."""
+        """Have the timer run while, and only while, a goal is under way or the type of a server is not known yet."""
         if self._timer is None:
             self._timer = self._ros.timer(LOOK, self._look)
         elif self._timer.is_canceled():
@@ -138,7 +141,7 @@ class Ros2ActionClient:
     def _look(self) -> None:
         for link in self._links.values():
             link.look()
-        if not self._goals:
+        if not self._goals and all(link.type is not None for link in self._links.values()):
             self._timer.cancel()
 
     def _lose_all(self) -> None:

@@ -3,13 +3,13 @@
     class Guide(Node):
         def __init__(self):
             super().__init__("guide")
-            self.server = PnmActionServer(self, Guide, "guide", self.execute)
+            self.server = PnmActionServer(self, GroundAction, "guide", self.execute)
 
         def execute(self, goal):
             shop = self.server.query_kb(goal, PnmActionServer.QUERY_ALL, "shop")
             self.server.update_kb(goal, PnmActionServer.UPDATE_LOCAL, "seen", [shop])
             goal.succeed()
-            return Guide.Result()
+            return GroundAction.Result()
 
 An ordinary function as the execute callback runs on a thread of its own, so it may wait as long as it likes, whatever
 executor spins the node. A coroutine runs on the executor, as usual in `rclpy`, and awaits `query_kb_async` and

@@ -19,12 +19,16 @@ _MESSAGES: Final = ("message", "error_msg", "error_string")
 
 @dataclass(eq=False)
 class Goal:
-    """A request and how far it has come; every field after the first three changes, on the ROS thread only."""
+    """A request and how far it has come; every field after the first five changes, on the ROS thread only."""
 
     request: Request
     accept: float
     """Seconds the server may take to answer."""
     tell: Callable[[Report], None]
+    mapped: Mapping[str, object] | None = None
+    """The fields that the binding names, if it has a goal mapping."""
+    is_blind: bool = False
+    """Whether it was filled when nobody knew which fields there are: with all that may be one."""
     sent: float = 0.0
     handle: Any = None
     watch: Watch = field(default_factory=lambda: Watch(frozenset()))
@@ -42,6 +46,15 @@ class Goal:
         if not self.ended:
             self.ended = True
             self.tell(Ended(self.request.id, Outcome(kind, result or {}, message)))
+
+    def unfilled(self, known: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the fields that should have a value and have none; what was not looked for cannot be missed before."""
+        return tuple(name for name in known if name not in self.request.goal) if self.is_blind and self.mapped is None else ()
+
+    def data(self, known: tuple[str, ...]) -> dict[str, object]:
+        """Return the values for the fields."""
+        wanted = {*known, *(self.mapped or ())}
+        return {name: value for name, value in self.request.goal.items() if not self.is_blind or name in wanted}
 
     @property
     def over(self) -> bool:

@@ -114,7 +114,7 @@ class Ros2Person:
 
     def _send(self, fields: Mapping[str, object]) -> None:
         message = to_message(self._types[0], fields)
-        self._ros.call(lambda: self._publisher.publish(message))
+        self._ros.call(partial(self._say, message))
 
     def _answered(self, own: str, value: object) -> None:
         answer = self._open.get(own)
@@ -145,8 +145,12 @@ class Ros2Person:
         except RuntimeError:
             _log.debug("the event loop is closed; nobody hears of the answer")
 
+    def _say(self, message: Any) -> None:
+        if self._publisher is not None:  # otherwise it is closed, and nothing can be withdrawn any more
+            self._publisher.publish(message)
+
     def _listeners(self) -> int:
-        return int(self._publisher.get_subscription_count())
+        return int(self._publisher.get_subscription_count()) if self._publisher is not None else 0
 
     def _disconnect(self) -> None:
         from rclpy.duration import Duration

@@ -71,8 +71,8 @@ class PlanServers:
 
     # on the event loop's thread
 
-    async def open(self) -> dict[str, str]:
-        """Bring the servers up, and return the name of each plan's server in ROS.
+    async def names(self) -> dict[str, str]:
+        """Return the name in ROS of each plan's server, once it is known that nobody else has it.
 
         Raises:
             InputError: the name of a plan cannot be a name in ROS.
@@ -81,8 +81,11 @@ class PlanServers:
         await self._ros.settled()
         names = await self._ros.ask(self._names)
         await self._ros.ask(partial(self._check_alone, names))
-        await self._ros.ask(partial(self._serve, names))
         return names
+
+    async def open(self, names: Mapping[str, str]) -> None:
+        """Bring the servers up, under these names."""
+        await self._ros.ask(partial(self._serve, names))
 
     async def close(self, limit: float = CLOSING) -> None:
         """Take no more goals, cancel what runs, wait until that is confirmed and told, and take the servers down."""
@@ -90,10 +93,13 @@ class PlanServers:
         for goal in self._tasks.values():
             if goal.performance is not None:
                 goal.performance.executor.stop(reason="whoever serves the plan is being shut down")
-        if self._tasks:
-            _, late = await asyncio.wait(tuple(self._tasks), timeout=limit)
-            for task in late:
-                _log.warning("%s did not end within %g s; what it runs is left alone", self._tasks[task].plan, limit)
+        try:
+            if self._tasks:
+                await asyncio.wait(tuple(self._tasks), timeout=limit)
+        finally:
+            for task, goal in self._tasks.items():
+                _log.warning("%s has not ended; what it runs is left alone", goal.plan)
+                task.cancel()
         with suppress(TimeoutError):
             async with asyncio.timeout(_FAREWELL):
                 await until_true(self._ros, lambda: not self._open)

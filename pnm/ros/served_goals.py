@@ -15,7 +15,7 @@ from pnm.plan_graph import ActionCall
 from pnm.results import Failure
 from pnm.sources.base import SourceError
 from pnm.sources.people import printable
-from pnm.sources.values import write_value
+from pnm.sources.values import read_value, write_value
 from pnm.yaml_files import parse_value
 
 
@@ -112,7 +112,10 @@ def read_parameters(text: str) -> dict[str, object]:
     Raises:
         InputError: it is something else.
     """
-    found = parse_value(text, "parameters") if text.strip() else {}
+    try:
+        found = read_value(text)  # JSON first: not all of it means the same in YAML, such as 1e3 and escaped emoji
+    except SourceError:
+        found = parse_value(text, "parameters") if text.strip() else {}
     if not isinstance(found, dict):
         raise InputError(f"expected a mapping such as {{shop: bakery}} as parameters, found {text.strip()[:40]!r}")
     return found

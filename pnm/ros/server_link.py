@@ -19,7 +19,7 @@ from pnm.actions.base import Accepted, OutcomeKind
 from pnm.errors import InputError, PnmError
 from pnm.ros.goals import OVER, UNKNOWN, Goal, message_in
 from pnm.ros.graph import absence, processes, server_name, types
-from pnm.ros.messages import import_type, to_data, to_message
+from pnm.ros.messages import fields, import_type, to_data, to_message
 from pnm.ros.watch import AGAIN, ASKS, Verdict, Watch
 
 IN_FLIGHT: Final = 8
@@ -77,6 +77,7 @@ class ServerLink:
                 _log.debug("%s: %s", self.name, error)
                 return False
             self._connect()
+            self._expected_until = max(self._expected_until, monotonic() + DISCOVERY)  # it is there: the new client has yet to meet it
         return self._client is not None and bool(self._client.server_is_ready())
 
     def _connect(self) -> None:
@@ -115,8 +116,13 @@ class ServerLink:
             self._dispatch(self._queued.popleft())
 
     def _dispatch(self, goal: Goal) -> None:
+        known = fields(self.type.Goal)
+        if unfilled := goal.unfilled(known):
+            reason = f"{self.name} came when the goal had been filled; nobody has looked for values for {', '.join(unfilled)}"
+            goal.end(OutcomeKind.UNAVAILABLE, reason)
+            return
         try:
-            message = to_message(self.type.Goal, goal.request.goal)
+            message = to_message(self.type.Goal, goal.data(known))
             future = self._client.send_goal_async(message, goal_uuid=_ros_uuid(goal.request.id))
         except PnmError as error:
             goal.end(OutcomeKind.REJECTED, f"goal for {self.name}: {error}")

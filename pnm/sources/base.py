@@ -34,7 +34,9 @@ class Source(Protocol):
         """
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
-        """Store the value; when this returns, every later query finds it. A person is told, and stores nothing.
+        """Store the value, or forget it if it is None; when this returns, every later query finds it so.
+
+        A person is told, and stores nothing.
 
         Raises:
             SourceError: it could not be stored; a value that JSON cannot say never is.

@@ -7,13 +7,16 @@ import logging
 from collections.abc import Awaitable, Sequence
 from typing import Final, TypeVar
 
+from pnm.errors import PnmError
 from pnm.queries import MISSING, Question
 from pnm.sources import people
 from pnm.sources.base import Asker, Source, SourceError
 
+GRACE: Final = 1.0
+"""Seconds more for those that have a limit of their own, and say better what the matter is."""
 LIMIT: Final = 5.0
-"""Seconds a knowledge base may take; those that have a limit of their own say sooner what the matter is."""
-PERSON_LIMIT: Final = people.LIMIT + 1.0
+"""Seconds a knowledge base may take."""
+PERSON_LIMIT: Final = people.LIMIT + GRACE
 """The same for a person."""
 
 T = TypeVar("T")
@@ -24,7 +27,7 @@ _log = logging.getLogger(__name__)
 class Sources:
     """The global knowledge, in as many knowledge bases as there are, and a person; itself a `Source`.
 
-    A query goes through the knowledge bases in order until one has a value; an update goes to the first, where every
+    A query goes through the knowledge bases in order until one has a value, which null is not; an update goes to the first, where every
     later query finds it. What is for people (`people.is_for_people`) goes to the person. One that fails is an error, never
     passed over: the next one might answer with something else.
 
@@ -55,7 +58,7 @@ class Sources:
             return await self._within(self._person_limit, person.query(question, asker), f"nobody has answered {question}")
         for source in self._shared:
             found = await self._within(self._limit, source.query(question, asker), f"{source!r} has not answered {question}")
-            if found is not MISSING:
+            if found is not MISSING and found is not None:
                 return found
         return MISSING
 
@@ -96,3 +99,7 @@ class Sources:
             if not timer.expired():  # a source of somebody's own has failed so
                 raise SourceError(f"{otherwise}: {str(error) or type(error).__name__}") from error
             raise SourceError(f"{otherwise} within {limit:g} s") from error
+        except PnmError as error:
+            if isinstance(error, SourceError):
+                raise
+            raise SourceError(f"{otherwise}: {error}") from error

@@ -25,8 +25,10 @@ class MemoryKnowledge:
         return MISSING if found is None else read_value(found)
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
-        """Store the value."""
+        """Store the value; one that is set to None is forgotten."""
         self._variables[question.name] = write_value(value)
+        if value is None:
+            del self._variables[question.name]
 
     async def close(self) -> None:
         """Keep everything: there is nothing to let go of."""

@@ -16,7 +16,7 @@ from typing import Any, Final, TypeAlias
 from pnm.errors import InputError, Position
 from pnm.queries import Layer
 from pnm.sources.base import Source
-from pnm.sources.chain import Sources
+from pnm.sources.chain import GRACE, LIMIT, PERSON_LIMIT, Sources
 
 GROUPS: Final = {"pnm.sources": Layer.GLOBAL, "pnm.people": Layer.PERSON}
 """The groups of entry points, and whom the sources in them speak for."""
@@ -33,7 +33,7 @@ class Surroundings:
 
 
 Factory: TypeAlias = Callable[[Mapping[str, object], Surroundings], Source]
-"""Makes a source, given its options; raises `InputError` or `SourceError`."""
+"""Makes a source, given its options; raises `InputError` or `SourceError`. An option ``limit`` is the seconds it may take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,19 +116,28 @@ def open_sources(choices: Sequence[Choice], surroundings: Surroundings, file: Pa
         InputError: a name or an option is wrong, or there are two people.
         SourceError: a source cannot be made here.
     """
-    made: dict[Layer, list[Source]] = {Layer.GLOBAL: [], Layer.PERSON: []}
+    chosen: dict[Layer, list[Choice]] = {layer: [] for layer in _DEFAULTS}
     if file is not None:
-        made[Layer.GLOBAL].append(make_source(Choice("sqlite", {"file": str(file.absolute())}), surroundings))
+        chosen[Layer.GLOBAL].append(Choice("sqlite", {"file": str(file.absolute())}))
     for choice in choices:
         layer = _all()[check_source(choice.name, choice.position)].layer
-        if layer is Layer.PERSON and made[layer]:
+        if layer is Layer.PERSON and chosen[layer]:
             raise InputError(f"{choice.name} speaks for people, and so does another source; expected one of them", choice.position)
         if layer is Layer.PERSON or file is None:
-            made[layer].append(make_source(choice, surroundings))
-    for layer, default in _DEFAULTS.items():
-        if not made[layer]:
-            made[layer].append(make_source(default, surroundings))
-    return Sources(made[Layer.GLOBAL], made[Layer.PERSON][0])
+            chosen[layer].append(choice)
+    shared, people = (chosen[layer] or [default] for layer, default in _DEFAULTS.items())
+    return Sources(
+        [make_source(choice, surroundings) for choice in shared],
+        make_source(people[0], surroundings),
+        limit=_patience(shared, LIMIT),
+        person_limit=_patience(people, PERSON_LIMIT),
+    )
+
+
+def _patience(choices: Sequence[Choice], default: float) -> float:
+    """Return the seconds to wait for any of them: a ``limit`` that is chosen is theirs to keep."""
+    limits = (choice.options.get("limit") for choice in choices)
+    return max([default, *(limit + GRACE for limit in limits if isinstance(limit, int | float))])
 
 
 def make_source(choice: Choice, surroundings: Surroundings) -> Source:

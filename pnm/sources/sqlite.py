@@ -79,12 +79,13 @@ class SqliteKnowledge:
         return await self._on_thread(partial(self._read, question.name))
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
-        """Store the value on the disk.
+        """Store the value on the disk; one that is set to None is forgotten.
 
         Raises:
             SourceError: the file cannot be written, or the value cannot be stored.
         """
-        await self._on_thread(partial(self._write, question.name, write_value(value), str(asker.run)))
+        work = partial(self._write, question.name, write_value(value), str(asker.run))
+        await self._on_thread(work if value is not None else partial(self._forget, question.name))
 
     async def close(self) -> None:
         """Close the file when everything that was asked for is done."""
@@ -114,6 +115,9 @@ class SqliteKnowledge:
 
     def _write(self, name: str, value: str, run: str) -> None:
         self._open().execute(_STORE, (name, value, time(), run))
+
+    def _forget(self, name: str) -> None:
+        self._open().execute("DELETE FROM variables WHERE name = ?", (name,))
 
     def _open(self) -> sqlite3.Connection:
         if self._connection is None:

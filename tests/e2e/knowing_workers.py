@@ -1,7 +1,7 @@
 """Action servers that ask, and change, what the run knows that has called them. Run as a module.
 
 remember  stores its value as the local variable ``spam`` and the global one ``eggs``, and answers with what it then finds there
-alarm     stores the local variable ``alarm``, and answers once it is asked to end
+alarm     stores the local variable ``alarm``, and goes on until it is cancelled, or nobody has done that for 20 s
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rclpy.action import CancelResponse
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
-from pnm.ros.action_server import PnmActionServer
+from pnm.ros.action_server import KnowledgeError, PnmActionServer
 from tests.e2e.workers import say
 
 
@@ -41,11 +41,18 @@ class Knowing(Node):  # type: ignore[misc]
 
     def alarm(self, goal: Any) -> Any:
         say("start", "alarm", goal.request.value)
-        self.other.update_kb(goal, PnmActionServer.UPDATE_LOCAL, "alarm", True)
-        threading.Event().wait(0.2)
+        with suppress(KnowledgeError):  # the goal may be cancelled before we hear that it is stored
+            self.other.update_kb(goal, PnmActionServer.UPDATE_LOCAL, "alarm", True)
+        pause = threading.Event()
+        for _ in range(400):
+            if goal.is_cancel_requested:
+                say("cancelled", "alarm", goal.request.value)
+                goal.canceled()
+                return EstimateTime.Result()
+            pause.wait(0.05)
         say("end", "alarm", goal.request.value)
         goal.succeed()
-        return EstimateTime.Result(time=0)
+        return EstimateTime.Result()
 
 
 def main() -> None:

@@ -4,6 +4,8 @@
     add_one       answers with one more than the value
     broken        aborts
     wait          waits; until it is cancelled if that takes longer than a minute
+    fragile       the same, and is called fragile/wait
+    stubborn      the same, but cannot be cancelled
     four_waits    is called wait, too, and lets its goals go when four of them are there at the same time
 
 Each says what it does: what servers say of goals is the truth.
@@ -49,19 +51,25 @@ def broken(handle: Any) -> Any:
     return EstimateTime.Result(time=99)
 
 
-def wait(handle: Any) -> Any:
-    time = handle.request.time
-    say("start", "wait", time)
-    pause = threading.Event()
-    for _ in range(int(time / 0.05) if time <= 60 else 10**6):
-        if handle.is_cancel_requested:
-            say("cancelled", "wait", time)
-            handle.canceled()
-            return Wait.Result()
-        pause.wait(0.05)
-    say("end", "wait", time)
-    handle.succeed()
-    return Wait.Result()
+class Waiting:
+    """Goals that wait, each for its own time."""
+
+    def __init__(self, server: str) -> None:
+        self.server = server
+
+    def __call__(self, handle: Any) -> Any:
+        time = handle.request.time
+        say("start", self.server, time)
+        pause = threading.Event()
+        for _ in range(int(time / 0.05) if time <= 60 else 10**6):
+            if handle.is_cancel_requested:
+                say("cancelled", self.server, time)
+                handle.canceled()
+                return Wait.Result()
+            pause.wait(0.05)
+        say("end", self.server, time)
+        handle.succeed()
+        return Wait.Result()
 
 
 class FourWaits:
@@ -82,9 +90,19 @@ KNOWN: dict[str, tuple[str, Any, Callable[[Any], Any]]] = {
     "dummy_server": ("dummy_server", EstimateTime, answers("dummy_server", 0)),
     "add_one": ("add_one", EstimateTime, answers("add_one", 1)),
     "broken": ("broken", EstimateTime, broken),
-    "wait": ("wait", Wait, wait),
+    "wait": ("wait", Wait, Waiting("wait")),
+    "fragile": ("fragile/wait", Wait, Waiting("fragile/wait")),
+    "stubborn": ("stubborn", Wait, Waiting("stubborn")),
     "four_waits": ("wait", Wait, FourWaits()),
 }
+
+
+def accept(_: Any) -> CancelResponse:
+    return CancelResponse.ACCEPT
+
+
+def refuse(_: Any) -> CancelResponse:
+    return CancelResponse.REJECT
 
 
 def main(*names: str) -> None:
@@ -93,7 +111,7 @@ def main(*names: str) -> None:
     group = ReentrantCallbackGroup()
     for wanted in names:
         name, kind, execute = KNOWN[wanted]
-        ActionServer(node, kind, name, execute, callback_group=group, cancel_callback=lambda _: CancelResponse.ACCEPT)
+        ActionServer(node, kind, name, execute, callback_group=group, cancel_callback=refuse if name == "stubborn" else accept)
     executor = MultiThreadedExecutor(8)
     executor.add_node(node)
     sys.stdout.write("ready\n")

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 from uuid import UUID, uuid4, uuid5
 
-from pnm.actions.base import Ended, Outcome, Report, Request
+from pnm.actions.base import Ended, Outcome, OutcomeKind, Report, Request
 from pnm.bindings import Binding, Bindings
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.plan_graph import GroundAction
@@ -75,7 +75,9 @@ class Executive:
 
     async def said(self, server: str, action: str, *arguments: object) -> Any:
         """Send a goal and return what came of it: a list with the value or nothing in it, or the text of an error."""
-        return json.loads((await self.send(server, action, *arguments)).message)
+        outcome = await self.send(server, action, *arguments)
+        assert outcome.kind is OutcomeKind.SUCCEEDED, outcome
+        return json.loads(outcome.message)
 
     async def close(self) -> None:
         await self.services.close()

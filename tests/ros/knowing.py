@@ -107,7 +107,8 @@ def main() -> None:
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     with suppress(KeyboardInterrupt, ExternalShutdownException):
-        executor.spin()
+        while rclpy.ok():
+            executor.spin_once(0.5)  # `spin` sometimes sleeps through the signal that is to end it
 
 
 if __name__ == "__main__":

@@ -159,6 +159,33 @@ def test_type_found_from_the_graph_and_hyphens_written_as_underscores(play, star
     play(scenario)
 
 
+@pytest.mark.parametrize(("goal", "kind"), [({}, OutcomeKind.UNAVAILABLE), ({"order": 2}, OutcomeKind.SUCCEEDED)])
+def test_a_goal_that_was_filled_before_its_type_was_known_is_sent_if_it_has_all_fields(play, start, names, goal, kind):
+    name = names()
+    start("--fibonacci", name)
+
+    async def scenario(client):
+        outcome = await client.send(name, action=name, arguments=[], duration=0.0, **goal).ended()
+        assert outcome.kind is kind
+        if not goal:
+            assert outcome.message == f"/{name} came when the goal had been filled; nobody has looked for values for order"
+
+    play(scenario)
+
+
+def test_the_type_of_a_server_that_comes_later_is_learned(play, start, names):
+    name = names()
+
+    async def scenario(client):
+        action = GroundAction(name)
+        assert await client.ros2.prepare([action], 0.0) == (f"/{name}",)
+        await asyncio.to_thread(start, "--fibonacci", name)
+        await client.ros2.prepare([action], 20.0)
+        assert client.ros2.goal_fields(action) == ("order",)
+
+    play(scenario)
+
+
 def test_a_server_that_comes_late_is_waited_for(play, start, names):
     name = names()
 

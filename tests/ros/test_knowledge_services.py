@@ -30,6 +30,10 @@ def server(names: Callable[[], str]) -> Iterator[str]:
     process.kill()
 
 
+OURS = "/pnm/ros/"
+"""Stands in every traceback of what is tested; rclpy itself may fail with one while its context ends."""
+
+
 class Person:
     """Answers when it is told to; `asked` has a question for every moment at which somebody asks."""
 
@@ -69,8 +73,8 @@ def test_local_and_global_and_both(ros, server):
             assert await one.said(server, "update", "global", "spam", False) == [None]
             assert await one.said(server, "query", "all", "spam") == [{"eggs": [1, 2.5, None, "ü"]}]
             assert await one.said(server, "query", "global", "spam") == [False]
-            assert await one.said(server, "update", "all", "both", None) == [None]
-            assert [await one.said(server, "query", layer, "both") for layer in ("local", "global")] == [[None], [None]]
+            assert await one.said(server, "update", "all", "both", 0) == [None]
+            assert [await one.said(server, "query", layer, "both") for layer in ("local", "global")] == [[0], [0]]
 
     run(main())
 
@@ -88,6 +92,17 @@ def test_every_kind_of_server_may_ask(ros, names, begin, options):
             assert {outcome.message for outcome in await asyncio.gather(*ended)} == {"[null]"}
             assert one.local.variables() == {f"v{number}": number for number in range(20)}
             assert await one.said(name, "query", "all", "v7") == [7]
+
+    run(main())
+
+
+def test_the_example_of_the_documentation(ros, begin):
+    async def main():
+        await asyncio.to_thread(begin, "guide")
+        async with executive(ros) as one:
+            await one.sources.update(Question("shop", Layer.GLOBAL, "null"), "bakery", Asker(one.run))
+            assert (await one.send("guide", "lead")).kind is OutcomeKind.SUCCEEDED
+            assert one.local.variables() == {"seen": ["bakery"]}
 
     run(main())
 
@@ -134,7 +149,7 @@ def test_an_executive_that_is_killed_is_not_waited_for(names, begin):
     said = json.loads(server.line())
     assert said.startswith("/pnm_")
     assert said.endswith("/query did not answer within 3 s")
-    assert "Traceback" not in server.stop()
+    assert OURS not in server.stop()
 
 
 def test_a_global_source_that_never_answers_is_said_to_the_server(ros, server):
@@ -190,13 +205,13 @@ def test_cancelling_a_goal_that_asks_ends_it_and_withdraws_the_question(ros, nam
         person = Person()
         async with executive(ros, person=person) as one:
             goal = one.new_id()
-            ended = one.send(name, "query", "person", "shop", None, 30.0, id=goal)
+            ended = one.send(name, "query", "person", "shop", None, 300.0, id=goal)
             await person.asked.get()
             one.client(name).cancel(goal)
             outcome = await ended
-            assert (outcome.kind, json.loads(outcome.message)) == (OutcomeKind.CANCELED, "the goal is being cancelled")
+            assert (outcome.kind, outcome.message) == (OutcomeKind.CANCELED, '"the goal is being cancelled"')
             assert await person.withdrawn.get() == "shop"
-        assert "Traceback" not in await asyncio.to_thread(server.stop)
+        assert OURS not in await asyncio.to_thread(server.stop)
 
     run(main())
 
@@ -263,7 +278,7 @@ def test_a_server_that_asks_nonsense_is_told_so(ros, server, arguments, said):
     run(main())
 
 
-def test_a_server_that_ends_while_it_asks_leaves_no_traceback(ros, names, begin):
+def test_a_server_that_ends_while_it_asks_leaves_no_traceback_of_ours(ros, names, begin):
     name = names()
 
     async def main():
@@ -272,7 +287,7 @@ def test_a_server_that_ends_while_it_asks_leaves_no_traceback(ros, names, begin)
         async with executive(ros, person=person) as one:
             ended = one.send(name, "query", "person", "a", None, 30.0)
             await person.asked.get()
-            assert "Traceback" not in await asyncio.to_thread(server.stop)
+            assert OURS not in await asyncio.to_thread(server.stop)
             assert (await ended).kind in (OutcomeKind.LOST, OutcomeKind.UNAVAILABLE)
 
     run(main())
