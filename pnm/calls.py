@@ -13,7 +13,7 @@ from typing import assert_never
 from uuid import UUID, uuid5
 
 from pnm.actions.base import Ended, Outcome, OutcomeKind, Report, Request
-from pnm.bindings import Binding, Bindings, goal_data
+from pnm.bindings import Binding, Bindings, goal_data, open_parameters, placeholders
 from pnm.checks import Intention, finished, intention, lag_of_effects, unseen
 from pnm.conditions import ground
 from pnm.consultation import Consultation
@@ -99,7 +99,10 @@ class Calls:
         action = self.ready(call, consulted)
         if action.operation is not None:
             return {}, _unknown_values(action.operation, consulted)
-        return goal_data(action, self.binding(call), self._goal_fields(action), consulted)
+        binding = self.binding(call)
+        fields, missing = goal_data(action, binding, self._goal_fields(action), consulted)
+        in_server = frozenset(placeholders(binding.server or ""))
+        return fields, tuple(dict.fromkeys((*missing, *(name for name in open_parameters(action) if name in in_server))))
 
     def unseen(self, call: int, consulted: Consultation) -> tuple[str, ...]:
         """Return what of the call's effects is not seen."""

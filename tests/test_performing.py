@@ -395,3 +395,15 @@ def test_a_terminal_is_told_nothing_that_makes_it_do_something() -> None:
     shown = StringIO()
     Terminal(file=shown).print("start\n  go(\x1b[31m\ud800)", markup=False)
     assert shown.getvalue() == "start\n  go(\ufffd[31m\ufffd)\n"
+
+
+def test_a_plan_that_is_called_is_not_tried_again_by_itself(tmp_path: Path) -> None:
+    broken = Faults((Fault("go(pharmacy)", FaultKind.ABORT),))
+    task = carry_out(written(tmp_path, GUIDE), parameters={"shop": "pharmacy"}, faults=broken).task
+    assert [call.attempts for call in task.calls if call.call.action.name == "inner"] == [1]
+
+
+def test_the_name_of_a_server_needs_its_parameters_whatever_the_goal_has(tmp_path: Path) -> None:
+    text = "actions: {go: {params: [r], server: '/{r}/go', goal: {x: 1}}}\nplan: [go: ]"
+    (failure,) = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite").task.failures
+    assert (failure.cause, failure.expected) == ("data_missing", "values for r")

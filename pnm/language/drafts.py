@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
+from pnm.bindings import Binding
 from pnm.errors import InputError, Position, Tolerated
 from pnm.expressions import Variable
 from pnm.language.actions import ActionKind, LanguageAction, read_class
@@ -28,6 +29,8 @@ RECIPE_KEYS: Final = ("server", "action", *_ALWAYS)
 _ONLY_DOMAINS: Final = frozenset(DOMAIN_KEYS) - frozenset(PLAN_KEYS)
 _SERVERS: Final = ("ActionServer", "SimpleActionServer", "BasicControllerPluginServer", "DAPluginServer")
 """The classes that files for the original implementation name; every plan becomes a ROS 2 action server."""
+_CALLED: Final = Binding(retries=0, timeout=86_400.0, cancel=60.0)
+"""How a plan is called by another: its own limits, and those of what it calls, end it sooner than these."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class Draft:
     @property
     def action(self) -> LanguageAction:
         """The plan as an action that others call."""
-        return LanguageAction(self.name, ActionKind.PLAN, self.entry.start, self.parameters)
+        return LanguageAction(self.name, ActionKind.PLAN, self.entry.start, self.parameters, binding=_CALLED)
 
 
 def read_domain(path: Path) -> LanguageDomain:

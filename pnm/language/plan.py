@@ -6,14 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import Final
 
-from pnm.bindings import Binding, Bindings
+from pnm.bindings import Bindings
 from pnm.conditions import TRUE, Condition
 from pnm.effects import TimedChange
 from pnm.errors import InputError, Tolerated
 from pnm.expressions import Fluent, Value
-from pnm.language.actions import ActionKind, LanguageAction
+from pnm.language.actions import LanguageAction
 from pnm.language.calls import Facts
 from pnm.language.data import read_literal
 from pnm.language.declarations import needed, read_facts
@@ -29,9 +28,6 @@ from pnm.plan_graph import PlanGraph
 from pnm.rules import Rules
 from pnm.sources.registry import Choice
 from pnm.yaml_files import Mapped
-
-_CALLED: Final = Binding(retries=0, timeout=86_400.0, cancel=60.0)
-"""How a plan is called by another: its own limits, and those of what it calls, end it sooner than these."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +134,7 @@ def _plan(draft: Draft, others: Mapping[str, Draft]) -> HandWrittenPlan:
     return HandWrittenPlan(
         draft.name,
         graph,
-        Bindings({name: _CALLED if action.kind is ActionKind.PLAN else action.binding for name, action in actions.items()}),
+        Bindings({name: action.binding for name, action in actions.items()}),
         parameters=None if draft.parameters is None else tuple(variable.name[1:] for variable in draft.parameters),
         results=tuple(entry.strings("results")),
         variables=_variables(entry),
