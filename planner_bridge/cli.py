@@ -131,9 +131,7 @@ def net(
 @click.option(
     "--on-failure",
     type=click.Choice(["drain", "cancel"]),
-    default="drain",
-    show_default=True,
-    help="what running actions do when one has failed",
+    help="what running actions do when one has failed; by default what a hand-written plan says, or else drain",
 )
 @as_json_option
 @command
@@ -152,7 +150,7 @@ def run(
     timeout: float,
     replans: int,
     seconds: float | None,
-    on_failure: str,
+    on_failure: str | None,
     as_json: bool,
 ) -> int:
     """Plan, execute, and replan until the goal holds; or carry out a plan that somebody has written."""
@@ -166,14 +164,16 @@ def run(
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
     where: Where = "ros2" if actions == "ros2" else "simulated"
     limits = Limits(replans=replans, seconds=seconds)
-    settings = Settings(planner, timeout, limits=limits, on_failure=OnFailure(on_failure))
+    settings = Settings(planner, timeout, limits=limits, on_failure=OnFailure(on_failure or "drain"))
     chosen = chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
-        from planner_bridge.cli_written import run_written
+        from planner_bridge.cli_written import Files, run_written
 
-        return run_written(
-            chosen, name, given, actions=where, faults=faults, bindings=bindings, settings=settings, knowledge=knowledge, as_json=as_json
-        )
+        ends = None if on_failure is None else settings.on_failure
+        files = Files(bindings, faults, knowledge)
+        return run_written(chosen, name, given, files, actions=where, settings=settings, on_failure=ends, as_json=as_json)
+    if name or given or knowledge:
+        raise InputError("--name, --set and --knowledge belong to hand-written plans; expected --plan and a file")
     stopwatch = Stopwatch()
     with stopwatch.of("parse"):
         loaded = _load(*chosen)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from planner_bridge.cli_options import tell
@@ -16,7 +16,7 @@ from pnm.bindings import read_bindings
 from pnm.errors import InputError
 from pnm.generation import generate
 from pnm.language.plan import read_plans
-from pnm.machine import PetriNetMachine
+from pnm.machine import OnFailure, PetriNetMachine
 from pnm.yaml_files import parse_value
 
 
@@ -32,16 +32,24 @@ def machine_of(file: Path, name: str | None, bindings: Path | None) -> PetriNetM
     return generate(plan.graph, chosen, on_failure=plan.on_failure)
 
 
+@dataclass(frozen=True, slots=True)
+class Files:
+    """Files that come besides the plan's own."""
+
+    bindings: Path | None
+    faults: Path | None
+    knowledge: Path | None
+
+
 def run_written(
     file: Path,
     name: str | None,
     given: tuple[str, ...],
+    files: Files,
     *,
     actions: Where,
-    faults: Path | None,
-    bindings: Path | None,
     settings: Settings,
-    knowledge: Path | None,
+    on_failure: OnFailure | None,
     as_json: bool,
 ) -> int:
     """Carry out a hand-written plan, tell how it went, and return the exit status."""
@@ -51,10 +59,11 @@ def run_written(
         name,
         _parameters(given),
         actions=actions,
-        faults=read_faults(faults, None) if faults else NO_FAULTS,
-        settings=replace(settings, bindings=read_bindings(bindings)) if bindings else settings,
+        faults=read_faults(files.faults, None) if files.faults else NO_FAULTS,
+        settings=replace(settings, bindings=read_bindings(files.bindings)) if files.bindings else settings,
+        on_failure=on_failure,
         observer=TaskObserver() if as_json else ConsoleObserver(console),
-        knowledge=knowledge,
+        knowledge=files.knowledge,
         warn=tell,
     )
     if as_json:

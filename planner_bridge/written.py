@@ -30,6 +30,7 @@ from pnm.expressions import Unknown
 from pnm.knowledge import KnowledgeBase
 from pnm.language.plan import HandWrittenPlan, read_plans
 from pnm.ledger import UNCONFIRMED
+from pnm.machine import OnFailure
 from pnm.performing import Performer, Program
 from pnm.plan_graph import ActionCall
 from pnm.sites import RobotsSite, Ros2Site, Site, schedule
@@ -94,6 +95,7 @@ def carry_out(
     faults: Faults = NO_FAULTS,
     settings: Settings | None = None,
     observer: TaskObserver | None = None,
+    on_failure: OnFailure | None = None,
     knowledge: Path | None = None,
     warn: Callable[[Iterable[Tolerated]], None] | None = None,
 ) -> PlanResult:
@@ -105,8 +107,9 @@ def carry_out(
         parameters: variables that the run knows from the beginning.
         actions: simulated robots under virtual time, or the action servers of ROS 2.
         faults: what goes wrong in simulation.
-        settings: bindings that come before those of the files; planner and limits, for when the plan asks for a planner.
+        settings: bindings that come before those of the files, limits, and the planner, for when the plan asks for one.
         observer: is told what happens.
+        on_failure: what running actions do when one has failed, in place of what the plans say.
         knowledge: the file in which global knowledge is kept, in place of what the plan chose.
         warn: is told what in the files was not as it should be.
 
@@ -116,7 +119,7 @@ def carry_out(
     seconds = Stopwatch()
     with seconds.of("parse"):
         settings = settings or Settings()
-        plans = {name: replace(plan, bindings=settings.bindings.before(plan.bindings)) for name, plan in read_plans(file).items()}
+        plans = {name: _settled(plan, settings, on_failure) for name, plan in read_plans(file).items()}
         chosen = chosen_plan(plans, name)
     if warn:
         warn(plans[chosen].warnings)
@@ -135,6 +138,13 @@ def carry_out(
         lambda: open_sources(choices, Surroundings(getattr(site, "ros", None), file.parent), knowledge),
     )
     return run_async(task.perform(parameters or {}), virtual=actions == "simulated")
+
+
+def _settled(plan: HandWrittenPlan, settings: Settings, on_failure: OnFailure | None) -> HandWrittenPlan:
+    """Return the plan with what is said besides its files; of two limits of time the shorter one counts."""
+    limits = [limit for limit in (plan.timeout, settings.limits.seconds) if limit is not None]
+    bindings = settings.bindings.before(plan.bindings)
+    return replace(plan, bindings=bindings, timeout=min(limits, default=None), on_failure=on_failure or plan.on_failure)
 
 
 @dataclass(frozen=True)

@@ -278,6 +278,25 @@ def names(condition: Condition) -> frozenset[str]:
             assert_never(condition)
 
 
+def data_in(condition: Condition) -> Iterator[Data]:
+    """Yield what of the condition is computed from variables."""
+    match condition:
+        case Computed(data):
+            yield data
+        case Not(operand) | ForAll(_, operand) | Exists(_, operand):
+            yield from data_in(operand)
+        case All(operands) | Any(operands):
+            for operand in operands:
+                yield from data_in(operand)
+        case Implies(left, right):
+            yield from data_in(left)
+            yield from data_in(right)
+        case Holds() | Compare():
+            return
+        case _:
+            assert_never(condition)
+
+
 def free_variables(condition: Condition) -> frozenset[str]:
     """Return the variables that no quantifier in the condition binds."""
     match condition:

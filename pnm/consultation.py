@@ -15,7 +15,7 @@ from pnm.bindings import DEFAULT, Binding, open_parameters
 from pnm.expressions import NOTHING, Environment, Fluent, Unknown, Value
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.plan_graph import GroundAction
-from pnm.queries import MISSING, Layer, Question, Unanswered, Uncomputable, compute
+from pnm.queries import MISSING, JsonText, Layer, Question, Unanswered, Uncomputable, compute
 
 _NO_ACTION = GroundAction("")
 
@@ -101,7 +101,8 @@ class Consultation:
         if not any(value.startswith("?") for value in self.action.arguments):
             return NOTHING
         found = {f"?{name}": self._parameter(name) for name in open_parameters(self.action)}
-        return {name: value if isinstance(value, str) else json.dumps(value) for name, value in found.items() if value is not MISSING}
+        known = {name: value for name, value in found.items() if value is not MISSING}
+        return {name: value if isinstance(value, str) else JsonText(json.dumps(value)) for name, value in known.items()}
 
     def uncomputable(self, names: Iterable[str], /) -> Iterator[str]:
         """Say for which of the parameters, without ``?``, the plan gives what cannot be computed, and why."""

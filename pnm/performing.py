@@ -7,6 +7,7 @@ what it gives back are its results.
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -31,6 +32,8 @@ from pnm.run import Run
 from pnm.sites import Site
 from pnm.sources.base import Asker, Source
 from pnm.sources.chain import Sources
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -234,6 +237,10 @@ class PlansClient:
         report(Accepted(request.id))
         try:
             result = await self._performer.execute(performance)
+        except Exception as error:  # whoever calls the plan waits for its end
+            _log.exception("%s has come to no end", request.action)
+            report(Ended(request.id, Outcome(OutcomeKind.ABORTED, message=f"internal error: {type(error).__name__}: {error}")))
+            return
         finally:
             del self._performances[request.id]
         unsuccessful = OutcomeKind.CANCELED if request.id in self._cancelled else OutcomeKind.ABORTED

@@ -370,11 +370,17 @@ def parameters_in(data: Data) -> frozenset[str]:
     return own.union(*(variables_in(fluent) for fluent in fluents_in(data)))
 
 
+class JsonText(str):
+    """What stands in an environment for a value that is no text: its JSON text."""
+
+    __slots__ = ()
+
+
 def substituted(data: Data, env: Environment) -> Data:
-    """Put the environment's objects in the place of parameters and variables."""
+    """Put the environment's objects, and values, in the place of parameters and variables."""
     match data:
-        case Parameter(name):
-            return Literal.of(env[name]) if name in env else data
+        case Parameter(name) if name in env:
+            return Literal(env[name]) if isinstance(env[name], JsonText) else Literal.of(env[name])
         case ValueOf(fluent):
             return ValueOf(bind(fluent, env))
         case Query(name, layer, meta):

@@ -15,7 +15,7 @@ from pnm.generation import generate
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.machine import OnFailure
 from pnm.plan_graph import EMPTY, ActionCall, Cause, Choice, Flow, GroundAction, Junction, Loop, PlanGraph, Recovery, Step, Then
-from pnm.queries import Data, Layer, Literal, Operation, Query, Question, Update
+from pnm.queries import Data, Layer, Literal, Operation, Parameter, Query, Question, Update
 from pnm.run import Run
 from pnm.state_space import Unsound
 from tests.machines import ordering
@@ -287,6 +287,13 @@ def test_missing_goal_data_is_looked_up_globally_then_asked_for_then_a_failure_b
     asked = play(graph, known={}, bindings=asking)
     assert asked.asked == [Question("time", Layer.GLOBAL, "null"), Question("time", Layer.PERSON, '"How long?"')]
     assert [(one.cause, one.expected) for one in asked.result.failures] == [("data_missing", "values for time")]
+
+
+def test_a_parameter_that_knowledge_fills_keeps_its_kind() -> None:
+    few = Computed(Operation("lt", (Parameter("?n"), Literal.of(5))))
+    graph = plan(ActionCall(0, GroundAction("count", ("?n",), ("n",), precondition=few)))
+    assert play(graph, variables={"n": 3}).sent[0][1]["n"] == 3
+    assert [one.cause for one in play(graph, variables={"n": 7}).result.failures] == ["precondition_false"]
 
 
 def test_what_is_expected_is_checked_after_and_spares_the_action_before() -> None:

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.cli_written import run_written
+from planner_bridge.cli_written import Files, run_written
 from planner_bridge.console import Terminal
+from planner_bridge.replanning import Limits
 from planner_bridge.tasks import Settings
 from planner_bridge.written import carry_out, chosen_plan, simulated_site, together
 from pnm.actions.faults import Fault, FaultKind, Faults
@@ -20,6 +21,7 @@ from pnm.clock import run_async
 from pnm.errors import InputError
 from pnm.knowledge import KnowledgeBase
 from pnm.language.plan import read_plans
+from pnm.machine import OnFailure
 from pnm.performing import Performer, Program
 from pnm.queries import Question
 from pnm.sites import schedule
@@ -378,15 +380,15 @@ def test_a_result_is_json_whatever_is_in_it(tmp_path: Path) -> None:
 
 def test_parameters_of_the_command_line_are_finite() -> None:
     with pytest.raises(InputError, match=r"expected finite numbers after --set x, found '\[1, .nan\]'"):
+        given = ("x=[1, .nan]",)
         run_written(
             Path("nowhere.yaml"),
             None,
-            ("x=[1, .nan]",),
+            given,
+            Files(None, None, None),
             actions="simulated",
-            faults=None,
-            bindings=None,
             settings=Settings(),
-            knowledge=None,
+            on_failure=None,
             as_json=True,
         )
 
@@ -407,3 +409,11 @@ def test_the_name_of_a_server_needs_its_parameters_whatever_the_goal_has(tmp_pat
     text = "actions: {go: {params: [r], server: '/{r}/go', goal: {x: 1}}}\nplan: [go: ]"
     (failure,) = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite").task.failures
     assert (failure.cause, failure.expected) == ("data_missing", "values for r")
+
+
+def test_limits_and_policy_of_the_caller_count(tmp_path: Path) -> None:
+    file = written(tmp_path, GUIDE)
+    settings = Settings(limits=Limits(seconds=7))
+    result = carry_out(file, parameters={"shop": "a"}, settings=settings, on_failure=OnFailure.CANCEL)
+    assert result.task.reason == "the plan's limit of 7 s is reached"
+    assert result.task.episodes[0].machine.on_failure is OnFailure.CANCEL

@@ -289,6 +289,10 @@ WRONG = [
     ("problem: {init: ['(at ?x)']}\nactions: {}", ":1:18: there is no parameter '?x' here"),
     ("problem: {goal: '(at ?x)'}\nactions: {}", ":1:17: there is no parameter '?x' here"),
     ("predicates: (at ?x)\nproblem: {init: [(at)]}\nactions: {}", ":2:18: at takes 1 arguments, found 0"),
+    (
+        "actions: {a: {preconditions: {over_all: {not: {Exists: [Query: v]}}}}}",
+        ":1:41: what must hold over all is watched, and nobody is asked all the time; expected LocalQuery",
+    ),
     ("plan: []\n", ":1:1: there is no domain in the file; expected the key 'actions'"),
     ("actions: {}\n---\nactions: {}\n", ":3:1: there is a domain in this file already"),
 ]

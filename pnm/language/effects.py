@@ -9,12 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from pnm.conditions import TRUE, Condition
+from pnm.conditions import TRUE, Condition, data_in
 from pnm.effects import OPERATIONS, Effect, Effects, ForEach, Set, When
+from pnm.errors import InputError
 from pnm.expressions import Constant, Expression
 from pnm.language.formulas import conjunction, read_condition, read_expression, read_quantified
 from pnm.language.scope import ANYTHING, Scope, fluent_in, read_fluent, shown
 from pnm.language.words import TESTS, Form, form, needed_form
+from pnm.queries import Layer, Query, parts
 from pnm.yaml_files import Node
 
 _CHANGES: Final = dict(zip((*OPERATIONS, "scale_up", "scale_down"), (*OPERATIONS, *OPERATIONS[-2:]), strict=True))
@@ -129,6 +131,9 @@ def read_conditions(node: Node | None, scope: Scope = ANYTHING) -> Timed:
     entry.only(*MOMENTS)
     found = [entry.node(moment) for moment in MOMENTS]
     start, always, end = (TRUE if one is None or one.is_null else read_condition(one, scope) for one in found)
+    if any(isinstance(part, Query) and part.layer is not Layer.LOCAL for data in data_in(always) for part in parts(data)):
+        message = "what must hold over all is watched, and nobody is asked all the time; expected LocalQuery, facts or functions"
+        raise InputError(message, entry.position("over_all"))
     return Timed(start, always, end)
 
 
