@@ -379,18 +379,9 @@ def test_a_result_is_json_whatever_is_in_it(tmp_path: Path) -> None:
 
 
 def test_parameters_of_the_command_line_are_finite() -> None:
+    given, none = ("x=[1, .nan]",), Files(None, None, None)
     with pytest.raises(InputError, match=r"expected finite numbers after --set x, found '\[1, .nan\]'"):
-        given = ("x=[1, .nan]",)
-        run_written(
-            Path("nowhere.yaml"),
-            None,
-            given,
-            Files(None, None, None),
-            actions="simulated",
-            settings=Settings(),
-            on_failure=None,
-            as_json=True,
-        )
+        run_written(Path("no.yaml"), None, given, none, actions="simulated", settings=Settings(), on_failure=None, as_json=True)
 
 
 def test_a_terminal_is_told_nothing_that_makes_it_do_something() -> None:
