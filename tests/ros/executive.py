@@ -73,6 +73,12 @@ class Executive:
             self.clients[server] = Ros2ActionClient(self.ros, bindings, asyncio.get_running_loop())
         return self.clients[server]
 
+    async def meet(self, server: str) -> None:
+        """Send a goal that matters to nobody until one is answered: what is answered at a first contact may be lost on the way."""
+        for _ in range(3):
+            if (await self.send(server, "query", "local", "nothing")).kind is not OutcomeKind.UNAVAILABLE:
+                return
+
     async def said(self, server: str, action: str, *arguments: object) -> Any:
         """Send a goal and return what came of it: a list with the value or nothing in it, or the text of an error."""
         outcome = await self.send(server, action, *arguments)

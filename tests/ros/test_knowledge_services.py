@@ -204,6 +204,7 @@ def test_cancelling_a_goal_that_asks_ends_it_and_withdraws_the_question(ros, nam
         server = await asyncio.to_thread(begin, "knowing", name, "--kind", kind)
         person = Person()
         async with executive(ros, person=person) as one:
+            await one.meet(name)
             goal = one.new_id()
             ended = one.send(name, "query", "person", "shop", None, 300.0, id=goal)
             await person.asked.get()
@@ -223,6 +224,7 @@ def test_a_simple_server_carries_out_one_goal_at_a_time_and_none_that_was_cancel
         await asyncio.to_thread(begin, "knowing", name, "--kind", "simple")
         person = Person()
         async with executive(ros, person=person) as one:
+            await one.meet(name)
             first = one.send(name, "query", "person", "a", None, 30.0)
             await person.asked.get()
             goal = one.new_id()
@@ -285,6 +287,7 @@ def test_a_server_that_ends_while_it_asks_leaves_no_traceback_of_ours(ros, names
         server = await asyncio.to_thread(begin, "knowing", name)
         person = Person()
         async with executive(ros, person=person) as one:
+            await one.meet(name)
             ended = one.send(name, "query", "person", "a", None, 30.0)
             await person.asked.get()
             assert OURS not in await asyncio.to_thread(server.stop)
