@@ -17,7 +17,7 @@ from typing import TextIO
 
 from planner_bridge.grounding import ground_action, modelled_duration
 from planner_bridge.model import ActionSchema, Problem
-from planner_bridge.sites import simulated_robots
+from planner_bridge.sites import robots_of
 from planner_bridge.state import initial_knowledge
 from pnm.actions.base import Accepted, Ended, Report, Reporter, Request
 from pnm.actions.faults import Faults
@@ -58,7 +58,7 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
     stopped = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stopped.set)
-    robots = simulated_robots(problem, bindings, faults, speed=speed)
+    robots = robots_of(problem, bindings, faults, speed=speed)
     ros = RosThread("robots")
     try:
         logged = LoggedRobots(robots, log)

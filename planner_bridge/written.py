@@ -19,8 +19,7 @@ from planner_bridge.replanning import History
 from planner_bridge.tasks import Episode, Settings, TaskObserver, TaskResult
 from planner_bridge.yaml_files.reader import read
 from pnm.actions.faults import NO_FAULTS, Faults
-from pnm.actions.simulated import SimulatedRobots
-from pnm.actions.world import World
+from pnm.actions.simulated import simulated_robots
 from pnm.bindings import Bindings
 from pnm.clock import run_async
 from pnm.conditions import TRUE
@@ -240,9 +239,8 @@ def simulated_site(plan: HandWrittenPlan, bindings: Bindings, faults: Faults = N
     """Return simulated robots in a world that starts as the plan says."""
     calls = plan.graph.calls
     written = (names_written((*call.action.start_effects, *call.action.end_effects)) for call in calls)
-    changes = (*(change.changes for change in plan.timed), *(change.changes for change in faults.changes))
-    timed = (frozenset(fluent[0] for fluent in change) for change in changes)
+    timed = (frozenset(fluent[0] for fluent in change.changes) for change in plan.timed)
     truth = KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules)
-    is_timed = bool(plan.timed) or any(call.action.duration is not None for call in calls)
-    world = World(truth, frozenset().union(*written, *timed))
-    return RobotsSite(SimulatedRobots(world, faults, bindings, plan.timed, 0.0 if is_timed else 1.0), bindings.assumed)
+    lasting = bool(plan.timed) or any(call.action.duration is not None for call in calls)
+    robots = simulated_robots(truth, frozenset().union(*written, *timed), bindings, faults, plan.timed, lasting=lasting)
+    return RobotsSite(robots, bindings.assumed)

@@ -108,7 +108,7 @@ class Lookup(Protocol):
     def find(self, name: str, /) -> object:
         """Return a variable that is needed: from wherever it can be had, or `MISSING`."""
 
-    def given(self, action: GroundAction, /) -> Mapping[str, object]:
+    def given(self) -> Mapping[str, object]:
         """Return the values that the plan gives to goal fields or leaves open, as far as there are any."""
 
 
@@ -126,7 +126,7 @@ def goal_data(
         "arguments": list(action.arguments),
         "duration": action.duration or 0.0,
         **{name: value for name, value in told.items() if not value.startswith("?")},
-        **knowledge.given(action),
+        **knowledge.given(),
     }
     needed = binding.goal if binding.goal is not None else dict.fromkeys(fields if fields is not None else open_parameters(action))
     filled: dict[str, object] = {}

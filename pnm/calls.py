@@ -22,21 +22,9 @@ from pnm.events import Cancel, Command, Send, Tell
 from pnm.expressions import Environment
 from pnm.knowledge import Layered
 from pnm.machine import Deed
+from pnm.operators import CHANGING, Uncomputable
 from pnm.plan_graph import ActionCall, GroundAction, PlanGraph
-from pnm.queries import (
-    CHANGING,
-    MISSING,
-    KnowledgeOperation,
-    Layer,
-    Operation,
-    Query,
-    Question,
-    Uncomputable,
-    Update,
-    asked,
-    compute,
-    named,
-)
+from pnm.queries import MISSING, KnowledgeOperation, Layer, Operation, Query, Question, Update, asked, compute, named
 
 GoalFields = Callable[[GroundAction], tuple[str, ...] | None]
 

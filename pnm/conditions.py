@@ -38,7 +38,8 @@ from pnm.expressions import (
     value_of,
     variables_in,
 )
-from pnm.queries import Answers, Data, Unanswered, Uncomputable, compute, fluents_in, parameters_in, substituted, told
+from pnm.operators import Uncomputable
+from pnm.queries import Answers, Data, Unanswered, compute, fluents_in, parameters_in, substituted, told
 from pnm.queries import truth as is_true
 
 # --- conditions ----------------------------------------------------------------------------

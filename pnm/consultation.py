@@ -14,8 +14,9 @@ from uuid import UUID
 from pnm.bindings import DEFAULT, Binding, open_parameters
 from pnm.expressions import NOTHING, Environment, Fluent, Unknown, Value
 from pnm.knowledge import KnowledgeBase, Layered
+from pnm.operators import Uncomputable
 from pnm.plan_graph import GroundAction
-from pnm.queries import MISSING, JsonText, Layer, Question, Unanswered, Uncomputable, compute
+from pnm.queries import MISSING, JsonText, Layer, Question, Unanswered, compute
 
 _NO_ACTION = GroundAction("")
 
@@ -90,10 +91,10 @@ class Consultation:
         told = dict(zip(self.action.parameters, self.action.arguments, strict=True)).get(bare, name)
         return self.find(bare) if told.startswith("?") else told
 
-    def given(self, action: GroundAction, /) -> dict[str, object]:
+    def given(self) -> dict[str, object]:
         """Return the values that the plan gives to goal fields, or leaves open for knowledge to fill, as far as there are any."""
         values = {name: self._parameter(name) for name in open_parameters(self.action)}
-        values |= {name: self._parameter(name) for name, _ in action.given}
+        values |= {name: self._parameter(name) for name, _ in self.action.given}
         return {name: value for name, value in values.items() if value is not MISSING}
 
     def environment(self) -> Environment:

@@ -11,7 +11,6 @@ import logging
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from functools import partial
 from uuid import UUID, uuid4
 
@@ -24,6 +23,7 @@ from pnm.generation import generate
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.language.plan import HandWrittenPlan
 from pnm.machine import PetriNetMachine
+from pnm.nearest import meant
 from pnm.observer import Observer
 from pnm.plan_graph import GroundAction
 from pnm.queries import MISSING
@@ -169,8 +169,7 @@ def _check_parameters(plan: HandWrittenPlan, given: Mapping[str, object]) -> Non
     known = plan.parameters
     for name in given:
         if known is not None and name not in known:
-            near = get_close_matches(name, known, 1)
-            hint = f"did you mean {near[0]!r}?" if near else f"expected {', '.join(known) or 'none'}"
+            hint = meant(name, known) or f"expected {', '.join(known) or 'none'}"
             raise InputError(f"{plan.name} has no parameter {name!r}; {hint}")
 
 

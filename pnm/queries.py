@@ -9,7 +9,6 @@ evaluates tries again when the answer is there. A variable that nobody has is `M
 from __future__ import annotations
 
 import json
-import operator
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -17,6 +16,7 @@ from typing import Final, Protocol, TypeAlias, assert_never, runtime_checkable
 
 from pnm.errors import PnmError
 from pnm.expressions import NOTHING, UNDEFINED, Environment, Fluent, Unknown, Value, ValueOf, bind, show, variables_in
+from pnm.operators import Uncomputable, bounded, operate
 
 
 class _Missing:
@@ -153,10 +153,6 @@ class Unanswered(PnmError):
         self.question = question
 
 
-class Uncomputable(PnmError):
-    """The operands are of the wrong kind, or the result would be too large."""
-
-
 @runtime_checkable
 class Answers(Protocol):
     """What values are computed from."""
@@ -198,7 +194,7 @@ def compute(data: Data, answers: Answers) -> object:
             return answers.answer(question)
         case Compound(items, keys):
             found_items = [_null(compute(item, answers)) for item in items]
-            return _bounded(found_items if keys is None else dict(zip(keys, found_items, strict=True)))
+            return bounded(found_items if keys is None else dict(zip(keys, found_items, strict=True)))
         case Operation(name, operands) if name in _LAZY:
             return _LAZY[name](compute(operand, answers) for operand in operands)
         case Operation(name, operands):
@@ -232,93 +228,6 @@ def named(name: Data, answers: Answers) -> str:
     if not isinstance(found, str):
         raise Uncomputable(f"{name} is {found!r}; expected the name of a variable")
     return found
-
-
-def operate(name: str, operands: list[object]) -> object:
-    """Apply one of `OPERATORS`.
-
-    Raises:
-        Uncomputable: not possible with these operands.
-    """
-    if name in _GROWING and _size(operands) > MAX_SIZE:
-        raise Uncomputable(f"{name} of operands as large as that")
-    try:
-        if name == "mod" and isinstance(operands[0], str):
-            raise TypeError("the remainder of a text")  # in Python that is another operation, which makes texts of any size
-        found = OPERATORS[name](*operands)
-        if isinstance(found, complex) or (isinstance(found, int) and found.bit_length() > MAX_BITS):
-            raise ValueError("the result is no number that JSON can say")
-        _bounded(found)
-    except (TypeError, ValueError, ArithmeticError, LookupError, RecursionError) as error:
-        raise Uncomputable(f"{name}({_shown(operands)}): {error}") from error
-    return found
-
-
-def _bounded(value: object) -> object:
-    """Return a list or mapping that can be written; a few that hold the one before twice would fill any memory.
-
-    Raises:
-        Uncomputable: it is too large, or nested too deep.
-    """
-    waiting, size = [(value, 0)], 0
-    while waiting:
-        part, depth = waiting.pop()
-        size += len(part) if isinstance(part, str) else 1
-        if size > MAX_SIZE or depth > MAX_DEPTH:
-            raise Uncomputable("the list or mapping would be too large, or nested too deep")
-        if isinstance(part, list | dict):
-            waiting += [(one, depth + 1) for one in (part.values() if isinstance(part, dict) else part)]
-    return value
-
-
-def _shown(operands: list[object]) -> str:
-    try:
-        shown = ", ".join(map(repr, operands))
-    except (ValueError, RecursionError):
-        return "…"
-    return shown if len(shown) < 200 else "…"
-
-
-def _size(operands: list[object]) -> int:
-    """Return an upper bound for how many characters, items or bits the result has."""
-    sizes = [len(one) if isinstance(one, str | list | dict) else one.bit_length() if isinstance(one, int) else 64 for one in operands]
-    counts = [one for one in operands if isinstance(one, int) and not isinstance(one, bool)]
-    return sum(sizes) * max([1, *map(abs, counts)])
-
-
-def _setitem(container: object, key: object, value: object) -> object:
-    changed = container.copy() if isinstance(container, list | dict) else container
-    operator.setitem(changed, key, value)  # type: ignore[call-overload]
-    return changed
-
-
-def _delitem(container: object, key: object) -> object:
-    changed = container.copy() if isinstance(container, list | dict) else container
-    operator.delitem(changed, key)  # type: ignore[call-overload]
-    return changed
-
-
-MAX_SIZE: Final = 1_000_000
-MAX_DEPTH: Final = 100
-MAX_BITS: Final = 14_000
-"""Of a whole number: Python writes none of more than 4300 digits."""
-_PLAIN: Final = (
-    *("eq", "ne", "lt", "le", "gt", "ge", "is_", "is_not", "contains", "countOf", "indexOf", "truth", "not_"),
-    *("abs", "add", "floordiv", "mod", "mul", "neg", "pos", "pow", "sub", "truediv", "concat", "getitem", "index"),
-    *("and_", "inv", "invert", "lshift", "or_", "rshift", "xor"),
-)
-OPERATORS: Final[Mapping[str, Callable[..., object]]] = {
-    **{name: getattr(operator, name) for name in _PLAIN},
-    "div": operator.truediv,
-    "setitem": _setitem,
-    "delitem": _delitem,
-    "min": lambda *operands: min(operands),
-    "max": lambda *operands: max(operands),
-}
-"""Python's operators by the names of its module `operator`; ``setitem`` and ``delitem`` give a changed copy."""
-CHANGING: Final = frozenset({"setitem", "delitem"})
-"""Operators that, as a step of a plan, store their result as their first operand, which is then a query."""
-_GROWING: Final = frozenset({"concat", "add", "mul", "pow", "lshift"})
 
 
 def truth(value: object) -> bool:
@@ -378,19 +287,28 @@ class JsonText(str):
 
 def substituted(data: Data, env: Environment) -> Data:
     """Put the environment's objects, and values, in the place of parameters and variables."""
+    if not env:
+        return data
+    return filled(data, {name: Literal(text) if isinstance(text, JsonText) else Literal.of(text) for name, text in env.items()}, env)
+
+
+def filled(data: Data, values: Mapping[str, Data], texts: Environment) -> Data:
+    """Put values in the place of parameters, and texts in the place of variables in fluents."""
     match data:
-        case Parameter(name) if name in env:
-            return Literal(env[name]) if isinstance(env[name], JsonText) else Literal.of(env[name])
+        case Parameter(name):
+            return values.get(name, data)
         case ValueOf(fluent):
-            return ValueOf(bind(fluent, env))
+            return ValueOf(bind(fluent, texts))
         case Query(name, layer, meta):
-            return Query(substituted(name, env), layer, substituted(meta, env))
+            return Query(filled(name, values, texts), layer, filled(meta, values, texts))
         case Compound(items, keys):
-            return Compound(tuple(substituted(item, env) for item in items), keys)
+            return Compound(tuple(filled(item, values, texts) for item in items), keys)
         case Operation(name, operands):
-            return Operation(name, tuple(substituted(operand, env) for operand in operands))
-        case _:
+            return Operation(name, tuple(filled(operand, values, texts) for operand in operands))
+        case Literal():
             return data
+        case _:
+            assert_never(data)
 
 
 def told(data: Data, answers: Answers) -> str:

@@ -380,10 +380,11 @@ class Run:
     def _do(self, deed: Deed, call: int) -> None:
         self._calls.do(deed, call, self._ledger.results[call].attempts, self._consult(call))
         if deed is Deed.SEND:
-            self._ledger.sent(self._calls.as_sent(call))
+            sent = self._calls.as_sent(call)
+            self._ledger.sent(sent)
             for command in self._calls.commands:
                 if isinstance(command, Send):
-                    self._observer.sent(self._calls.as_sent(call), command.request, self._now)
+                    self._observer.sent(sent, command.request, self._now)
             self._commands += self._calls.commands
             self._calls.commands.clear()
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 from pnm.errors import InputError, Position
 from pnm.expressions import UNDEFINED, Fluent, Value
+from pnm.nearest import meant
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +63,5 @@ class Vocabulary:
 def _check(name: str, known: Iterable[str], what: str, position: Position) -> None:
     names = sorted(known)
     if name not in names:
-        near = get_close_matches(name, names, 1)
-        hint = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(names[:20])}"
+        hint = meant(name, names) or f"expected one of {', '.join(names[:20])}"
         raise InputError(f"there is no {what} {name!r} in the domain; {hint}", position)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from sys import float_info
 from typing import Final, TypeVar
@@ -16,6 +15,7 @@ from typing import Final, TypeVar
 import yaml
 
 from pnm.errors import InputError, Position
+from pnm.nearest import meant
 from pnm.text_files import read_text
 from pnm.yaml_loader import NO_ANCHORS, TEXTS, compose, is_null, kind, position
 
@@ -116,8 +116,7 @@ class Mapped:
         """Refuse every key but the known ones, naming the nearest."""
         for key, (where, _) in self.nodes.items():
             if key not in known:
-                near = get_close_matches(key, known, 1)
-                hint = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(known)}"
+                hint = meant(key, known) or f"expected one of {', '.join(known)}"
                 raise InputError(f"unknown key {key!r}; {hint}", where)
 
     def position(self, key: str) -> Position:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from difflib import get_close_matches
 from itertools import count
 from typing import Any, Final
 
 import yaml
 
 from pnm.errors import InputError, Position
+from pnm.nearest import meant
 
 MAX_NODES: Final = 200_000
 """Values in a file, those behind an alias counted at every use: an alias bomb is refused."""
@@ -81,9 +81,9 @@ class _Loader(yaml.SafeLoader):
             event: Any = self.peek_event()  # type: ignore[no-untyped-call]
             if event.anchor not in self.anchors:
                 if event.anchor not in self._known:
-                    near = get_close_matches(event.anchor, [*self.anchors, *self._known], 1)
-                    hint = f"; did you mean {near[0]!r}?" if near else ""
-                    raise yaml.MarkedYAMLError(problem=f"found undefined alias {event.anchor!r}{hint}", problem_mark=event.start_mark)
+                    hint = meant(event.anchor, [*self.anchors, *self._known])
+                    problem = f"found undefined alias {event.anchor!r}{f'; {hint}' if hint else ''}"
+                    raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
                 self.get_event()  # type: ignore[no-untyped-call]
                 return _given(self._known[event.anchor], event)
         self._composed += 1

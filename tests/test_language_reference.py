@@ -21,8 +21,9 @@ from pnm.language.effects import read_effects
 from pnm.language.formulas import read_condition
 from pnm.language.recoveries import COMMANDS
 from pnm.language.steps import OPTIONS
+from pnm.operators import CHANGING, OPERATORS
 from pnm.performing import Program
-from pnm.queries import CHANGING, OPERATORS, compute
+from pnm.queries import compute
 from pnm.yaml_files import Node, parse_yaml
 from tests.conftest import ROOT
 from tests.language_reference import PAGE, Shown, blocks, example_files, inside_of, put_files, shown

@@ -21,7 +21,7 @@ from pnm.language import actions, domain, drafts, effects, files, recoveries, st
 from pnm.language.files import SCHEMA
 from pnm.language.plan import read_plans
 from pnm.machine import OnFailure
-from pnm.queries import OPERATORS
+from pnm.operators import OPERATORS
 from tests.conftest import ROOT
 from tests.written_programs import programs
 

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 
 from pnm.errors import InputError
 from pnm.language.plan import parse_plans
+from tests.paper import PAPER_DOMAIN, PAPER_PLAN
 from tests.test_yaml_domains import ORIGINAL, PDDL
 from tests.test_yaml_execution import COUNTING, NESTED
-from tests.test_yaml_plans import PAPER_DOMAIN, PAPER_PLAN, RECIPES, RECOVERING
+from tests.test_yaml_plans import RECIPES, RECOVERING
 
 GOOD = (COUNTING, NESTED, RECIPES, RECOVERING, f"{ORIGINAL}plan: [count: {{value: 1}}]\n")
 WORDS = (

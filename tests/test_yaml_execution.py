@@ -12,8 +12,8 @@ import pytest
 from pnm.actions.base import Outcome, OutcomeKind, Request
 from pnm.language.plan import HandWrittenPlan, parse_plans
 from pnm.queries import Layer
+from tests.paper import PAPER_DOMAIN, PAPER_PLAN
 from tests.programs import Answer, Story, outcomes, play, succeed
-from tests.test_yaml_plans import PAPER_DOMAIN, PAPER_PLAN
 
 
 def plan_of(text: str) -> HandWrittenPlan:

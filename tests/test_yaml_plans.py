@@ -20,6 +20,7 @@ from pnm.language.lowering import MAX_NESTING, MAX_STEPS
 from pnm.machine import OnFailure
 from pnm.plan_graph import EMPTY, ActionCall, Cause, Choice, Junction, Loop, Moment, Recovery, Then
 from pnm.queries import Layer, Literal, Operation, Query, Update
+from tests.paper import PAPER_DOMAIN, PAPER_PLAN
 
 ReadAll: TypeAlias = Callable[[str], dict[str, HandWrittenPlan]]
 Read: TypeAlias = Callable[[str], HandWrittenPlan]
@@ -59,38 +60,6 @@ actions:
   wait: {params: [time]}
   any:
   set: {type: kb_action, params: [operation, value, unused]}
-"""
-PAPER_DOMAIN = """\
-...
-actions:
- dummy_server:
-  <<: *rpn_action
-  params:
-   - "value"
-  effects:
-   and:
-    - Comparison: ["eq", [Query: "time", Query: "value"]]
-    - not:
-     Comparison: ["ne", [Query: "time", Query: "value"]]
- wait:
-  <<: *ros_action
-  params:
-   - "time"
-  preconditions:
-   Exists: [Query: "time"]
-...
-"""
-PAPER_PLAN = """\
-initial_knowledge:
- value: 3
-plan:
- - dummy_server: {}
- - concurrent_actions:
-  - wait: {}
-  - wait: {}
-  - concurrent_actions:
-   - wait: {time: 5}
-   - wait: {time: 6}
 """
 
 

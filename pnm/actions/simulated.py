@@ -20,8 +20,9 @@ from pnm.conditions import TOLERANCE
 from pnm.effects import Changes, TimedChange
 from pnm.expressions import Fluent, Unknown, Value, bind
 from pnm.knowledge import KnowledgeBase
+from pnm.operators import Uncomputable
 from pnm.plan_graph import GroundAction
-from pnm.queries import MISSING, Question, Uncomputable, compute
+from pnm.queries import MISSING, Question, compute
 
 LAG: Final = 0.01
 """Seconds within which everything that happens at one moment has been reported."""
@@ -244,6 +245,31 @@ def returned(request: Request, world: World) -> dict[str, object]:
     """
     found = {name: compute(data, _Server(request.goal, world)) for name, data in request.action.returns}
     return {name: value for name, value in found.items() if value is not MISSING}
+
+
+def simulated_robots(
+    truth: KnowledgeBase,
+    changing: frozenset[str],
+    bindings: Bindings,
+    faults: Faults,
+    timed: tuple[TimedChange, ...] = (),
+    *,
+    lasting: bool,
+    speed: float = 1.0,
+) -> SimulatedRobots:
+    """Return robots in a world that begins with the truth.
+
+    Args:
+        truth: the world as it is at first.
+        changing: predicates and functions that actions or time may alter; those that faults alter come besides.
+        bindings: how actions are bound to servers.
+        faults: what goes wrong.
+        timed: what changes by itself.
+        lasting: whether actions last or facts change by themselves: beside these, other actions take no time at all.
+        speed: how many seconds of the world pass in one second of the clock.
+    """
+    hidden = {fluent[0] for change in faults.changes for fluent in change.changes}
+    return SimulatedRobots(World(truth, changing | hidden), faults, bindings, timed, 0.0 if lasting else 1.0, speed)
 
 
 def sense(world: World, knowledge: KnowledgeBase, assumed: Iterable[str] = ()) -> None:

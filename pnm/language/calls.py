@@ -11,7 +11,7 @@ from pnm.effects import Effects, ground_effects
 from pnm.errors import InputError
 from pnm.expressions import DURATION, Environment, Fluent, Value, ValueOf, ground_expression, value_of
 from pnm.language.actions import OPERATION, ActionKind, LanguageAction
-from pnm.language.grounding import filled, filled_operation, names_of, number_condition, number_effects, number_expression
+from pnm.language.grounding import filled_data, filled_operation, names_of, number_condition, number_effects, number_expression
 from pnm.language.tree import CallStep
 from pnm.plan_graph import EMPTY, Cause, GroundAction, Recovery, Then
 from pnm.queries import Data, KnowledgeOperation, Layer, Literal, Query, Update, parameters_in, parts
@@ -80,7 +80,7 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tu
         InputError: a fact is computed from a parameter that is not known in the plan.
     """
     action = step.action
-    given = {name: filled(one.data, outer) for name, one in step.given.items()}
+    given = {name: filled_data(one.data, outer) for name, one in step.given.items()}
     for name, data in given.items():
         if left := _unfilled(data):
             raise InputError(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
@@ -16,6 +15,7 @@ from pnm.language.declarations import needed
 from pnm.language.domain import DOMAIN_KEYS, LanguageDomain, domain_from
 from pnm.language.files import read_documents
 from pnm.language.scope import read_typed, unknown
+from pnm.nearest import meant
 from pnm.yaml_files import Mapped
 
 _ALWAYS: Final = (
@@ -143,8 +143,8 @@ def beside(entry: Mapped, key: str, path: str) -> Path:
     found = Path(entry.file).parent / path
     if not found.is_file():
         others = sorted(one.name for one in found.parent.glob("*.y*ml")) if found.parent.is_dir() else []
-        near = get_close_matches(found.name, others, 1)
-        raise InputError(f"there is no file {path!r} beside this one{f'; did you mean {near[0]!r}?' if near else ''}", entry.position(key))
+        hint = meant(found.name, others)
+        raise InputError(f"there is no file {path!r} beside this one{f'; {hint}' if hint else ''}", entry.position(key))
     return found
 
 

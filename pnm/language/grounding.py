@@ -11,7 +11,7 @@ from typing import TypeAlias, assert_never
 from pnm.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
 from pnm.effects import Effect, Effects, ForEach, Set, When
 from pnm.expressions import Arithmetic, Constant, Environment, Expression, ValueOf, Variable, bind
-from pnm.queries import Compound, Data, KnowledgeOperation, Literal, Operation, Parameter, Query, Update
+from pnm.queries import Data, KnowledgeOperation, Literal, Operation, Query, Update, filled
 
 Numbers: TypeAlias = Mapping[str, float]
 """Parameters, with ``?``, that are given as numbers."""
@@ -84,36 +84,19 @@ def _hidden(numbers: Numbers, variables: tuple[Variable, ...]) -> Numbers:
     return {name: number for name, number in numbers.items() if name not in names}
 
 
-def filled(data: Data, values: Mapping[str, Data]) -> Data:
+def filled_data(data: Data, values: Mapping[str, Data]) -> Data:
     """Put computed values in the place of parameters; in fluents only texts fit."""
-    match data:
-        case Parameter(name):
-            return values.get(name, data)
-        case ValueOf(fluent):
-            return ValueOf(bind(fluent, _texts(values)))
-        case Query(name, layer, meta):
-            return Query(filled(name, values), layer, filled(meta, values))
-        case Compound(items, keys):
-            return Compound(tuple(filled(item, values) for item in items), keys)
-        case Operation(name, operands):
-            return Operation(name, tuple(filled(operand, values) for operand in operands))
-        case Literal():
-            return data
-        case _:
-            assert_never(data)
+    return filled(data, values, _texts(values))
 
 
 def filled_operation(operation: KnowledgeOperation, values: Mapping[str, Data]) -> KnowledgeOperation:
     """Put computed values in the place of parameters."""
-    match operation:
-        case Update(name, value, layer, meta):
-            return Update(filled(name, values), filled(value, values), layer, filled(meta, values))
-        case Query(name, layer, meta):
-            return Query(filled(name, values), layer, filled(meta, values))
-        case Operation(name, operands):
-            return Operation(name, tuple(filled(operand, values) for operand in operands))
-        case _:
-            assert_never(operation)
+    if isinstance(operation, Update):
+        name, value, meta = (filled_data(one, values) for one in (operation.name, operation.value, operation.meta))
+        return Update(name, value, operation.layer, meta)
+    found = filled_data(operation, values)
+    assert isinstance(found, Query | Operation)
+    return found
 
 
 def _texts(values: Mapping[str, Data]) -> Environment:

@@ -6,11 +6,11 @@ import re
 from collections import Counter, deque
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from typing import Final
 
 from pnm.errors import InputError, Position
 from pnm.expressions import DURATION, UNDEFINED, Fluent, Variable
+from pnm.nearest import meant
 from pnm.yaml_files import Node
 
 _FLUENT: Final = re.compile(r"\(\s*([^\s()?][^\s()]*(?:\s+[^\s()]+)*)\s*\)\Z")
@@ -72,11 +72,9 @@ ANYTHING: Final = Scope()
 
 def unknown(what: str, name: str, known: Collection[str], position: Position | None) -> InputError:
     """Return the error about a name that is not there, with the nearest one that is."""
-    near = get_close_matches(name, sorted(known), 1)
-    others = ", ".join(sorted(known)[:20]) or "none at all"
-    return InputError(
-        f"there is no {what} {name!r} here; {f'did you mean {near[0]!r}?' if near else f'expected one of: {others}'}", position
-    )
+    names = sorted(known)
+    hint = meant(name, names) or f"expected one of: {', '.join(names[:20]) or 'none at all'}"
+    return InputError(f"there is no {what} {name!r} here; {hint}", position)
 
 
 def is_variable(text: str) -> bool:

@@ -13,7 +13,9 @@ from typing import Final
 
 from pnm.errors import InputError, Position
 from pnm.language.scope import shown
-from pnm.queries import CHANGING, LOGICAL, OPERATORS, Layer
+from pnm.nearest import meant
+from pnm.operators import CHANGING, OPERATORS
+from pnm.queries import LOGICAL, Layer
 from pnm.yaml_files import Node
 
 QUERIES: Final[Mapping[str, Layer]] = {
@@ -137,7 +139,6 @@ def read_operator(node: Node, *, changing: bool = False) -> str:
     if name not in known:
         if name in CHANGING:
             raise node.wrong(f"{name} changes knowledge; it is a step of its own, not a value")
-        near = get_close_matches(name, sorted({*(known - LOGICAL), *_NAMES}), 1)
-        hint = f"did you mean {near[0]!r}?" if near else f"expected one of: {', '.join(sorted(known))}"
+        hint = meant(name, sorted({*(known - LOGICAL), *_NAMES})) or f"expected one of: {', '.join(sorted(known))}"
         raise node.wrong(f"there is no operator {shown(node)}; {hint}")
     return name

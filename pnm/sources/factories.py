@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from difflib import get_close_matches
 from pathlib import Path
 
 from pnm.errors import InputError
+from pnm.nearest import meant
 from pnm.sources import people
 from pnm.sources.base import Source
 from pnm.sources.memory import MemoryKnowledge
@@ -51,8 +51,7 @@ def only(options: Mapping[str, object], *known: str) -> None:
     """
     for name in options:
         if name not in known:
-            near = get_close_matches(str(name), known, 1)
-            hint = f"did you mean {near[0]!r}?" if near else f"expected {', '.join(known)}" if known else "it has no options"
+            hint = meant(str(name), known) or (f"expected {', '.join(known)}" if known else "it has no options")
             raise InputError(f"unknown option {name!r}; {hint}")
 
 

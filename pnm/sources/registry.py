@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from pnm.errors import InputError, Position
+from pnm.nearest import meant
 from pnm.queries import Layer
 from pnm.sources.base import Source
 from pnm.sources.chain import GRACE, LIMIT, PERSON_LIMIT, Sources
@@ -94,8 +94,8 @@ def check_source(name: str, position: Position | None = None) -> str:
         if candidate in known:
             return candidate
     names = sorted(known)
-    near = get_close_matches(name, names, 1) or get_close_matches(name.rpartition(".")[2], names, 1)
-    hint = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(name for name in names if name not in _ORIGINAL)}"
+    near = meant(name, names) or meant(name.rpartition(".")[2], names)
+    hint = near or f"expected one of {', '.join(name for name in names if name not in _ORIGINAL)}"
     how = (
         f"to add one, call pnm.sources.register_source({name!r}, factory), or have a package declare an entry point in {next(iter(GROUPS))}"
     )

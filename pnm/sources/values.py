@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Final
 
-from pnm.queries import MAX_SIZE
+from pnm.operators import MAX_SIZE
 from pnm.sources.base import SourceError
 
 _SHOWN: Final = 60

@@ -3,44 +3,12 @@
 from __future__ import annotations
 
 from tests.e2e.plans import SUCCEEDED
-
-LISTING_1 = """\
-...
-actions:
- dummy_server:
-  <<: *rpn_action
-  params:
-   - "value"
-  effects:
-   and:
-    - Comparison: ["eq", [Query: "time", Query: "value"]]
-    - not:
-     Comparison: ["ne", [Query: "time", Query: "value"]]
- wait:
-  <<: *ros_action
-  params:
-   - "time"
-  preconditions:
-   Exists: [Query: "time"]
-...
-"""
-LISTING_2 = """\
-initial_knowledge:
- value: 3
-plan:
- - dummy_server: {}
- - concurrent_actions:
-  - wait: {}
-  - wait: {}
-  - concurrent_actions:
-   - wait: {time: 5}
-   - wait: {time: 6}
-"""
+from tests.paper import PAPER_DOMAIN, PAPER_PLAN
 
 
 def test_one_action_and_then_four_at_once_two_with_the_time_it_returned(plan_scene):
     plan_scene.write(
-        {"listing1.yaml": LISTING_1, "listing2.yaml": LISTING_2, "world.yaml": "domain: listing1.yaml\nplans: [listing2.yaml]"}
+        {"listing1.yaml": PAPER_DOMAIN, "listing2.yaml": PAPER_PLAN, "world.yaml": "domain: listing1.yaml\nplans: [listing2.yaml]"}
     )
     workers = plan_scene.workers("dummy_server", "four_waits").ready()
     serving = plan_scene.serve().ready()

@@ -1,0 +1,100 @@
+"""Python's operators over values from files and servers: what is impossible, or would be too large, is refused."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from pnm.errors import PnmError
+
+
+class Uncomputable(PnmError):
+    """The operands are of the wrong kind, or the result would be too large."""
+
+
+def operate(name: str, operands: list[object]) -> object:
+    """Apply one of `OPERATORS`.
+
+    Raises:
+        Uncomputable: not possible with these operands.
+    """
+    if name in _GROWING and _size(operands) > MAX_SIZE:
+        raise Uncomputable(f"{name} of operands as large as that")
+    try:
+        if name == "mod" and isinstance(operands[0], str):
+            raise TypeError("the remainder of a text")  # in Python that is another operation, which makes texts of any size
+        found = OPERATORS[name](*operands)
+        if isinstance(found, complex) or (isinstance(found, int) and found.bit_length() > MAX_BITS):
+            raise ValueError("the result is no number that JSON can say")
+        bounded(found)
+    except (TypeError, ValueError, ArithmeticError, LookupError, RecursionError) as error:
+        raise Uncomputable(f"{name}({_shown(operands)}): {error}") from error
+    return found
+
+
+def bounded(value: object) -> object:
+    """Return a list or mapping that can be written; a few that hold the one before twice would fill any memory.
+
+    Raises:
+        Uncomputable: it is too large, or nested too deep.
+    """
+    waiting, size = [(value, 0)], 0
+    while waiting:
+        part, depth = waiting.pop()
+        size += len(part) if isinstance(part, str) else 1
+        if size > MAX_SIZE or depth > MAX_DEPTH:
+            raise Uncomputable("the list or mapping would be too large, or nested too deep")
+        if isinstance(part, list | dict):
+            waiting += [(one, depth + 1) for one in (part.values() if isinstance(part, dict) else part)]
+    return value
+
+
+def _shown(operands: list[object]) -> str:
+    try:
+        shown = ", ".join(map(repr, operands))
+    except (ValueError, RecursionError):
+        return "…"
+    return shown if len(shown) < 200 else "…"
+
+
+def _size(operands: list[object]) -> int:
+    """Return an upper bound for how many characters, items or bits the result has."""
+    sizes = [len(one) if isinstance(one, str | list | dict) else one.bit_length() if isinstance(one, int) else 64 for one in operands]
+    counts = [one for one in operands if isinstance(one, int) and not isinstance(one, bool)]
+    return sum(sizes) * max([1, *map(abs, counts)])
+
+
+def _setitem(container: object, key: object, value: object) -> object:
+    changed = container.copy() if isinstance(container, list | dict) else container
+    operator.setitem(changed, key, value)  # type: ignore[call-overload]
+    return changed
+
+
+def _delitem(container: object, key: object) -> object:
+    changed = container.copy() if isinstance(container, list | dict) else container
+    operator.delitem(changed, key)  # type: ignore[call-overload]
+    return changed
+
+
+MAX_SIZE: Final = 1_000_000
+MAX_DEPTH: Final = 100
+MAX_BITS: Final = 14_000
+"""Of a whole number: Python writes none of more than 4300 digits."""
+_PLAIN: Final = (
+    *("eq", "ne", "lt", "le", "gt", "ge", "is_", "is_not", "contains", "countOf", "indexOf", "truth", "not_"),
+    *("abs", "add", "floordiv", "mod", "mul", "neg", "pos", "pow", "sub", "truediv", "concat", "getitem", "index"),
+    *("and_", "inv", "invert", "lshift", "or_", "rshift", "xor"),
+)
+OPERATORS: Final[Mapping[str, Callable[..., object]]] = {
+    **{name: getattr(operator, name) for name in _PLAIN},
+    "div": operator.truediv,
+    "setitem": _setitem,
+    "delitem": _delitem,
+    "min": lambda *operands: min(operands),
+    "max": lambda *operands: max(operands),
+}
+"""Python's operators by the names of its module `operator`; ``setitem`` and ``delitem`` give a changed copy."""
+CHANGING: Final = frozenset({"setitem", "delitem"})
+"""Operators that, as a step of a plan, store their result as their first operand, which is then a query."""
+_GROWING: Final = frozenset({"concat", "add", "mul", "pow", "lshift"})
