@@ -3,6 +3,10 @@
 Everything here runs on the ROS thread. A goal moves *queued* → *unanswered* → *accepted* → ended. At
 most `IN_FLIGHT` goals are unanswered at a time: a server keeps the last 10 requests it has not yet
 read and silently drops older ones, for which no answer ever comes.
+
+No goal is sent to a strange process: a server answers into the void as long as it has not discovered
+who asks. So it is first asked for the result of a goal that nobody has, again and again until an answer
+gets through; the service of results is the last that a client announces, so whoever found it found all.
 """
 
 from __future__ import annotations
@@ -13,7 +17,7 @@ from collections import deque
 from functools import partial
 from time import monotonic
 from typing import Any, Final
-from uuid import UUID
+from uuid import UUID, uuid4
 
 from pnm.actions.base import Accepted, OutcomeKind
 from pnm.errors import InputError, PnmError
@@ -54,6 +58,10 @@ class ServerLink:
         self._queued: deque[Goal] = deque()
         self._unanswered: set[Goal] = set()
         self._accepted: set[Goal] = set()
+        self._met: frozenset[bytes] | None = None
+        """The processes that were there when an answer got through."""
+        self._greetings: list[Any] = []
+        self._greeted = -math.inf
         if self.type is not None:
             self._connect()
 
@@ -65,6 +73,7 @@ class ServerLink:
         there = self._reached()
         if there:
             self._expected_until = math.inf
+            self._greet()
         elif self._expected_until == math.inf:
             self._expected_until = monotonic() + RETURN
         return there
@@ -94,6 +103,27 @@ class ServerLink:
             cancel_service_qos_profile=deep,
         )
 
+    def _is_met(self) -> bool:
+        return self._met is not None and processes(self._node, self.name) <= self._met
+
+    def _greet(self) -> None:
+        """Ask a strange server for something harmless, once in a while."""
+        now = monotonic()
+        if now - self._greeted >= AGAIN and not self._is_met():
+            from rclpy.action.client import ClientGoalHandle
+
+            self._greeted = now
+            nobody = ClientGoalHandle(self._client, _ros_uuid(uuid4()), self.type.Impl.SendGoalService.Response())
+            future = nobody.get_result_async()
+            self._greetings.append(future)
+            future.add_done_callback(partial(self._meet, processes(self._node, self.name)))
+
+    def _meet(self, present: frozenset[bytes], future: Any) -> None:
+        if not future.cancelled():
+            self._met = present
+            self._greetings.clear()
+            self._pump()
+
     def close(self) -> None:
         """Forget all goals, without a word, and let go of the server."""
         for goal in (*self._queued, *self._unanswered, *self._accepted):
@@ -112,7 +142,7 @@ class ServerLink:
         self._pump()
 
     def _pump(self) -> None:
-        while self._queued and len(self._unanswered) < IN_FLIGHT and self.ready():
+        while self._queued and len(self._unanswered) < IN_FLIGHT and self.ready() and self._is_met():
             self._dispatch(self._queued.popleft())
 
     def _dispatch(self, goal: Goal) -> None:
@@ -216,10 +246,17 @@ class ServerLink:
         self._pump()
 
     def _look_at_queue(self, now: float) -> None:
-        if not self.ready() and now >= self._expected_until and self._queued:
-            reason = absence(self._node, self.name, self.wanted_type)
-            while self._queued:
-                self._queued.popleft().end(OutcomeKind.UNAVAILABLE, reason)
+        if not self.ready():
+            if self._queued and now >= self._expected_until:
+                reason = absence(self._node, self.name, self.wanted_type)
+                while self._queued:
+                    self._queued.popleft().end(OutcomeKind.UNAVAILABLE, reason)
+        elif not self._is_met():
+            for goal in tuple(self._queued):
+                goal.sent = goal.sent or now
+                if now - goal.sent >= goal.accept:
+                    self._queued.remove(goal)
+                    goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {_silence(goal)}")
 
     def _look_at_unanswered(self, goal: Goal, present: frozenset[bytes], now: float) -> None:
         verdict = goal.watch.look(present, False, now)
@@ -228,7 +265,7 @@ class ServerLink:
         elif verdict is Verdict.ASK and goal.watch.asks == ASKS:
             reason = "was restarted before it answered"
         elif now - goal.sent >= goal.accept:
-            reason = f"did not answer within {goal.accept:g} s"
+            reason = _silence(goal)
         else:
             return
         self._unanswered.discard(goal)
@@ -254,6 +291,10 @@ class ServerLink:
                 self._lose(goal, f"{self.name} no longer knows the goal; it was restarted")
             if not goal.ended and goal.wants_cancel and goal.cancel_sent is not None and now - goal.cancel_sent >= AGAIN:
                 self._send_cancel(goal)
+
+
+def _silence(goal: Goal) -> str:
+    return f"did not answer within {goal.accept:g} s"
 
 
 def _ros_uuid(uuid: UUID) -> Any:

@@ -1,8 +1,7 @@
-"""Every scene has a ROS domain of its own, locked against other runs of these tests on the same machine."""
+"""Every scene has a ROS domain of its own."""
 
 from __future__ import annotations
 
-import fcntl
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -13,24 +12,9 @@ import pytest
 
 from tests.e2e.plans import PlanScene
 from tests.e2e.scene import Place, Scene
+from tests.ros_domains import ros_domain
 
 P = TypeVar("P", bound=Place)
-
-
-@contextmanager
-def ros_domain() -> Iterator[int]:
-    """Yield a number that nobody else has who asks here; the lock ends with the process at the latest."""
-    for number in range(101, 0, -1):
-        file = (Path(tempfile.gettempdir()) / f"pnm-test-domain-{number}").open("w")
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.close()
-            continue
-        with file:
-            yield number
-        return
-    raise RuntimeError("all ROS domains are in use by tests")
 
 
 @contextmanager

@@ -12,6 +12,7 @@ import select
 import subprocess
 import sys
 from collections.abc import Callable, Coroutine, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
@@ -26,10 +27,12 @@ from pnm.plan_graph import GroundAction
 from pnm.ros.action_client import Ros2ActionClient
 from pnm.ros.node import RosThread
 from tests.ros.scripts import Script
+from tests.ros_domains import ros_domain
 
 # Before the first ROS context of this process, and inherited by all of its servers. Killed processes leave
 # shared memory behind, so everything goes over UDP.
-os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+_own = ExitStack()  # until this process ends
+os.environ["ROS_DOMAIN_ID"] = str(_own.enter_context(ros_domain()))
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
 
