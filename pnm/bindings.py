@@ -49,6 +49,8 @@ class Binding:
     """How often the action is tried again within one plan."""
     ask: Mapping[str, str] = field(default_factory=dict)
     """Variables, and what a person is asked when nobody knows them."""
+    resources: tuple[str, ...] = ()
+    """What the action has for itself while it runs, such as ``{robot}/base``."""
 
 
 DEFAULT = Binding()
@@ -79,12 +81,20 @@ class Bindings:
         Raises:
             InputError: the name has a part in braces that is not a parameter of the action.
         """
-        pattern = self.of(action.name).server or action.name
-        own = dict(zip(action.parameters, action.arguments, strict=True))
-        for name in placeholders(pattern):
-            if name not in own:
-                raise InputError(f"the server {pattern!r} of {action.name} names {{{name}}}, which is not a parameter ({', '.join(own)})")
-        return pattern.format_map(own)
+        return _filled(self.of(action.name).server or action.name, action, "server")
+
+    def resources(self, action: GroundAction) -> tuple[str, ...]:
+        """Return what the ground action has for itself while it runs: its own resources, and those of its binding.
+
+        Work on knowledge has none.
+
+        Raises:
+            InputError: a name has a part in braces that is not a parameter of the action.
+        """
+        if action.operation is not None:
+            return ()
+        patterns = (*action.resources, *self.of(action.name).resources)
+        return tuple(dict.fromkeys(_filled(pattern, action, "resource") for pattern in patterns)) if patterns else ()
 
     def names_server(self, action: GroundAction) -> bool:
         """Tell whether the name of the server is known, or has a part that is only known when the call starts."""
@@ -94,6 +104,15 @@ class Bindings:
         """Return how many seconds the action may run."""
         chosen = self.of(action.name).timeout
         return chosen if chosen is not None else max(10.0, 2.0 * (action.duration or 0.0), 60.0 if action.duration is None else 0.0)
+
+
+def _filled(pattern: str, action: GroundAction, what: str) -> str:
+    """Put the arguments of the action in the place of parameters in braces."""
+    own = dict(zip(action.parameters, action.arguments, strict=True))
+    for name in placeholders(pattern):
+        if name not in own:
+            raise InputError(f"the {what} {pattern!r} of {action.name} names {{{name}}}, which is not a parameter ({', '.join(own)})")
+    return pattern.format_map(own)
 
 
 class Lookup(Protocol):

@@ -198,7 +198,9 @@ class PetriNetMachine:
     budget_places: frozenset[str]
     """Places that count retries, recoveries and rounds left, and those spent."""
     resource_places: frozenset[str]
-    """Places whose tokens calls have for themselves from start to end."""
+    """Places whose tokens calls have for themselves as long as they are under way."""
+    alive_places: frozenset[str]
+    """Places of calls that are under way: a request may be alive, or what it has done is still to be checked."""
     blocks: Mapping[int, tuple[str, ...]]
     """For every step, the places of its block."""
     orderings: Mapping[str, Ordering]

@@ -103,7 +103,8 @@ class Run:
         for transition, rule in enumerate(self._rules):
             if isinstance(rule.guard, Accepts | Ends):
                 self._reported.setdefault(rule.guard.call, []).append(transition)
-        self._counters = {compiled.place_id[place] for place in machine.counter_places}
+        self._records = {compiled.place_id[place] for place in machine.record_places}
+        self._resource_ids = {compiled.place_id[place] for place in machine.resource_places}
         self._restart_ids = {compiled.place_id[place] for place in machine.restart_places}
         self._failure_ids = {compiled.place_id[place]: call for place, call in machine.failure_places.items()}
         self._final_ids = (compiled.place_id[machine.goal_place], compiled.place_id[machine.failed_place])
@@ -114,6 +115,7 @@ class Run:
         self._origin = origin
         self._agenda: deque[int] = deque()
         self._undecided: dict[int, None] = {}
+        self._queueing: dict[int, None] = {}
         self._arrived: dict[int, float] = {}
         self._denied_since: dict[int, float] = {}
         self._timers: list[tuple[float, int]] = []
@@ -215,7 +217,7 @@ class Run:
             raise RunError("the run has begun already")
         self._began = self._now
         self._origin = self._now if self._origin is None else self._origin
-        self._agenda.extend(place for place, tokens in enumerate(self._engine.tokens) if tokens and place not in self._counters)
+        self._agenda.extend(place for place, tokens in enumerate(self._engine.tokens) if tokens and place not in self._records)
 
     def _report(self, report: Report) -> None:
         call = self._calls.open.get(report.request)
@@ -268,6 +270,9 @@ class Run:
         again, waiting = NEVER, False
         for transition, _ in self._engine.compiled.consumers[place]:
             if not self._engine.is_enabled(transition):
+                if self._lacks_resources(transition):
+                    self._queueing[place] = self._undecided[place] = None
+                    return
                 continue
             try:
                 opens = self._opens(transition, place)
@@ -286,6 +291,11 @@ class Run:
         if again < NEVER and self._scheduled.get(place) != again:
             self._scheduled[place] = again
             heappush(self._timers, (again, place))
+
+    def _lacks_resources(self, transition: int) -> bool:
+        """Tell whether the transition would be enabled if no call had what it needs for itself."""
+        short = self._engine.lacking(transition) if self._resource_ids else set()
+        return bool(short) and short <= self._resource_ids
 
     def _ask(self, place: int, question: Question) -> None:
         if not self._questions.is_asked(place, question):
@@ -371,8 +381,10 @@ class Run:
             self._leave(place)
         for place, _ in compiled.outputs[transition]:
             self._arrived[place] = self._now
-            if place not in self._counters:
+            if place not in self._records:
                 self._agenda.append(place)
+            elif place in self._resource_ids:
+                self._agenda.extend(self._queueing)
         if self.ending and not was_ending:
             self._agenda.extend(self._undecided)
         self._observer.fired(compiled.transitions[transition], rule, self._now)
@@ -391,6 +403,7 @@ class Run:
     def _leave(self, place: int) -> None:
         """Forget what the decision at the place was made from."""
         self._undecided.pop(place, None)
+        self._queueing.pop(place, None)
         self._commands.extend(map(Withdraw, self._questions.left(place)))
         for consumer, _ in self._engine.compiled.consumers[place]:
             self._denied_since.pop(consumer, None)

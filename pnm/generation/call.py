@@ -9,6 +9,9 @@ attempts before its start was announced and for those after.
 An end that must wait for other events (`awaited`) is reached by the robot when it likes; its checks and its `fork`
 wait. A retry moves a token from *budget* to *spent*; giving up takes all of *spent*, by an arc whose weight is the
 whole budget. Where the plan says itself what is done about a cause, that comes in the place of retrying.
+
+The call has its resources as long as a request may be alive and until what it has done is checked: whatever leads
+from outside into those places takes all of them at once, and whatever leads out of them gives all back.
 """
 
 from __future__ import annotations
@@ -49,6 +52,8 @@ _UNSUCCESSFUL = frozenset(OutcomeKind) - _SUCCEEDED
 _EARLY = {OutcomeKind.REJECTED: Cause.REJECTED, OutcomeKind.UNAVAILABLE: Cause.UNAVAILABLE, OutcomeKind.LOST: Cause.LOST}
 """How a request may end before anybody has said that it was accepted."""
 _LATE = {OutcomeKind.ABORTED: Cause.ABORTED, OutcomeKind.CANCELED: Cause.CANCELED, OutcomeKind.LOST: Cause.LOST}
+_ALIVE = ("requested", "withdrawing", "again requested", "again withdrawing", "running", "overdue", "stopping", "returned", "finished")
+"""Places of a call whose request may be alive, or whose effects are still looked for."""
 
 
 @dataclass
@@ -76,6 +81,31 @@ class CallBlock(Block[ActionCall]):
         self._run("again " if announced else "")
         self._finish("again " if announced else "")
         self.leave()
+
+    def add(
+        self, name: str, guard: Guard, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], deed: Deed | None = None
+    ) -> None:
+        """Add a transition between any places; one that leads to where a request may be alive takes the resources."""
+        if self._resources:
+            taken, marked = inputs if isinstance(inputs, dict) else dict.fromkeys(inputs, 1), [*outputs]
+            was_alive, is_alive = (not self._alive.isdisjoint(places) for places in (taken, marked))
+            inputs = {**taken, **dict.fromkeys(self._resources, 1)} if is_alive and not was_alive else taken
+            outputs = [*marked, *self._resources] if was_alive and not is_alive else marked
+        super().add(name, guard, inputs, outputs, deed)
+
+    def place(self, name: str) -> str:
+        """Make a place of this block."""
+        if name in _ALIVE:
+            self.builder.alive_places.add(self.name(name))
+        return super().place(name)
+
+    @cached_property
+    def _alive(self) -> frozenset[str]:
+        return frozenset(map(self.name, _ALIVE))
+
+    @cached_property
+    def _resources(self) -> tuple[str, ...]:
+        return tuple(f"resource {name}" for name in self.builder.bindings.resources(self.step.action))
 
     @cached_property
     def binding(self) -> Binding:
