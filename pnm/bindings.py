@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol
 
-from pnm.errors import InputError
+from pnm.errors import InputError, Position
 from pnm.expressions import UNDEFINED, Fluent, Unknown, Value, bind
 from pnm.knowledge import parse_fluent
 from pnm.plan_graph import GroundAction
@@ -208,7 +208,7 @@ def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
 
 
 def _binding(entry: Mapped) -> Binding:
-    entry.only("server", "type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask")
+    entry.only("server", "type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "resources")
     return read_binding(entry)
 
 
@@ -229,7 +229,7 @@ def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAUL
     _check_fluents(goal, entry)
     server = entry.string("server")
     if server is not None:
-        _check_pattern(server, entry)
+        _check_pattern(server, entry.position("server"), "/{robot}/navigate")
     return Binding(
         server=server,
         type=entry.string(type_key),
@@ -240,7 +240,17 @@ def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAUL
         cancel=entry.number("cancel", DEFAULT.cancel),
         retries=entry.whole("retries", retries),
         ask=read_texts(entry, "ask", "expected variables, and what a person is asked when nobody knows them"),
+        resources=tuple(dict.fromkeys(name for name, _ in _read_resources(entry))),
     )
+
+
+def _read_resources(entry: Mapped) -> Iterator[tuple[str, Position]]:
+    """Yield the patterns of resources, and where they stand."""
+    names, node = entry.strings("resources"), entry.node("resources")
+    items = (node.items if node else None) or ()
+    for name, item in zip(names, items, strict=True):
+        _check_pattern(name, item.position, "{robot}/base")
+        yield name, item.position
 
 
 def read_texts(entry: Mapped, key: str, expected: str) -> dict[str, str]:
@@ -268,19 +278,22 @@ def _check_fluents(source: object, entry: Mapped) -> None:
             raise InputError(error.message, entry.position("goal")) from error
 
 
-def _check_pattern(server: str, entry: Mapped) -> None:
+def _check_pattern(pattern: str, position: Position, example: str) -> None:
     try:
-        wrong = [f"{{{name}}} is no parameter" for name in placeholders(server) if not _NAME.match(name)]
+        wrong = [f"{{{name}}} is no parameter" for name in placeholders(pattern) if not _NAME.match(name)]
     except ValueError as error:
         wrong = [str(error)]
     if wrong:
-        raise InputError(f"{wrong[0]} in {server!r}; expected something like /{{robot}}/navigate", entry.position("server"))
+        raise InputError(f"{wrong[0]} in {pattern!r}; expected something like {example}", position)
 
 
 def _check_names(name: str, binding: Binding, entry: Mapped, known: Vocabulary) -> None:
     known.check_action(name, entry.start)
     for parameter in placeholders(binding.server or ""):
         known.check_parameter(name, parameter, entry.position("server"))
+    for pattern, position in _read_resources(entry):
+        for parameter in placeholders(pattern):
+            known.check_parameter(name, parameter, position)
     for parameter in _parameters(binding.goal or {}):
         known.check_parameter(name, parameter, entry.position("goal"))
 
@@ -298,8 +311,8 @@ def _parameters(source: object) -> Iterator[str]:
         yield from (term[1:] for term in parse_fluent(source) if term.startswith("?"))
 
 
-def placeholders(server: str) -> Iterator[str]:
-    """Yield the parameters named in the braces of a server pattern."""
-    for _, name, _, _ in string.Formatter().parse(server):
+def placeholders(pattern: str) -> Iterator[str]:
+    """Yield the parameters named in the braces of a pattern."""
+    for _, name, _, _ in string.Formatter().parse(pattern):
         if name is not None:
             yield name

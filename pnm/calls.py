@@ -89,8 +89,19 @@ class Calls:
             return {}, _unknown_values(action.operation, consulted)
         binding = self.binding(call)
         fields, missing = goal_data(action, binding, self._goal_fields(action), consulted)
-        in_server = frozenset(placeholders(binding.server or ""))
-        return fields, tuple(dict.fromkeys((*missing, *(name for name in open_parameters(action) if name in in_server))))
+        patterns = (binding.server or "", *binding.resources, *action.resources)
+        in_names = {name for pattern in patterns for name in placeholders(pattern)}
+        return fields, tuple(dict.fromkeys((*missing, *(name for name in open_parameters(action) if name in in_names))))
+
+    def claiming(self, call: int, deed: Deed | None, consulted: Consultation) -> tuple[UUID, GroundAction]:
+        """Return for which request, and with which parameters, the call claims resources: for the next one if it is being sent."""
+        if deed is Deed.SEND:
+            return self._next(call), self.ready(call, consulted)
+        return self._requests[call], self.action(call)
+
+    def resources(self, action: GroundAction) -> tuple[str, ...]:
+        """Return what the action has for itself while it is under way."""
+        return self._bindings.resources(action)
 
     def unseen(self, call: int, consulted: Consultation) -> tuple[str, ...]:
         """Return what of the call's effects is not seen."""
@@ -153,8 +164,8 @@ class Calls:
         action = self.ready(call, consulted)
         self._actions[call] = action
         self._begun.pop(call, None)
+        identity = self._next(call)
         self._sent[call] = self._sent.get(call, 0) + 1
-        identity = self.identity(f"{call}/{self._sent[call]}")
         self.open[identity] = call
         self._requests[call] = identity
         self._intended[call] = intention(replace(self._plan.calls[call], action=action), consulted)
@@ -162,6 +173,10 @@ class Calls:
             self._operate(identity, action.operation, consulted)
         else:
             self.commands.append(Send(Request(identity, action, self.goal(call, consulted)[0], attempt)))
+
+    def _next(self, call: int) -> UUID:
+        """Return the identity of the next request of the call."""
+        return self.identity(f"{call}/{self._sent.get(call, 0) + 1}")
 
     def identity(self, what: str) -> UUID:
         """Return an identity that follows from the run's and what it is for; the first four bytes are the run's, to be found by."""

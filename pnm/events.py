@@ -25,6 +25,11 @@ class KnowledgeChanged:
 
 
 @dataclass(frozen=True, slots=True)
+class ResourcesChanged:
+    """Somebody who waits for resources may have them now; calls that wait for some ask again."""
+
+
+@dataclass(frozen=True, slots=True)
 class Tick:
     """The moment of a `Wake` has come."""
 
@@ -47,7 +52,7 @@ class Answered:
     """Why there is no value, when there is none."""
 
 
-Event: TypeAlias = Begin | KnowledgeChanged | Tick | Stop | Answered | Report
+Event: TypeAlias = Begin | KnowledgeChanged | ResourcesChanged | Tick | Stop | Answered | Report
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,11 +5,27 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Coroutine, Mapping
+from functools import partial
 from typing import assert_never, cast
 from uuid import UUID
 
 from pnm.actions.base import ActionClient, Ended, Outcome, OutcomeKind
-from pnm.events import Answered, Ask, Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tell, Tick, Wake, Withdraw
+from pnm.events import (
+    Answered,
+    Ask,
+    Begin,
+    Cancel,
+    Command,
+    Event,
+    KnowledgeChanged,
+    ResourcesChanged,
+    Send,
+    Stop,
+    Tell,
+    Tick,
+    Wake,
+    Withdraw,
+)
 from pnm.expressions import Fluent, Unknown, Value
 from pnm.queries import MISSING, Question
 from pnm.results import RunResult
@@ -22,8 +38,7 @@ _log = logging.getLogger(__name__)
 class Executor:
     """One run and the client that carries out its actions, on one asyncio loop.
 
-    The mutable state is the inbox of events, the timer, whether a knowledge change waits in the inbox, and what is being asked
-    or told outside.
+    The mutable state is the inbox of events, the timer, which changes wait in the inbox, and what is being asked or told outside.
 
     Args:
         run: what is driven.
@@ -40,7 +55,7 @@ class Executor:
         self._talks: dict[UUID, asyncio.Task[None]] = {}
         self._inbox: asyncio.Queue[Event] = asyncio.Queue()
         self._timer: asyncio.TimerHandle | None = None
-        self._change_waits = False
+        self._waiting: set[KnowledgeChanged | ResourcesChanged] = set()
 
     def stop(self, *, cancel: bool = True, reason: str = "cancelled") -> None:
         """End the run: start nothing more; cancel what runs, or wait for it."""
@@ -54,6 +69,7 @@ class Executor:
         is_stopped = False
         layers = self.run.knowledge.world, self.run.knowledge.local
         stop_listening = [layer.listen(self._changed) for layer in layers]
+        stop_listening.append(self.run.resources.listen(partial(self._put_once, ResourcesChanged())))
         self._inbox.put_nowait(Begin())
         try:
             while not self.run.over:
@@ -65,8 +81,8 @@ class Executor:
                     is_stopped = True
                     cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
                     event = Stop()
-                if isinstance(event, KnowledgeChanged):
-                    self._change_waits = False
+                if isinstance(event, KnowledgeChanged | ResourcesChanged):
+                    self._waiting.discard(event)
                 for command in self.run.handle(event, asyncio.get_running_loop().time()):
                     self._do(command)
         except BaseException:
@@ -138,9 +154,13 @@ class Executor:
         self._timer = None if at is None else asyncio.get_running_loop().call_at(at, self._inbox.put_nowait, Tick())
 
     def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
-        if not self._change_waits:
-            self._change_waits = True
-            self._inbox.put_nowait(KnowledgeChanged())
+        self._put_once(KnowledgeChanged())
+
+    def _put_once(self, event: KnowledgeChanged | ResourcesChanged) -> None:
+        """Put the event into the inbox unless one like it still waits there."""
+        if event not in self._waiting:
+            self._waiting.add(event)
+            self._inbox.put_nowait(event)
 
 
 def _is_cancelled() -> bool:

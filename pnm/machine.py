@@ -200,7 +200,7 @@ class PetriNetMachine:
     resource_places: frozenset[str]
     """Places whose tokens calls have for themselves as long as they are under way."""
     alive_places: frozenset[str]
-    """Places of calls that are under way: a request may be alive, or what it has done is still to be checked."""
+    """Places of calls that are under way: a request may be alive, or its effects are looked for."""
     blocks: Mapping[int, tuple[str, ...]]
     """For every step, the places of its block."""
     orderings: Mapping[str, Ordering]

@@ -58,7 +58,7 @@ class GroundAction:
     operation: KnowledgeOperation | None = None
     """What is done to knowledge; no server is needed then."""
     resources: tuple[str, ...] = ()
-    """What the action has for itself from start to end, such as an arm."""
+    """What the action has for itself while it is under way, such as an arm; ``{robot}`` stands for an argument."""
     returns: tuple[tuple[str, Data], ...] = ()
     """What a simulated server answers: result fields, computed from the goal and from the world at the end."""
 

@@ -100,6 +100,10 @@ class Resources:
             if one.task != claim.task and one.priority < claim.priority and self._is_short(claim, one)
         )
 
+    def servable(self) -> frozenset[UUID]:
+        """Return the requests in line whose claims would be granted if they were made again."""
+        return frozenset(claim.request for claim in self._servable())
+
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call the listener whenever a claim in line would be granted if it were made again; return what stops that."""
         self._listeners.append(listener)
@@ -139,10 +143,13 @@ class Resources:
 
     def _tell(self) -> None:
         """Tell everybody if there is somebody in line who could be served."""
+        if any(True for _ in self._servable()):
+            for listener in tuple(self._listeners):
+                listener()
+
+    def _servable(self) -> Iterator[Claim]:
         taken = self._used.copy()
         for claim in self._line:
             if self._fits(claim, taken):
-                for listener in tuple(self._listeners):
-                    listener()
-                return
+                yield claim
             taken.update(claim.names)

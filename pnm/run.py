@@ -18,11 +18,12 @@ from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Report
 from pnm.bindings import Bindings
 from pnm.calls import Calls, GoalFields
 from pnm.checks import already_true, is_assumed
+from pnm.claims import Claims
 from pnm.compiled import Engine
 from pnm.conditions import Condition, evaluate, failing, ground, names, observed
 from pnm.consultation import Consultation, Questions
 from pnm.errors import PnmError
-from pnm.events import Answered, Ask, Begin, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake, Withdraw
+from pnm.events import Answered, Ask, Begin, Command, Event, KnowledgeChanged, ResourcesChanged, Send, Stop, Tick, Wake, Withdraw
 from pnm.knowledge import Layered
 from pnm.ledger import Ledger
 from pnm.machine import (
@@ -49,6 +50,7 @@ from pnm.marking import Marking
 from pnm.observer import Observer
 from pnm.plan_graph import ActionCall, GroundAction, Loop
 from pnm.queries import Question, Unanswered
+from pnm.resources import Claim, Resources
 from pnm.results import RunResult
 
 NEVER: Final = float("inf")
@@ -76,6 +78,9 @@ class Run:
         asks: whether there is anybody outside to be asked.
         observer: is told what happens.
         origin: the time from which releases count; the beginning of the run when not given.
+        resources: what its calls share with other runs; what the plan says of them is its own when not given.
+        task: on whose behalf resources are claimed; its own when not given.
+        priority: how its claims stand among those of others.
 
     The mutable state is what the constructor sets under "state".
     """
@@ -91,10 +96,15 @@ class Run:
         asks: bool = False,
         observer: Observer | None = None,
         origin: float | None = None,
+        resources: Resources | None = None,
+        task: UUID | None = None,
+        priority: int = 0,
     ) -> None:
         self.machine = machine
         self.knowledge = knowledge
         self.id = id
+        self.resources = Resources(machine.plan.capacities) if resources is None else resources
+        self.task = id if task is None else task
         self._observer = observer or Observer()
         compiled = machine.compiled
         self._rules = [machine.rules[name] for name in compiled.transitions]
@@ -105,6 +115,8 @@ class Run:
                 self._reported.setdefault(rule.guard.call, []).append(transition)
         self._records = {compiled.place_id[place] for place in machine.record_places}
         self._resource_ids = {compiled.place_id[place] for place in machine.resource_places}
+        self._takes = self._touching(compiled.inputs)
+        self._gives = self._touching(compiled.outputs)
         self._restart_ids = {compiled.place_id[place] for place in machine.restart_places}
         self._failure_ids = {compiled.place_id[place]: call for place, call in machine.failure_places.items()}
         self._final_ids = (compiled.place_id[machine.goal_place], compiled.place_id[machine.failed_place])
@@ -115,7 +127,6 @@ class Run:
         self._origin = origin
         self._agenda: deque[int] = deque()
         self._undecided: dict[int, None] = {}
-        self._queueing: dict[int, None] = {}
         self._arrived: dict[int, float] = {}
         self._denied_since: dict[int, float] = {}
         self._timers: list[tuple[float, int]] = []
@@ -127,8 +138,15 @@ class Run:
         self._deciding: int | None = None
         self._calls = Calls(id, machine.plan, knowledge, bindings or Bindings(), goal_fields, asks=asks)
         self._ledger = Ledger(machine.plan)
+        self._claims = Claims(self.resources, self.task, priority)
         self._missing: dict[int, tuple[str, ...]] = {}
         self._stop: Stop | None = None
+
+    def _touching(self, arcs: list[list[tuple[int, int]]]) -> frozenset[int]:
+        """Return the transitions that are connected to resources."""
+        if not self._resource_ids:
+            return frozenset()
+        return frozenset(transition for transition, found in enumerate(arcs) if any(place in self._resource_ids for place, _ in found))
 
     # --- what a caller sees -------------------------------------------------------------------
 
@@ -192,6 +210,8 @@ class Run:
                 self._begin()
             case KnowledgeChanged():
                 self._agenda.extend(place for place in self._undecided if self._listening[place])
+            case ResourcesChanged():
+                self._agenda.extend(self._claims.served())
             case Tick():
                 self._wake = NEVER
                 while self._timers and self._timers[0][0] <= self._now:
@@ -269,33 +289,59 @@ class Run:
         self._deciding = place
         again, waiting = NEVER, False
         for transition, _ in self._engine.compiled.consumers[place]:
-            if not self._engine.is_enabled(transition):
-                if self._lacks_resources(transition):
-                    self._queueing[place] = self._undecided[place] = None
-                    return
+            if not self._is_near(transition):
                 continue
             try:
+                if transition in self._takes and not self._has_resources(transition, place):
+                    waiting = True
+                    break  # the rules after this one are asked when it can have what it needs
                 opens = self._opens(transition, place)
                 if opens <= self._now and (call := self._rules[transition].call) is not None:
                     self._calls.foresee(self._rules[transition].deed, call, self._consult(call))
             except Unanswered as needed:  # and so are all rules after this one
                 self._ask(place, needed.question)
-                self._undecided[place] = None
-                return
+                self._leave_line(place)
+                waiting = True
+                break
             if opens <= self._now:
                 self._fire(transition)
                 return
             again, waiting = min(again, opens), True
+            if transition in self._takes:
+                self._leave_line(place)
         if waiting:
             self._undecided[place] = None
         if again < NEVER and self._scheduled.get(place) != again:
             self._scheduled[place] = again
             heappush(self._timers, (again, place))
 
-    def _lacks_resources(self, transition: int) -> bool:
-        """Tell whether the transition would be enabled if no call had what it needs for itself."""
-        short = self._engine.lacking(transition) if self._resource_ids else set()
-        return bool(short) and short <= self._resource_ids
+    # --- resources ----------------------------------------------------------------------------
+
+    def _is_near(self, transition: int) -> bool:
+        """Tell whether the transition is enabled, or would be if no call had what it needs for itself."""
+        if self._engine.is_enabled(transition):
+            return True
+        return transition in self._takes and self._engine.lacking(transition) <= self._resource_ids
+
+    def _has_resources(self, transition: int, place: int) -> bool:
+        """Tell whether the call can have what the transition needs for it; if not, it waits for that."""
+        if not self._claims.are_free(place, self._claim(transition)):
+            return False
+        if not self._engine.is_enabled(transition):
+            self._claims.wait_for_own(place)
+            return False
+        return True
+
+    def _claim(self, transition: int) -> Claim:
+        rule = self._rules[transition]
+        assert rule.call is not None, "only calls have resources"
+        request, action = self._calls.claiming(rule.call, rule.deed, self._consult(rule.call))
+        return self._claims.claim(request, self._calls.resources(action))
+
+    def _leave_line(self, place: int) -> None:
+        """No longer wait for resources at the place; whoever waits behind it may have them now."""
+        if self._claims.leave(place):
+            self._agenda.extend(self._claims.served())
 
     def _ask(self, place: int, question: Question) -> None:
         if not self._questions.is_asked(place, question):
@@ -366,6 +412,8 @@ class Run:
     def _fire(self, transition: int) -> None:
         compiled, rule = self._engine.compiled, self._rules[transition]
         fails = [place for place, _ in compiled.outputs[transition] if place in self._failure_ids]
+        if transition in self._takes and rule.call is not None:
+            self._claims.take(rule.call, self._claim(transition))
         if rule.call is not None and rule.call < len(self.machine.plan.calls):
             self._note(rule, rule.call, bool(fails))
             if rule.deed is not None:
@@ -375,6 +423,9 @@ class Run:
                     self._agenda.extend(place for place in self._undecided if self._listening[place])
         was_ending = self.ending
         self._engine.fire(transition)
+        if transition in self._gives and rule.call is not None:
+            self._claims.give(rule.call)
+            self._agenda.extend(self._claims.served())
         for place in fails:
             self._fail(self._failure_ids[place], rule)
         for place, _ in compiled.inputs[transition]:
@@ -383,8 +434,6 @@ class Run:
             self._arrived[place] = self._now
             if place not in self._records:
                 self._agenda.append(place)
-            elif place in self._resource_ids:
-                self._agenda.extend(self._queueing)
         if self.ending and not was_ending:
             self._agenda.extend(self._undecided)
         self._observer.fired(compiled.transitions[transition], rule, self._now)
@@ -403,7 +452,7 @@ class Run:
     def _leave(self, place: int) -> None:
         """Forget what the decision at the place was made from."""
         self._undecided.pop(place, None)
-        self._queueing.pop(place, None)
+        self._leave_line(place)
         self._commands.extend(map(Withdraw, self._questions.left(place)))
         for consumer, _ in self._engine.compiled.consumers[place]:
             self._denied_since.pop(consumer, None)

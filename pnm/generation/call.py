@@ -10,8 +10,9 @@ An end that must wait for other events (`awaited`) is reached by the robot when 
 wait. A retry moves a token from *budget* to *spent*; giving up takes all of *spent*, by an arc whose weight is the
 whole budget. Where the plan says itself what is done about a cause, that comes in the place of retrying.
 
-The call has its resources as long as a request may be alive and until what it has done is checked: whatever leads
-from outside into those places takes all of them at once, and whatever leads out of them gives all back.
+The call has its resources as long as a request may be alive and until its effects have been looked for, unless that
+must wait for other events: whatever leads from outside into those places takes all of them at once, and whatever
+leads out of them gives all back.
 """
 
 from __future__ import annotations
@@ -52,8 +53,8 @@ _UNSUCCESSFUL = frozenset(OutcomeKind) - _SUCCEEDED
 _EARLY = {OutcomeKind.REJECTED: Cause.REJECTED, OutcomeKind.UNAVAILABLE: Cause.UNAVAILABLE, OutcomeKind.LOST: Cause.LOST}
 """How a request may end before anybody has said that it was accepted."""
 _LATE = {OutcomeKind.ABORTED: Cause.ABORTED, OutcomeKind.CANCELED: Cause.CANCELED, OutcomeKind.LOST: Cause.LOST}
-_ALIVE = ("requested", "withdrawing", "again requested", "again withdrawing", "running", "overdue", "stopping", "returned", "finished")
-"""Places of a call whose request may be alive, or whose effects are still looked for."""
+_ALIVE = ("requested", "withdrawing", "again requested", "again withdrawing", "running", "overdue", "stopping")
+"""Places of a call whose request may be alive."""
 
 
 @dataclass
@@ -95,13 +96,14 @@ class CallBlock(Block[ActionCall]):
 
     def place(self, name: str) -> str:
         """Make a place of this block."""
-        if name in _ALIVE:
+        if self.name(name) in self._alive:
             self.builder.alive_places.add(self.name(name))
         return super().place(name)
 
     @cached_property
     def _alive(self) -> frozenset[str]:
-        return frozenset(map(self.name, _ALIVE))
+        """Places of a call that is under way; what waits for others before its effects are looked for is not."""
+        return frozenset(map(self.name, _ALIVE if self.awaited else (*_ALIVE, "finished")))
 
     @cached_property
     def _resources(self) -> tuple[str, ...]:
