@@ -2,7 +2,9 @@
 
 *Sound* means: whatever its servers and the world answer, and whenever it is told to stop, the
 machine ends, with exactly one token on its goal place or on its failed place and none elsewhere
-but on record places; no place ever holds two tokens, a budget never more than it began with.
+but on record places; no place ever holds two tokens, a budget never more than it began with. A run
+that is paused goes on when it is told to, and each pause may have calls begin anew: so it ends if it
+is paused finitely often.
 
 `explore` walks through all states: the oracle, for machines of a few calls. `verify` is linear
 in the number of calls, and trusts nothing but the net and the rules. Every block (the transitions

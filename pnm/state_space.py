@@ -5,12 +5,12 @@ A part is a whole machine, or a block of it with its inputs supplied from outsid
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
 from pnm.errors import PnmError
-from pnm.machine import After, Always, CancelAsked, Denied, Due, Ending, Failing, Guard, Holding
+from pnm.machine import Adopted, After, Always, CancelAsked, Denied, Due, Ending, Failing, Guard, Holding, PauseAsked
 from pnm.net import Weights
 
 MAX_STATES: Final = 2_000_000
@@ -158,7 +158,7 @@ class _Explorer:
             if number not in enabled:
                 enabled[number] = self._is_enabled(step, state)
             if not enabled[number]:
-                if self._lacks_resources(step, state):
+                if self._lacks_resources(step, state) and not isinstance(step.guard, Adopted):
                     return found, True
                 continue
             is_open = _is_open(step.guard, *moods)
@@ -241,6 +241,10 @@ class _Explorer:
         return self.part.is_proper(left)
 
 
+_Trace: TypeAlias = "tuple[_Trace, str] | None"
+"""What has led somewhere: the last step, and what has led to it."""
+_Reached: TypeAlias = tuple[_State, _Trace]
+
 _STOPS: Final = ("", "restart elsewhere", "stop", "cancel")
 _AGAIN: Final = "enter again"
 
@@ -267,39 +271,58 @@ def explore_part(part: Part) -> int:
         Unsound: some state is wrong, something can go round for ever, or there are too many states.
     """
     explorer = _Explorer(part)
+    # how often it is paused, or entered, whoever does that says: what follows from there is walked through apart
+    apart = {step.name for step in part.steps if isinstance(step.guard, PauseAsked)} | {_AGAIN}
     start = _State(tuple(part.initial.get(place, 0) for place in part.places))
-    path: list[tuple[_State, Iterator[tuple[str, _State]]]] = []
-    names: list[str] = []
-    on_path: dict[_State, int] = {}
+    roots: list[_Reached] = [(start, None)]
     seen: set[_State] = set()
+    while roots:
+        root = roots.pop()
+        if root[0] not in seen:
+            roots += _walk(explorer, root, seen, apart)
+    return len(seen)
 
-    def enter(state: _State) -> None:
+
+def _walk(explorer: _Explorer, root: _Reached, seen: set[_State], apart: Set[str]) -> list[_Reached]:
+    """Walk through every state that is reached from the root but by some steps; return what those lead to."""
+    path: list[tuple[_Reached, Iterator[tuple[str, _State]]]] = []
+    on_path: set[_State] = set()
+    left: dict[_State, _Reached] = {}
+
+    def enter(reached: _Reached) -> None:
+        state, trace = reached
         nexts = list(explorer.successors(state))
         stuck = all(name in (*_STOPS, _AGAIN, "supply") for name, _ in nexts)
         if wrong := explorer.check(state, stuck):
-            raise Unsound(wrong, names)
+            raise Unsound(wrong, _names(trace))
         if len(seen) > MAX_STATES:
             raise Unsound(f"more than {MAX_STATES} states")
         seen.add(state)
-        on_path[state] = len(names)
-        path.append((state, iter(nexts)))
+        on_path.add(state)
+        path.append((reached, iter(nexts)))
 
-    enter(start)
+    enter(root)
     while path:
-        state, nexts = path[-1]
+        (state, trace), nexts = path[-1]
         found = next(nexts, None)
         if found is None:
             path.pop()
-            del on_path[state]
-            if names:
-                names.pop()
+            on_path.remove(state)
             continue
         name, following = found
-        if following in on_path:
-            if _AGAIN not in (*names[on_path[following] :], name):  # how often it is entered, whoever holds it says
-                raise Unsound("it can go round for ever", [*names, name])
-            continue
-        if following not in seen:
-            names.append(name)
-            enter(following)
-    return len(seen)
+        if name in apart:
+            if following not in seen:
+                left.setdefault(following, (following, (trace, name)))
+        elif following in on_path:
+            raise Unsound("it can go round for ever", _names((trace, name)))
+        elif following not in seen:
+            enter((following, (trace, name)))
+    return list(left.values())
+
+
+def _names(trace: _Trace) -> list[str]:
+    found: list[str] = []
+    while trace is not None:
+        trace, name = trace
+        found.append(name)
+    return found[::-1]

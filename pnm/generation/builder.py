@@ -36,6 +36,7 @@ class Builder:
     budget_places: set[str] = field(default_factory=set)
     resource_places: set[str] = field(default_factory=set)
     alive_places: set[str] = field(default_factory=set)
+    settling_places: dict[str, int] = field(default_factory=dict)
     blocks: dict[int, list[str]] = field(default_factory=dict)
     orderings: dict[str, Ordering] = field(default_factory=dict)
     regions: list[Region] = field(default_factory=list)
@@ -65,6 +66,7 @@ class Builder:
             restart_places=self.restart_places,
             budget_places=frozenset(self.budget_places),
             resource_places=frozenset(self.resource_places),
+            settling_places=self.settling_places,
             alive_places=frozenset(self.alive_places),
             blocks={step: tuple(places) for step, places in self.blocks.items()},
             orderings=self.orderings,
