@@ -130,7 +130,7 @@ def net(
 )
 @click.option(
     "--on-failure",
-    type=click.Choice(["drain", "cancel"]),
+    type=click.Choice(["drain", "cancel", "continue_others"]),
     help="what running actions do when one has failed; by default what a hand-written plan says, or else drain",
 )
 @as_json_option

@@ -333,12 +333,12 @@ class Run:
         if not self._engine.tokens[place]:
             return
         self._decision.place = place
-        again, waiting = NEVER, False
+        again, waiting, takes = NEVER, False, self._roles.takes
         for transition, _ in self._engine.compiled.consumers[place]:
-            if not (self._engine.is_enabled(transition) or self._lacks_resources(transition)):
+            if not self._engine.is_enabled(transition) and not (transition in takes and self._lacks_resources(transition)):
                 continue
             try:
-                if self._is_put_off(transition, place):
+                if (transition in takes or self._situation.pause) and self._is_put_off(transition, place):
                     waiting = True
                     break  # the rules after this one are asked when it may be asked itself
                 opens = self._decision.opens(transition, place)
@@ -353,7 +353,7 @@ class Run:
                 self._fire(transition)
                 return
             again, waiting = min(again, opens), True
-            if transition in self._roles.takes:
+            if transition in takes:
                 self._leave_line(place)
         if waiting:
             self._undecided[place] = None
@@ -365,7 +365,7 @@ class Run:
 
     def _lacks_resources(self, transition: int) -> bool:
         """Tell whether the transition would be enabled if no call had what it needs for itself."""
-        return transition in self._roles.takes and self._engine.lacking(transition) <= self._roles.resources
+        return self._engine.lacking(transition) <= self._roles.resources
 
     def _is_put_off(self, transition: int, place: int) -> bool:
         """Tell whether the transition must wait: for the end of a pause, or for what the call needs for itself."""
@@ -416,7 +416,7 @@ class Run:
                 if self._calls.changed:
                     self._calls.changed = False
                     self._agenda.extend(place for place in self._undecided if self._roles.listening[place])
-        was_ending, arrived = self.ending, self._situation.now
+        was_ending, arrived = self._situation.ending, self._situation.now
         if rule.deed is Deed.ADOPT and rule.call is not None:
             arrived = self._decision.adopted.pop(rule.call).accepted
         self._engine.fire(transition)
@@ -431,7 +431,7 @@ class Run:
             self._decision.arrived[place] = arrived
             if place not in self._roles.records:
                 self._agenda.append(place)
-        if self.ending and not was_ending:
+        if self._situation.ending and not was_ending:
             self._agenda.extend(self._undecided)
         self._observer.fired(compiled.transitions[transition], rule, self._situation.now)
 
