@@ -252,5 +252,6 @@ def simulated_site(plan: HandWrittenPlan, bindings: Bindings, faults: Faults = N
     timed = (frozenset(fluent[0] for fluent in change.changes) for change in plan.timed)
     truth = KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules)
     lasting = bool(plan.timed) or any(call.action.duration is not None for call in calls)
-    robots = simulated_robots(truth, frozenset().union(*written, *timed), bindings, faults, plan.timed, lasting=lasting)
+    changing, capacities = frozenset().union(*written, *timed), plan.graph.capacities
+    robots = simulated_robots(truth, changing, bindings, faults, plan.timed, lasting=lasting, capacities=capacities)
     return RobotsSite(robots, bindings.assumed)
