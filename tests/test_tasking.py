@@ -1,0 +1,569 @@
+"""Several goals at once, over shared robots, in simulation."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from uuid import UUID, uuid4
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from planner_bridge.model import Problem
+from planner_bridge.pddl import parse_problem
+from planner_bridge.replanning import Limits
+from planner_bridge.sites import SimulatedSite
+from planner_bridge.state import initial_knowledge
+from planner_bridge.tasking import Room, TaskMaster
+from planner_bridge.tasks import OnChange, Settings
+from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
+from pnm.bindings import Binding, Bindings
+from pnm.clock import run_async
+from pnm.conditions import Condition
+from pnm.errors import InputError
+from pnm.machine import OnFailure
+from pnm.tasking import Code, Moment, OnConflict, TaskEnding, TaskListener, TaskRefused, TaskState, Wanted
+from tests.domains import fleet
+
+BINDINGS = Bindings({name: Binding(resources=("{r}",), retries=0) for name in ("move", "pick", "drop")})
+EAGER = Settings(bindings=BINDINGS, on_change=OnChange.EAGER, on_failure=OnFailure.CONTINUE_OTHERS, limits=Limits(seconds=2000.0))
+LIMIT = 5000.0
+
+
+class Stage(TaskListener):
+    """A master of tasks over simulated robots; what is wanted of it and what has come of that."""
+
+    def __init__(self, problem: Problem, faults: Faults, chosen: Settings, room: Room) -> None:
+        self.problem = problem
+        self.site = SimulatedSite(problem, chosen.bindings, faults)
+        self.knowledge = initial_knowledge(problem)
+        self.master = TaskMaster(problem, self.knowledge, self.site, chosen, self.read, room=room)
+        self.master.listen(self)
+        self.goals: dict[UUID, str] = {}
+        self.moments: list[Moment] = []
+        self.endings: dict[UUID, TaskEnding] = {}
+        self._news = asyncio.Event()
+
+    def read(self, text: str) -> Condition:
+        if not text.startswith("("):
+            raise InputError(f"not a goal: {text!r}")
+        return parse_problem(
+            f"(define (problem q) (:domain fleet) {_objects(self.problem)} (:init) (:goal {text}))", self.problem.domain
+        ).goal
+
+    def happened(self, moment: Moment) -> None:
+        if moment.kind != "fired":
+            self.moments.append(moment)
+        self._stir()
+
+    def ended(self, task: UUID, ending: TaskEnding) -> None:
+        assert task not in self.endings
+        self.endings[task] = ending
+        self._stir()
+
+    def _stir(self) -> None:
+        self._news.set()
+        self._news = asyncio.Event()
+
+    def want(self, text: str, **how: object) -> UUID:
+        wanted = Wanted(uuid4(), text, **how)  # type: ignore[arg-type]
+        self.goals[wanted.id] = text
+        self.master.begin(wanted)
+        return wanted.id
+
+    async def until(self, happens: Callable[[], object]) -> None:
+        async with asyncio.timeout(LIMIT):
+            while not happens():
+                await self._news.wait()
+
+    async def ended_with(self, *tasks: UUID) -> list[Code]:
+        await self.until(lambda: all(task in self.endings for task in tasks))
+        return [self.endings[task].code for task in tasks]
+
+    async def sees(self, task: UUID, kind: str, subject: str = "", times: int = 1) -> None:
+        await self.until(lambda: len(self.seen(task, kind, subject)) >= times)
+
+    def seen(self, task: UUID, kind: str, subject: str = "") -> list[Moment]:
+        return [one for one in self.moments if one.task == task and one.kind == kind and subject in one.subject + one.text]
+
+    def state(self, task: UUID) -> TaskState:
+        return next(one.state for one in self.master.status() if one.id == task)
+
+    def sent(self, task: UUID) -> list[str]:
+        return [one.subject for one in self.seen(task, "sent")]
+
+    def holds(self, text: str) -> bool:
+        return self.site.robots.world.holds(self.read(text))
+
+
+def _objects(problem: Problem) -> str:
+    return f"(:objects {' '.join(f'{name} - {kinds[0]}' for name, kinds in problem.own_objects.items())})"
+
+
+def play(
+    scene: Callable[[Stage], Awaitable[None]],
+    problem: Problem | None = None,
+    *,
+    faults: Faults = NO_FAULTS,
+    chosen: Settings = EAGER,
+    room: Room | None = None,
+) -> None:
+    async def whole() -> None:
+        stage = Stage(problem or fleet(), faults, chosen, room or Room())
+        await stage.site.open(stage.knowledge)
+        try:
+            await scene(stage)
+        finally:
+            await asyncio.wait_for(stage.master.close(), LIMIT)
+            await stage.site.close()
+        assert stage.goals.keys() == stage.endings.keys(), "every task has an end"
+        assert not stage.site.robots.clashes
+
+    run_async(whole(), virtual=True)
+
+
+# --- what is wrong with a goal -------------------------------------------------------------------
+
+
+def test_a_goal_that_cannot_be_read_ends_at_once_with_the_reason():
+    async def scene(stage: Stage) -> None:
+        task = stage.want("nonsense")
+        assert await stage.ended_with(task) == [Code.INVALID_GOAL]
+        assert "nonsense" in stage.endings[task].message
+
+    play(scene)
+
+
+def test_an_unreachable_goal_has_no_plan():
+    async def scene(stage: Stage) -> None:
+        assert await stage.ended_with(stage.want("(and (has r0 p0) (has r0 p1))")) == [Code.NO_PLAN]
+
+    play(scene)
+
+
+def test_a_goal_that_holds_is_reached_without_any_call():
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a0)")
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert stage.sent(task) == []
+
+    play(scene)
+
+
+def test_a_full_queue_takes_no_more():
+    async def scene(stage: Stage) -> None:
+        first, second, third = (stage.want(f"(in p{n} a{n + 1})") for n in range(3))
+        assert await stage.ended_with(third) == [Code.QUEUE_FULL]
+        assert await stage.ended_with(first, second) == [Code.GOAL_REACHED] * 2
+        assert await stage.ended_with(stage.want("(in p2 a3)")) == [Code.GOAL_REACHED]
+
+    play(scene, room=Room(active=1, queue=1))
+
+
+def test_a_task_of_the_same_id_is_refused_and_the_first_goes_on():
+    async def scene(stage: Stage) -> None:
+        first = stage.want("(in p0 a1)")
+        ended: list[Code] = []
+        stage.master.listen(type("Ears", (TaskListener,), {"ended": lambda self, task, ending: ended.append(ending.code)})())
+        stage.ended = lambda task, ending: None  # type: ignore[method-assign]
+        stage.master.begin(Wanted(first, "(in p1 a2)"))
+        assert ended == [Code.ERROR]
+        del stage.ended
+        assert await stage.ended_with(first) == [Code.GOAL_REACHED]
+
+    play(scene)
+
+
+# --- several goals ------------------------------------------------------------------------------
+
+
+def test_goals_of_different_robots_are_pursued_at_the_same_time():
+    async def scene(stage: Stage) -> None:
+        one, two = stage.want("(at r0 a2)"), stage.want("(at r1 a3)")
+        assert await stage.ended_with(one, two) == [Code.GOAL_REACHED] * 2
+        assert stage.seen(two, "sent")[0].time < stage.endings[one].trace[-1].time
+
+    play(scene)
+
+
+def test_a_goal_that_can_be_reached_by_another_robot_does_not_wait():
+    async def scene(stage: Stage) -> None:
+        tasks = [stage.want(f"(in p{n} a3)") for n in range(2)]
+        assert await stage.ended_with(*tasks) == [Code.GOAL_REACHED] * 2
+        robots = [{subject.split("(")[1].split(",")[0] for subject in stage.sent(task)} for task in tasks]
+        assert robots[0].isdisjoint(robots[1])
+        assert not any(stage.seen(task, "state", "waits") for task in tasks)
+
+    play(scene)
+
+
+def test_a_goal_that_another_task_would_undo_waits_until_that_is_over():
+    async def scene(stage: Stage) -> None:
+        one, two = stage.want("(at r0 a2)"), stage.want("(at r0 a1)")
+        await stage.sees(two, "state", "waits for (at r0 a2)")
+        assert stage.state(two) is TaskState.QUEUED
+        assert await stage.ended_with(one, two) == [Code.GOAL_REACHED] * 2
+        assert stage.seen(two, "sent")[0].time >= stage.endings[one].trace[-1].time
+        assert stage.holds("(at r0 a1)")
+
+    play(scene)
+
+
+def test_a_goal_in_conflict_is_refused_if_that_is_the_policy():
+    async def scene(stage: Stage) -> None:
+        one = stage.want("(at r0 a2)")
+        await stage.sees(one, "sent")
+        two = stage.want("(at r0 a1)", on_conflict=OnConflict.REFUSE)
+        assert await stage.ended_with(two, one) == [Code.CONFLICT, Code.GOAL_REACHED]
+        assert "(at r0 " in stage.endings[two].message
+
+    play(scene)
+
+
+def test_a_goal_in_conflict_waits_if_that_is_the_policy_even_if_there_is_a_way_around():
+    async def scene(stage: Stage) -> None:
+        one = stage.want("(in p0 a3)")
+        await stage.sees(one, "sent")
+        two = stage.want("(in p1 a3)", on_conflict=OnConflict.QUEUE)
+        assert await stage.ended_with(one, two) == [Code.GOAL_REACHED] * 2
+        assert bool(stage.seen(two, "state", "waits")) == bool(_robots(stage, one) & _robots(stage, two))
+
+    play(scene)
+
+
+def _robots(stage: Stage, task: UUID) -> set[str]:
+    return {subject.split("(")[1].split(",")[0] for subject in stage.sent(task)}
+
+
+# --- deadlines and cancelling -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("deadline", [0.0, 0.5, 1.5])
+def test_a_goal_that_is_not_reached_in_time_is_given_up(deadline: float):
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(in p0 a2)", deadline=deadline)
+        assert await stage.ended_with(task) == [Code.DEADLINE_MISSED]
+        assert await stage.ended_with(stage.want("(in p0 a2)")) == [Code.GOAL_REACHED]
+
+    play(scene)
+
+
+def test_a_goal_that_waits_can_be_cancelled_and_misses_its_deadline():
+    async def scene(stage: Stage) -> None:
+        one, two, three = stage.want("(at r0 a2)"), stage.want("(at r0 a1)"), stage.want("(at r0 a3)", deadline=1.0)
+        await stage.sees(two, "state", "waits")
+        await stage.master.cancel(two)
+        assert await stage.ended_with(one, two, three) == [Code.GOAL_REACHED, Code.CANCELLED, Code.DEADLINE_MISSED]
+
+    play(scene)
+
+
+def test_a_task_is_cancelled_only_when_the_servers_have_confirmed_it():
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a2)")
+        await stage.sees(task, "sent")
+        await stage.master.cancel(task)
+        assert stage.endings[task].code is Code.CANCELLED
+        assert len(stage.seen(task, "ended")) == 1
+
+    play(scene)
+
+
+def test_a_server_that_does_not_confirm_is_given_up_after_its_limit():
+    faults = Faults((Fault("move", FaultKind.HANG, ignores_cancel=True, times=1),))
+
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a2)")
+        await stage.sees(task, "sent")
+        await stage.master.cancel(task)
+        assert stage.endings[task].code is Code.CANCELLED
+
+    play(scene, faults=faults)
+
+
+def test_what_is_not_there_cannot_be_paused_resumed_or_cancelled():
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a0)")
+        await stage.ended_with(task)
+        for deed in (stage.master.cancel, stage.master.resume, lambda one: stage.master.pause(one, at_once=True)):
+            with pytest.raises(TaskRefused, match="is over"):
+                await deed(task)
+            with pytest.raises(TaskRefused, match="there is no task"):
+                await deed(uuid4())
+
+    play(scene)
+
+
+# --- pausing and resuming -------------------------------------------------------------------------
+
+
+def test_a_task_that_is_paused_at_a_safe_point_goes_on_where_it_was():
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a2)")
+        await stage.sees(task, "sent")
+        await stage.master.pause(task, at_once=False)
+        assert stage.state(task) is TaskState.PAUSED
+        assert [len(stage.seen(task, kind)) for kind in ("sent", "ended")] == [1, 1]
+        await asyncio.sleep(100.0)
+        assert len(stage.sent(task)) == 1
+        await stage.master.resume(task)
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert len(stage.sent(task)) == 2
+        assert len(stage.seen(task, "planned")) == 1
+
+    play(scene)
+
+
+def test_a_task_that_is_paused_at_once_begins_its_call_anew():
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a2)")
+        await stage.sees(task, "sent")
+        await stage.master.pause(task, at_once=True)
+        assert stage.state(task) is TaskState.PAUSED
+        assert "canceled" in stage.seen(task, "ended")[0].text
+        await stage.master.resume(task)
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert len(stage.sent(task)) == 3
+
+    play(scene)
+
+
+def test_a_task_whose_plan_does_not_work_any_more_after_a_pause_finds_another_way():
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a2)")
+        await stage.sees(task, "sent")
+        await stage.master.pause(task, at_once=True)
+        stage.site.robots.world.change({("at", "r0", "a0"): False, ("at", "r0", "a3"): True})
+        await stage.master.resume(task)
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert stage.sent(task)[1:] == ["move(r0, a3, a2)"]
+
+    play(scene)
+
+
+def test_a_paused_task_can_be_cancelled_and_misses_its_deadline():
+    async def scene(stage: Stage) -> None:
+        one, two = stage.want("(at r0 a2)"), stage.want("(at r1 a3)", deadline=50.0)
+        await stage.sees(one, "sent")
+        await stage.master.pause(None, at_once=False)
+        await stage.master.cancel(one)
+        assert await stage.ended_with(one, two) == [Code.CANCELLED, Code.DEADLINE_MISSED]
+
+    play(scene)
+
+
+def test_what_comes_while_all_is_paused_waits():
+    async def scene(stage: Stage) -> None:
+        await stage.master.pause(None, at_once=False)
+        task = stage.want("(at r0 a2)")
+        await asyncio.sleep(100.0)
+        assert not stage.sent(task)
+        await stage.master.resume(None)
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+
+    play(scene)
+
+
+def test_a_paused_task_keeps_nobody_waiting():
+    async def scene(stage: Stage) -> None:
+        one = stage.want("(at r0 a2)")
+        await stage.sees(one, "sent")
+        two = stage.want("(at r0 a1)")
+        await stage.sees(two, "state", "waits")
+        await stage.master.pause(one, at_once=False)
+        assert await stage.ended_with(two) == [Code.GOAL_REACHED]
+        await stage.master.resume(one)
+        assert await stage.ended_with(one) == [Code.GOAL_REACHED]
+
+    play(scene)
+
+
+# --- priorities -----------------------------------------------------------------------------------
+
+
+def test_a_higher_goal_preempts_a_lower_one_that_goes_on_by_itself():
+    async def scene(stage: Stage) -> None:
+        low = stage.want("(at r0 a2)")
+        await stage.sees(low, "sent")
+        high = stage.want("(at r0 a3)", priority=1)
+        assert await stage.ended_with(high) == [Code.GOAL_REACHED]
+        assert stage.seen(low, "state", "makes way for (at r0 a3)")
+        assert await stage.ended_with(low) == [Code.GOAL_REACHED]
+        assert stage.holds("(at r0 a2)")
+
+    play(scene)
+
+
+def test_a_higher_goal_takes_the_resource_of_a_lower_one_even_if_their_facts_have_nothing_to_do_with_each_other():
+    shared = Bindings({name: Binding(resources=("lift",), retries=0) for name in ("move", "pick", "drop")})
+
+    async def scene(stage: Stage) -> None:
+        low = stage.want("(at r0 a2)")
+        await stage.sees(low, "sent")
+        high = stage.want("(at r1 a3)", priority=1)
+        assert await stage.ended_with(high, low) == [Code.GOAL_REACHED] * 2
+        assert stage.seen(low, "conflict", "makes way")
+        assert stage.endings[high].trace[-1].time < stage.endings[low].trace[-1].time
+
+    play(scene, chosen=replace(EAGER, bindings=shared))
+
+
+def test_equal_goals_that_share_a_resource_take_turns():
+    shared = Bindings({name: Binding(resources=("lift",), retries=0) for name in ("move", "pick", "drop")})
+
+    async def scene(stage: Stage) -> None:
+        tasks = [stage.want("(at r0 a2)"), stage.want("(at r1 a3)")]
+        assert await stage.ended_with(*tasks) == [Code.GOAL_REACHED] * 2
+        assert not any(stage.seen(task, "conflict") for task in tasks)
+
+    play(scene, chosen=replace(EAGER, bindings=shared))
+
+
+def test_a_task_that_was_preempted_and_paused_goes_on_when_both_are_over():
+    async def scene(stage: Stage) -> None:
+        low = stage.want("(at r0 a2)")
+        await stage.sees(low, "sent")
+        high = stage.want("(at r0 a3)", priority=1)
+        await stage.sees(high, "sent")
+        await stage.master.pause(low, at_once=True)
+        assert await stage.ended_with(high) == [Code.GOAL_REACHED]
+        assert stage.state(low) is TaskState.PAUSED
+        await stage.master.resume(low)
+        assert await stage.ended_with(low) == [Code.GOAL_REACHED]
+
+    play(scene)
+
+
+# --- failures and changes while others go on ------------------------------------------------------
+
+
+def both(first: str, second: str) -> str:
+    return f"(and {first} {second})"
+
+
+def test_what_is_under_way_goes_on_while_another_way_is_found():
+    faults = Faults((Fault("move(r0, a0, a1)", FaultKind.ABORT), Fault("move(r1, a1, a2)", FaultKind.SLOW, times=1)))
+
+    async def scene(stage: Stage) -> None:
+        task = stage.want(both("(at r0 a1)", "(at r1 a2)"))
+        await stage.sees(task, "failed", "move(r0, a0, a1)")
+        await stage.sees(task, "sent", "move(r0, a0, a3)")
+        assert not stage.seen(task, "ended", "move(r1, a1, a2)"), "r1 is still on its way"
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert stage.sent(task).count("move(r1, a1, a2)") == 1, "and was never sent again"
+
+    play(scene, faults=faults, chosen=replace(EAGER, limits=Limits(forbid_after=1)))
+
+
+@pytest.mark.parametrize(("policy", "ends"), [(OnFailure.DRAIN, "succeeded"), (OnFailure.CANCEL, "canceled")])
+def test_other_policies_end_what_is_under_way_first(policy: OnFailure, ends: str):
+    faults = Faults((Fault("move(r0, a0, a1)", FaultKind.ABORT), Fault("move(r1, a1, a2)", FaultKind.SLOW, times=1)))
+
+    async def scene(stage: Stage) -> None:
+        task = stage.want(both("(at r0 a1)", "(at r1 a2)"))
+        await stage.sees(task, "sent", "move(r0, a0, a3)")
+        assert ends in stage.seen(task, "ended", "move(r1, a1, a2)")[0].text
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+
+    play(scene, faults=faults, chosen=replace(EAGER, on_failure=policy, limits=Limits(forbid_after=1)))
+
+
+def test_a_change_that_breaks_the_rest_of_the_plan_is_acted_on_at_once():
+    changes = (HiddenChange({("way", "a1", "a2"): False}, at=0.5),)
+
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a2)")
+        await stage.sees(task, "replanned")
+        assert stage.seen(task, "replanned")[0].time == pytest.approx(0.5, abs=0.1)
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert not stage.seen(task, "failed")
+        assert stage.sent(task) == ["move(r0, a0, a1)", *(f"move(r0, a{n}, a{m})" for n, m in ((1, 0), (0, 5), (5, 4), (4, 3), (3, 2)))]
+
+    play(scene, fleet(places=6), faults=Faults(changes=changes))
+
+
+def test_a_lazy_task_finds_out_when_a_call_fails():
+    changes = (HiddenChange({("way", "a1", "a2"): False}, at=0.5),)
+
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a2)")
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert stage.seen(task, "failed", "precondition_false")
+
+    play(scene, fleet(places=6), faults=Faults(changes=changes), chosen=replace(EAGER, on_change=OnChange.LAZY))
+
+
+def test_a_goal_that_comes_true_by_itself_is_taken():
+    changes = (HiddenChange({("in", "p0", "a0"): False, ("in", "p0", "a2"): True, ("has", "r0", "p0"): False}, at=1.5),)
+
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(in p0 a2)")
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert len(stage.sent(task)) <= 2
+
+    play(scene, fleet(robots=1), faults=Faults(changes=changes))
+
+
+def test_calls_that_have_become_needless_are_left_out():
+    changes = (HiddenChange({("at", "r0", "a0"): False, ("at", "r0", "a1"): False, ("at", "r0", "a2"): True}, at=1.5),)
+
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a3)")
+        await stage.ended_with(task)
+
+    async def far(stage: Stage) -> None:
+        task = stage.want("(at r0 a4)")
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert not stage.seen(task, "failed")
+
+    play(scene, faults=Faults(changes=changes))
+    play(far, fleet(places=8), faults=Faults(changes=changes))
+
+
+def test_a_task_that_can_do_no_more_says_what_failed():
+    faults = Faults((Fault("pick", FaultKind.ABORT, message="the gripper is stuck"),))
+
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(in p0 a2)")
+        assert await stage.ended_with(task) == [Code.ACTION_FAILED]
+        assert "the gripper is stuck" in stage.endings[task].message
+
+    play(scene, faults=faults)
+
+
+# --- many -----------------------------------------------------------------------------------------
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32))
+def test_many_goals_over_few_robots_with_failures_all_end_and_say_the_truth(seed: int):
+    rng = random.Random(seed)
+    parcels, places = 8, 5
+    kinds = [FaultKind.ABORT, FaultKind.REJECT, FaultKind.NO_EFFECT, FaultKind.SLOW]
+    faults = tuple(
+        Fault(rng.choice(["move", "pick", "drop"]), rng.choice(kinds), after=rng.randrange(20), times=1) for _ in range(rng.randrange(6))
+    )
+
+    async def scene(stage: Stage) -> None:
+        wanted = [f"(in p{n} a{rng.randrange(places)})" for n in range(parcels)]
+        tasks = []
+        for text in wanted:
+            tasks.append(stage.want(text, priority=rng.choice([0, 0, 0, 1]), on_conflict=rng.choice([None, OnConflict.QUEUE])))
+            await asyncio.sleep(rng.choice([0.0, 0.0, 0.7, 3.0]))
+            if rng.random() < 0.2:
+                chosen = rng.choice([None, *tasks])
+                if chosen is None or chosen not in stage.endings:
+                    await stage.master.pause(chosen, at_once=rng.random() < 0.5)
+                    await asyncio.sleep(rng.choice([0.0, 2.0]))
+                    await stage.master.resume(None)
+        codes = await stage.ended_with(*tasks)
+        for text, code in zip(wanted, codes, strict=True):
+            if code is Code.GOAL_REACHED:
+                assert stage.holds(text)
+            else:
+                assert code in (Code.ACTION_FAILED, Code.NO_PLAN, Code.CONDITION_LOST, Code.SERVER_UNAVAILABLE), code
+
+    play(scene, fleet(robots=3, parcels=parcels, places=places), faults=Faults(faults))
