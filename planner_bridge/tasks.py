@@ -14,6 +14,7 @@ from pnm.bindings import Bindings
 from pnm.machine import OnFailure, PetriNetMachine
 from pnm.observer import Observer
 from pnm.results import CallResult, Failure, RunResult
+from pnm.sensing import NO_SENSING, Sensing
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -55,6 +56,8 @@ class Settings:
     on_failure: OnFailure = OnFailure.DRAIN
     executor: Executor | None = None
     """Runs the planners when they race; a process for each by default."""
+    sensing: Sensing = NO_SENSING
+    """Which topics and services of ROS 2 speak of what."""
 
 
 @dataclass(frozen=True)
