@@ -281,8 +281,8 @@ def test_the_example_of_the_documentation_says_what_it_shows(tmp_path):
     for name, message in {
         "/r1/zone": {"data": "C1"},
         "/r2/zone": {"data": "charging"},
-        "/r1/battery": {"power_supply_status": 3, "cell_voltage": [3.5, 3.6]},
-        "/door1/get_state": {"current_state": {"label": "active"}},
+        "/r1/battery": {"power_supply_status": 0, "cell_voltage": [3.5, 3.6]},
+        "/door1/get_state": {"current_state": {"id": "PRIMARY_STATE_ACTIVE"}},  # constants have names until the type is known
     }.items():
         reading = read(by_name[name], look(message), world.objects)
         assert not reading.unread

@@ -57,7 +57,7 @@ class PolledSensor:
             name = instance.sensor.type or next(iter(await self._ros.ask(lambda: [*self._types()])), None)
             if name is None:
                 raise SourceError(f"there is no service {instance.name} yet")
-            checked(instance, name)
+            _, self.sense.instance = checked(instance, name)
             self._client = ServiceClient(self._ros, name, instance.name)
         return self._client
 

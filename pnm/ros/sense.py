@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from pnm.errors import InputError
@@ -12,7 +13,7 @@ from pnm.expressions import show
 from pnm.knowledge import KnowledgeBase
 from pnm.message_fields import Look
 from pnm.queries import MISSING
-from pnm.ros.fields import check_fields
+from pnm.ros.fields import fitted
 from pnm.ros.messages import FieldError, import_type, to_message
 from pnm.sensing import Instance, Polled, Reading, read, unknown
 from pnm.silence import Silence
@@ -78,8 +79,8 @@ class Sense:
         return statement.name if hasattr(statement, "name") else show(statement.fluent)
 
 
-def checked(instance: Instance, name: str) -> Any:
-    """Return the type, which must have what the sensor looks for.
+def checked(instance: Instance, name: str) -> tuple[Any, Instance]:
+    """Return the type, which must have what the sensor looks for, and the sensor with what constants of the type mean.
 
     Raises:
         InputError: it does not, or is not installed.
@@ -91,8 +92,7 @@ def checked(instance: Instance, name: str) -> Any:
             to_message(kind.Request, instance.request(sensor.way))
     except (InputError, FieldError) as error:
         raise InputError(str(error), sensor.position) from error
-    check_fields(sensor, kind.Response if isinstance(sensor.way, Polled) else kind)
-    return kind
+    return kind, replace(instance, sensor=fitted(sensor, kind.Response if isinstance(sensor.way, Polled) else kind))
 
 
 def resolved(resolve: Callable[[str], object], instance: Instance, what: str) -> str:

@@ -75,7 +75,7 @@ class TopicSensor:
         wanted = self.sense.instance.sensor.type
         if self._kind is None and not self.sense.refused:
             try:
-                self._kind = checked(self.sense.instance, wanted or type_name)
+                self._kind, self.sense.instance = checked(self.sense.instance, wanted or type_name)
                 self._type_name = wanted or type_name
             except InputError as error:
                 self._hand_over(partial(self.sense.refuse, error))
