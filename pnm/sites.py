@@ -22,6 +22,8 @@ from pnm.sources.base import Source
 
 if TYPE_CHECKING:
     from pnm.ros.knowledge_services import Find, KnowledgeServices
+    from pnm.ros.node import RosThread
+    from pnm.ros.sensing import Sensing
 
 DISCOVERY: Final = 10.0
 """Seconds that robots may take to appear which are started together with us; later, who is missing fails by name."""
@@ -110,17 +112,18 @@ class Ros2Site:
 
     Args:
         bindings: how actions are bound to servers.
-        name: of the node.
+        ros: the thread of a node that goes on when the site is closed; by default the site has one of its own.
 
     The mutable state is what `open` and `share` make.
     """
 
-    def __init__(self, bindings: Bindings, name: str = "pnm") -> None:
+    def __init__(self, bindings: Bindings, ros: RosThread | None = None) -> None:
         self._bindings = bindings
-        self._name = name
+        self._shared = ros
+        self._sensing: Sensing | None = None
         self._client: Any = None
         self._services: KnowledgeServices | None = None
-        self.ros: Any = None
+        self.ros: Any = ros
         """The thread of the node, once the site is open."""
 
     @property
@@ -135,7 +138,7 @@ class Ros2Site:
         from pnm.ros.sensing import Facts, Sensing
 
         loop = asyncio.get_running_loop()
-        self.ros = RosThread(self._name)
+        self.ros = self._shared or RosThread("pnm_run")  # `pnm` is the one that serves
         self._client = Ros2ActionClient(self.ros, self._bindings, loop)
         lag = self._bindings.lag
 
@@ -176,5 +179,7 @@ class Ros2Site:
             await self._services.close()
         if self._client is not None:
             self._client.close()
-        if self.ros is not None:
+        if self._sensing is not None:
+            self._sensing.close()
+        if self.ros is not None and self._shared is None:
             await asyncio.to_thread(self.ros.close)  # what still happens on its thread may need this loop

@@ -16,7 +16,7 @@ from uuid import UUID
 from pnm.errors import InputError
 from pnm.performing import Performance, Performer
 from pnm.results import RunResult
-from pnm.ros.goal_server import FEEDBACK, Answer, GoalCalls, GoalServer, Status, check_alone
+from pnm.ros.goal_server import FEEDBACK, Answer, GoalCalls, GoalServer, Status
 from pnm.ros.graph import server_name
 from pnm.ros.node import RosThread
 from pnm.ros.served_goals import Audience, Ending, Progress, ServedGoal, read_parameters
@@ -59,15 +59,12 @@ class PlanServers:
     # on the event loop's thread
 
     async def names(self) -> dict[str, str]:
-        """Return the name in ROS of each plan's server, once it is known that nobody else has it.
+        """Return the name in ROS of each plan's server.
 
         Raises:
-            InputError: the name of a plan cannot be a name in ROS.
-            RosError: there is a server or a node of the same name already.
+            InputError: the name of a plan cannot be a name in ROS, or two plans would have the same.
         """
-        names = await self._ros.ask(self._names)
-        await check_alone(self._ros, tuple(names.values()))
-        return names
+        return await self._ros.ask(self._names)
 
     async def open(self, names: Mapping[str, str]) -> None:
         """Bring the servers up, under these names."""
