@@ -47,11 +47,10 @@ class ManagedNode(LifecycleNodeMixin, Node):  # type: ignore[misc]
         Node.__init__(self, name, namespace=namespace, context=context)
         # reentrant: others are served while a transition takes its time
         LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
-        self._service_change_state.callback = self._refuse
-        """In place of what rclpy does; it has no other way in."""
+        self.answer(_refuse)
 
     def answer(self, callback: Callable[[Any, Any], Any]) -> None:
-        """Have somebody answer who is asked for transitions."""
+        """Have somebody answer who is asked for transitions, in place of rclpy, which has no other way in."""
         self._service_change_state.callback = callback
 
     @property
@@ -77,9 +76,10 @@ class ManagedNode(LifecycleNodeMixin, Node):  # type: ignore[misc]
         """End the transition that has begun: ``success``, ``failure`` or ``error``."""
         self._state_machine.trigger_transition_by_label(f"transition_{how}", True)
 
-    def _refuse(self, _request: Any, response: Any) -> Any:
-        response.success = False
-        return response
+
+def _refuse(_request: Any, response: Any) -> Any:
+    response.success = False
+    return response
 
 
 _ASKED: Final = frozenset(
@@ -119,9 +119,10 @@ class Lifecycle:
 
     async def close(self) -> None:
         """Stop what goes on, and shut the node down."""
+        await self._ros.ask(lambda: self._ros.node.answer(_refuse))
         await self._requests.close()
         if not self.finalized.is_set():
-            await self._managed.cleanup()
+            await self.change("shutdown")
 
     async def change(self, wanted: int | str) -> None:
         """Make a transition, given by its number or its label.

@@ -64,6 +64,8 @@ class RequestServices:
         """Refuse what is still at work, and take the services down."""
         for task in self._work:
             task.cancel()
+        if self._work:
+            await asyncio.wait(self._work)
         with suppress(TimeoutError):
             async with asyncio.timeout(_FAREWELL):
                 await until_true(self._ros, lambda: not self._unanswered)

@@ -77,9 +77,12 @@ class TaskServers(TaskListener):
             await server.open()
 
     async def close(self) -> None:
-        """Take the servers down, once all answers are sent. No task should go on any more."""
+        """Answer those whose tasks have not ended, and take the servers down once all answers are sent."""
+        for goal in tuple(self._open):
+            self.ended(goal, TaskEnding(Code.CANCELLED, "the node is shut down; what the task runs has not confirmed that it is cancelled"))
         await asyncio.gather(*(server.close() for server in self._servers.values()))
         self._stop()
+        self._stop = lambda: None
         self._feedback.close()
         for task in self._cancelling:
             task.cancel()
