@@ -2,6 +2,7 @@
 
 The goal is a word: a state in which the task stays ("queued", "planning", "running", "replanning"), a code with which it ends
 at once ("no_plan"), or "stubborn": it runs, and does not end for a long time when it is cancelled. Further words are ignored.
+A condition in PDDL is pursued for ever.
 """
 
 from __future__ import annotations
@@ -49,13 +50,13 @@ class ScriptedTasks:
 
     def begin(self, wanted: Wanted, /) -> None:
         self.wanted.append(wanted)
-        word = wanted.text.split()[0] if wanted.text else ""
-        if len(self.open) >= self.max_queue:
-            self._end(wanted.id, Code.QUEUE_FULL, f"{self.max_queue} tasks are waiting already")
-        elif word in _ENDS:
+        word = "running" if wanted.text.startswith("(") else wanted.text.split()[0] if wanted.text else ""
+        if word in _ENDS:
             self._end(wanted.id, _ENDS[word], f"as it was told: {word}")
         elif word not in _STAYS and word != "stubborn":
             self._end(wanted.id, Code.INVALID_GOAL, f"goal:1:1: there is no predicate {word!r} here")
+        elif len(self.open) >= self.max_queue:
+            self._end(wanted.id, Code.QUEUE_FULL, f"{self.max_queue} tasks are waiting already")
         else:
             self.open[wanted.id] = Status(wanted.id, wanted.text, wanted.priority, TaskState.QUEUED)
             self._enter(wanted.id, TaskState.PAUSED if self.paused else _STAYS.get(word, TaskState.RUNNING))

@@ -90,7 +90,7 @@ def test_a_goal_while_the_node_is_inactive_is_rejected_and_a_later_one_is_not(tw
 @pytest.mark.parametrize(
     ("action", "goal", "said"),
     [
-        ("achieve_goal", {"goal": "(fly r1)"}, "there is no predicate '(fly' here"),
+        ("achieve_goal", {"goal": "fly"}, "there is no predicate 'fly' here"),
         ("achieve_goal", {"goal": "running", "deadline": -1.0}, "deadline is -1; expected a number of seconds"),
         ("achieve_goal", {"goal": "running", "deadline": float("nan")}, "deadline is nan; expected a number of seconds"),
         ("achieve_goal", {"goal": "running", "policy": 4}, "there is no policy 4; expected one of 0 (default)"),
