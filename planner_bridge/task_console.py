@@ -25,9 +25,7 @@ class TaskConsole(TaskListener):
 
     def changed(self, task: UUID) -> None:
         """Print the goal of a task that is new."""
-        if task not in self._lines:
-            goals = [status.goal for status in self._tasks.status() if status.id == task]
-            self._line(task, self._loop.time(), "[bold]goal[/]  ", shortened("".join(goals)))
+        self._lines_of(task)
 
     def happened(self, moment: Moment) -> None:
         """Print an event, but not every transition that fires."""
@@ -42,9 +40,14 @@ class TaskConsole(TaskListener):
         del self._lines[task]
 
     def _line(self, task: UUID, now: float, word: str, text: str) -> None:
+        self._lines_of(task).line(now, word, text)
+
+    def _lines_of(self, task: UUID) -> ConsoleObserver:
         if task not in self._lines:
-            self._lines[task] = ConsoleObserver(self._terminal, f"{task.hex[:8]}  ", self._began)
-        self._lines[task].line(now, word, text)
+            lines = self._lines[task] = ConsoleObserver(self._terminal, f"{task.hex[:8]}  ", self._began)
+            goals = [status.goal for status in self._tasks.status() if status.id == task]
+            lines.line(self._loop.time(), "[bold]goal[/]  ", shortened("".join(goals)))
+        return self._lines[task]
 
 
 def shortened(text: str) -> str:
