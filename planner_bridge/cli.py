@@ -26,6 +26,7 @@ from planner_bridge.cli_options import (
     files_or_plan,
     knowledge_option,
     planning,
+    sensing_option,
     tell,
     write,
 )
@@ -124,6 +125,7 @@ def net(
 @bindings_option
 @faults_option
 @knowledge_option
+@sensing_option
 @planning
 @click.option("--replans", type=click.IntRange(0), default=10, show_default=True, help="how many new machines may follow the first")
 @click.option(
@@ -147,6 +149,7 @@ def run(
     bindings: Path | None,
     faults: Path | None,
     knowledge: Path | None,
+    sensing: Path | None,
     planner: str,
     timeout: float,
     replans: int,
@@ -161,9 +164,13 @@ def run(
     from planner_bridge.stopwatch import Stopwatch
     from planner_bridge.tasks import Settings, TaskObserver
     from pnm.machine import OnFailure
+    from pnm.sensing import NO_SENSING
+    from pnm.sensing_file import read_sensing
 
     if faults and actions == "ros2":
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
+    if sensing and actions != "ros2":
+        raise InputError("--sensing tells of topics and services of ROS 2; expected --actions ros2")
     where: Where = "ros2" if actions == "ros2" else "simulated"
     limits = Limits(replans=replans, seconds=seconds)
     settings = Settings(planner, timeout, limits=limits, on_failure=OnFailure(on_failure or "drain"))
@@ -172,14 +179,15 @@ def run(
         from planner_bridge.cli_written import Files, run_written
 
         ends = None if on_failure is None else settings.on_failure
-        files = Files(bindings, faults, knowledge)
+        files = Files(bindings, faults, knowledge, sensing)
         return run_written(chosen, name, given, files, actions=where, settings=settings, on_failure=ends, as_json=as_json)
     if name or given or knowledge:
         raise InputError("--name, --set and --knowledge belong to hand-written plans; expected --plan and a file")
     stopwatch = Stopwatch()
     with stopwatch.of("parse"):
         loaded = _load(*chosen)
-        settings = replace(settings, bindings=_bindings(bindings, chosen[0], loaded))
+        sensors = read_sensing(sensing, loaded.vocabulary) if sensing else NO_SENSING
+        settings = replace(settings, bindings=_bindings(bindings, chosen[0], loaded), sensing=sensors)
     console = Terminal()
     result = achieve(
         None,

@@ -27,6 +27,8 @@ from pnm.parameter import ParameterValue
 from pnm.performing import Performer, Program
 from pnm.ros.served_goals import Audience, Ending, ServedGoal
 from pnm.rules import Rule, Rules
+from pnm.sensing import NO_SENSING
+from pnm.sensing_file import read_sensing
 from pnm.served_world import ServedWorld
 from pnm.sites import Ros2Site
 from pnm.sources.chain import Sources
@@ -170,7 +172,8 @@ class Serving:
             self._terminal.print(f"[bold]plan[/]     {name}: proved {program.proof}", highlight=False, soft_wrap=True)
         bindings = _bindings(options, problem).before(together(plans))
         knowledge = common_knowledge(plans, problem)
-        site = Ros2Site(bindings, self._ros)
+        sensing = read_sensing(options.sensing, problem.vocabulary if problem else None) if options.sensing else NO_SENSING
+        site = Ros2Site(bindings, sensing, self._ros)
         stack.push_async_callback(site.close)
         await site.open(knowledge)
         folder = (options.world or options.domain or Path()).parent
