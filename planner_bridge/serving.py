@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -12,10 +13,16 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from planner_bridge.console import ConsoleObserver, Terminal
+from planner_bridge.goals import Goals, read_goals
 from planner_bridge.loading import load
+from planner_bridge.making import Maker
 from planner_bridge.model import Problem
+from planner_bridge.replanning import Limits
 from planner_bridge.serving_options import PARAMETERS, Options
 from planner_bridge.task_console import TaskConsole, shortened
+from planner_bridge.tasking import Room as Places
+from planner_bridge.tasking import TaskMaster
+from planner_bridge.tasks import Settings
 from planner_bridge.written import sources_of, together
 from pnm.bindings import Bindings, read_bindings
 from pnm.errors import InputError, Tolerated
@@ -29,7 +36,7 @@ from pnm.ros.served_goals import Audience, Ending, ServedGoal
 from pnm.rules import Rule, Rules
 from pnm.sensing import NO_SENSING
 from pnm.sensing_file import read_sensing
-from pnm.served_world import ServedWorld
+from pnm.served_world import ServedWorld, UnservedWorld
 from pnm.sites import Ros2Site
 from pnm.sources.chain import Sources
 from pnm.sources.registry import Surroundings, open_sources
@@ -63,11 +70,26 @@ class Opened:
     tasks: Tasks
     make: Make
     world: ServedWorld
+    close: Callable[[], Awaitable[None]]
 
 
 async def open_tasks(room: Room, problem: Problem) -> Opened:
     """Return who pursues the goals of a problem. This is the one place where it is made."""
-    raise InputError("goals of a problem cannot be pursued by a node yet; expected a world of plans, or `pnm run`")
+    options, loop = room.options, asyncio.get_running_loop()
+    settings = Settings(
+        options.planner,
+        options.planner_timeout,
+        bindings=room.bindings,
+        limits=Limits(replans=options.replans),
+        on_failure=options.on_failure,
+        on_change=options.on_change,
+    )
+    goals = read_goals(options.goals, problem) if options.goals else Goals(problem)
+    places, prefix = Places(options.max_tasks, options.max_queue, options.on_conflict), os.urandom(4)
+    master = TaskMaster(problem, room.knowledge, room.site, settings, goals.read, source=room.sources, room=places, prefix=prefix)
+    await room.site.share(prefix, master.knowledge_of, room.sources)
+    maker = Maker(problem, room.knowledge, settings, goals.read, loop.time())
+    return Opened(master, maker.make, UnservedWorld(), master.close)
 
 
 def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], terminal: Terminal, warn: Warn) -> None:
@@ -199,6 +221,7 @@ class Serving:
         if room.problem:
             opened = await open_tasks(room, room.problem)
             self._tasks = TaskNode(self._ros, opened.tasks, opened.make, opened.world, room.knowledge)
+            stack.push_async_callback(opened.close)
             stack.callback(opened.tasks.listen(TaskConsole(self._terminal, opened.tasks)))
             stack.push_async_callback(self._tasks.close, room.options.cancel)
             await self._tasks.open()

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from planner_bridge.planning import DEFAULT_PLANNER
+from planner_bridge.tasks import OnChange
 from pnm.errors import InputError
 from pnm.machine import OnFailure
 from pnm.parameter import Parameter, ParameterValue
@@ -34,7 +35,7 @@ PARAMETERS: Final = (
     ),
     Parameter(
         "on_change", "eager", "whether a task plans anew as soon as its plan cannot work any more, or when it gets there",
-        choices=("eager", "lazy"),
+        choices=tuple(one.value for one in OnChange),
     ),
     Parameter(
         "on_conflict", "plan_around", "what becomes of a goal that cannot be pursued beside others, unless the goal says so",
@@ -64,7 +65,7 @@ class Options:
     max_tasks: int
     max_queue: int
     on_failure: OnFailure
-    is_eager: bool
+    on_change: OnChange
     on_conflict: OnConflict
     cancel: float
     autostart: bool
@@ -86,5 +87,5 @@ class Options:
         given["problems"] = given["problems"] or Path()
         given["world_name"] = given["world_name"] or None
         given["on_failure"], given["on_conflict"] = OnFailure(given["on_failure"]), OnConflict(given["on_conflict"])
-        given["is_eager"] = given.pop("on_change") == "eager"
+        given["on_change"] = OnChange(given["on_change"])
         return cls(**given)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from uuid import UUID
 
@@ -184,4 +185,4 @@ class ScriptedWorld:
 
 async def open_scripted(room: Room, problem: Problem) -> Opened:
     """Stand in for `planner_bridge.serving.open_tasks`."""
-    return Opened(ScriptedTasks(room.options.max_queue), scripted_search, ScriptedWorld(room.knowledge))
+    return Opened(ScriptedTasks(room.options.max_queue), scripted_search, ScriptedWorld(room.knowledge), partial(asyncio.sleep, 0))
