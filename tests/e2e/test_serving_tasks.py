@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 import signal
-from pathlib import Path
 
 import pytest
 
 from planner_bridge.serving_options import PARAMETERS
-from tests.e2e.plans import ABORTED, CANCELED, SUCCEEDED, Client, PlanScene, Serving
-from tests.e2e.processes import ROOT, Program
+from tests.e2e.plans import ABORTED, SUCCEEDED, Client, PlanScene, Serving
+from tests.e2e.processes import ROOT
 from tests.e2e.test_serving_ends import FILES
 
 DOMAIN, PROBLEM = str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl")
@@ -152,18 +151,6 @@ def test_a_configuration_that_fails_can_be_mended(plan_scene):
 
 
 # --- what the page says ----------------------------------------------------------------------
-
-
-def test_the_client_of_the_page_sends_a_goal_hears_of_it_and_cancels(plan_scene, tmp_path: Path):
-    (script,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    file = tmp_path / "client.py"
-    file.write_text(script)
-    serving = serve(plan_scene, DOMAIN, PROBLEM).ready()
-    client = plan_scene.start(Program([str(file)], plan_scene.environment))
-    assert client.ended() == 0, str(client)
-    assert client.out[0] == "['move(r1, hall)'] ['move(r1, hall)', 'pick(r1, cup)']"
-    assert client.out[-1] == f"{CANCELED} cancelled cancelled"
-    serving.stop()
 
 
 def test_the_page_lists_the_parameters():
