@@ -30,6 +30,7 @@ from planner_bridge.cli_options import (
     tell,
     write,
 )
+from planner_bridge.cli_serve import serve
 from pnm.errors import InputError
 
 if TYPE_CHECKING:
@@ -204,21 +205,7 @@ def run(
     return 0 if result.goal_reached else 1
 
 
-@app.command()
-@click.option("--world", "file", type=FILE, required=True, help="a world of plans: a YAML file that names a domain and files with plans")
-@click.option("--name", help="which world of that file, if there are several")
-@knowledge_option
-@command
-def serve(file: Path, name: str | None, knowledge: Path | None) -> int:
-    """Offer every plan of a world as a ROS 2 action server, until interrupted."""
-    from planner_bridge.console import Terminal
-    from planner_bridge.serving import serve
-    from pnm.language.world import read_world
-
-    world = read_world(file, name)
-    tell(dict.fromkeys(warning for plan in world.plans.values() for warning in plan.warnings))
-    serve(world, file.parent, knowledge, Terminal())
-    return 0
+app.add_command(serve)
 
 
 @app.command()
