@@ -26,7 +26,7 @@ def tightened(plan: PlanGraph) -> PlanGraph:
     """Return the plan with the orderings that let every enveloping call start late enough."""
     ends: dict[int, list[Fluent]] = {}
     for one in plan.orderings:
-        if one.after.moment is Moment.END:
+        if one.after.moment is Moment.END and not plan.calls[one.after.call].under_way:
             ends.setdefault(one.after.call, []).extend(one.protects)
     if not ends:
         return plan

@@ -30,26 +30,29 @@ def forbid(problem: Problem, forbidden: frozenset[ForbiddenCall]) -> Problem:
     """Return the problem in which every action concerned has a precondition that is false for the forbidden arguments."""
     domain, init = problem.domain, dict[Fluent, Value](problem.init)
     predicates, actions = dict(domain.predicates), dict(domain.actions)
-    facts = {name: _unused(f"forbidden-{name}", domain) for name in sorted({call.action for call in forbidden})}
+    facts = {name: unused(f"forbidden-{name}", domain) for name in sorted({call.action for call in forbidden})}
     for name, fact in facts.items():
         schema = actions[name]
         predicates[fact] = Declaration(fact, schema.parameters)
-        actions[name] = _guarded(schema, Not(Holds((fact, *(variable.name for variable in schema.parameters)))))
+        actions[name] = guarded(schema, Not(Holds((fact, *(variable.name for variable in schema.parameters)))))
     for call in forbidden:
         init[(facts[call.action], *call.arguments)] = True
-    return replace(problem, domain=_with(domain, predicates, actions), init=init)
+    return replace(problem, domain=changed(domain, predicates, actions), init=init)
 
 
-def _unused(name: str, domain: Domain) -> str:
+def unused(name: str, domain: Domain) -> str:
+    """Return a name for a predicate that begins so and is not in the domain."""
     while name in domain.predicates or name in domain.functions:
         name += "-"
     return name
 
 
-def _guarded(schema: ActionSchema, guard: Not) -> ActionSchema:
+def guarded(schema: ActionSchema, guard: Not) -> ActionSchema:
+    """Return the action with one more precondition."""
     return replace(schema, precondition=All((guard, schema.precondition)))
 
 
-def _with(domain: Domain, predicates: dict[str, Declaration], actions: dict[str, ActionSchema]) -> Domain:
+def changed(domain: Domain, predicates: dict[str, Declaration], actions: dict[str, ActionSchema]) -> Domain:
+    """Return the domain with these predicates and actions, and the requirement that negated preconditions ask for."""
     requirements = tuple(dict.fromkeys((*domain.requirements, ":negative-preconditions")))
     return replace(domain, requirements=requirements, predicates=predicates, actions=actions)

@@ -6,7 +6,8 @@ must wait for (`planner_bridge.causes`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Final
 
 from planner_bridge.causes import Causes, Kept, Kind
@@ -26,19 +27,35 @@ from pnm.trajectory import instances, names_in
 _DIGITS: Final = 5
 """Times are compared at this many decimals: planners separate events by 0.001 and compute in floats."""
 
+_BEGUN: Final = -2.0
+_OVER: Final = -1.0
+"""When, on the clock of the plan, calls that are under way begin and end as far as their order to the others matters."""
+
 _NETWORK: Final[Fluent] = ("order of tasks",)
 """Stands for a fluent that everything changes."""
 
 
-def plan_graph(problem: Problem, plan: Plan) -> PlanGraph:
-    """Return the calls of the plan with the orderings that its causes demand."""
-    calls = [ActionCall(index, ground_step(problem, plan, step), step.start) for index, step in enumerate(plan.steps)]
+def plan_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = ()) -> PlanGraph:
+    """Return the calls of the plan with the orderings that its causes demand.
+
+    Args:
+        problem: what the plan solves.
+        plan: what a planner has found.
+        under_way: calls of a plan before that go on beside it; the problem begins with the state that their ends lead to.
+    """
+    going_on = [replace(call, index=index, planned=0.0, under_way=True) for index, call in enumerate(under_way)]
+    first = len(going_on)
+    steps = [ActionCall(first + index, ground_step(problem, plan, step), step.start) for index, step in enumerate(plan.steps)]
+    calls = [*going_on, *steps]
     causes = _causes(problem, [call.action for call in calls])
+    for kind in (Kind.START, Kind.OPEN, Kind.END):
+        for call in going_on:
+            causes.happen(kind, call, _OVER, _OVER if kind is Kind.END else _BEGUN)
     for time, _, index, kind in sorted(_happenings(problem, plan)):
         if kind == Kind.TIMED:
             causes.timed(time, problem.timed[index].changes)
         else:
-            causes.happen(kind, calls[index], round(plan.steps[index].start + plan.steps[index].duration, _DIGITS), time)
+            causes.happen(kind, steps[index], round(plan.steps[index].start + plan.steps[index].duration, _DIGITS), time)
     return tightened(causes.graph(calls, problem.goal))
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 from planner_bridge.course import Course, Denied, seen_instead, snapshot
 from planner_bridge.forbidding import ForbiddenCall
@@ -15,7 +16,7 @@ from planner_bridge.plans import in_causal_order
 from pnm.conditions import evaluate
 from pnm.knowledge import KnowledgeBase
 from pnm.ledger import UNCONFIRMED
-from pnm.plan_graph import ActionCall, PlanEvent, PlanGraph
+from pnm.plan_graph import ActionCall, Moment, PlanEvent, PlanGraph
 from pnm.results import CallResult, Failure
 from pnm.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
 
@@ -110,15 +111,53 @@ class GiveUp:
 Decision = Resume | PlanAgain | GiveUp
 
 
-def decide(
-    now: Problem, plan: PlanGraph, calls: tuple[CallResult, ...], knowledge: KnowledgeBase, history: History, limits: Limits
-) -> Decision:
-    """Decide what follows a run that ended without the goal.
+@dataclass(frozen=True)
+class Progress:
+    """A plan, and how far it has come.
+
+    Args:
+        plan: what is being carried out.
+        calls: what has become of its calls.
+        under_way: the numbers of the calls whose requests are out; they go on, whatever follows.
+    """
+
+    plan: PlanGraph
+    calls: tuple[CallResult, ...]
+    under_way: frozenset[int] = frozenset()
+
+    @staticmethod
+    def beginning(plan: PlanGraph) -> Progress:
+        """Return a plan of which nothing is done, except that some calls may be under way."""
+        return Progress(plan, tuple(map(CallResult, plan.calls)), frozenset(call.index for call in plan.calls if call.under_way))
+
+    @property
+    def rest(self) -> tuple[ActionCall, ...]:
+        """The calls that are not over, as they stand in the plan."""
+        return tuple(call for call in self.plan.calls if call.index not in self._finished)
+
+    @cached_property
+    def _finished(self) -> frozenset[int]:
+        over = (one.call.index for one in self.calls if one.outcome in _FINISHED)
+        return frozenset(over) - self.under_way
+
+    @cached_property
+    def events(self) -> tuple[PlanEvent, ...]:
+        """The events that are still to come, in an order that the plan allows; starts of what is under way are over."""
+        begun = {PlanEvent(number, Moment.START) for number in self.under_way}
+        return tuple(event for event in self.plan.in_order() if event.call not in self._finished and event not in begun)
+
+    def without(self, call: int) -> Progress:
+        """Return the same plan as if the call were done."""
+        done = replace(self.calls[call], outcome="already true")
+        return replace(self, calls=(*self.calls[:call], done, *self.calls[call + 1 :]))
+
+
+def decide(now: Problem, progress: Progress, knowledge: KnowledgeBase, history: History, limits: Limits) -> Decision:
+    """Decide what follows a run that does not lead to the goal any more, whether or not it has ended.
 
     Args:
         now: the problem from the world as it is known to be.
-        plan: what the run executed.
-        calls: what became of its calls.
+        progress: what the run executed, and what became of it.
         knowledge: what is known.
         history: of all failures, those of this run included.
         limits: how long to go on.
@@ -126,43 +165,48 @@ def decide(
     if history.replans > limits.replans:
         return GiveUp(f"the limit of {limits.replans} replans is reached")
     forbidden = history.forbidden(limits)
-    constraints = (*now.domain.constraints, *now.constraints)
     whole = "; the whole network of tasks is planned for once more" if now.network else ""
-    if now.timed:  # only a planner knows what the delay means
-        return PlanAgain(forbidden, f"facts will change by themselves, so the times of the plan matter{whole}")
-    if timed := [str(one) for one in constraints if one.times]:
-        return PlanAgain(forbidden, f"the times of the plan matter to {', '.join(timed)}{whole}")
-    rest = rest_of(now, plan, calls)
-    obstacle = why_not(rest, knowledge, forbidden, constraints)
-    return PlanAgain(forbidden, obstacle + whole) if obstacle else Resume(rest)
+    if by_the_clock := times_that_matter(now):
+        return PlanAgain(forbidden, by_the_clock + whole)
+    obstacle = why_not(progress, knowledge, forbidden, (*now.domain.constraints, *now.constraints))
+    return PlanAgain(forbidden, obstacle + whole) if obstacle else Resume(rest_of(now, progress))
 
 
-def rest_of(now: Problem, plan: PlanGraph, calls: tuple[CallResult, ...]) -> PlanGraph:
-    """Return the calls that are not finished, in an order of events of the old plan, with the orderings that their causes demand."""
-    kept = [one.call for one in calls if one.outcome not in _FINISHED]
-    number = {call.index: position for position, call in enumerate(kept)}
-    renumbered = tuple(replace(call, index=number[call.index]) for call in kept)
-    order = [PlanEvent(number[event.call], event.moment) for event in plan.in_order() if event.call in number]
+def times_that_matter(now: Problem) -> str:
+    """Say why only a planner knows what a delay means; empty when times do not matter."""
+    if now.timed:
+        return "facts will change by themselves, so the times of the plan matter"
+    timed = [str(one) for one in (*now.domain.constraints, *now.constraints) if one.times]
+    return f"the times of the plan matter to {', '.join(timed)}" if timed else ""
+
+
+def rest_of(now: Problem, progress: Progress) -> PlanGraph:
+    """Return the calls that are not over, in an order of events of the old plan, with the orderings that their causes demand."""
+    number = {call.index: position for position, call in enumerate(progress.rest)}
+    renumbered = tuple(replace(call, index=number[call.index], under_way=call.index in progress.under_way) for call in progress.rest)
+    begun = [PlanEvent(number[one], Moment.START) for one in sorted(progress.under_way)]
+    order = [*begun, *(PlanEvent(number[event.call], event.moment) for event in progress.events)]
     return in_causal_order(now, renumbered, order)
 
 
 def why_not(
-    plan: PlanGraph,
+    progress: Progress,
     knowledge: KnowledgeBase,
     forbidden: frozenset[ForbiddenCall] = frozenset(),
     constraints: tuple[Constraint, ...] = (),
 ) -> str:
-    """Return why the plan does not lead from what is known to its goal; empty when it does.
+    """Return why the rest of the plan does not lead from what is known to its goal; empty when it does.
 
     Walks through the events in an order that the plan allows and applies them to a copy of the state,
     through which the constraints, none of which may speak of times, are progressed.
     """
-    for call in plan.calls:
-        if ForbiddenCall.of(call.action) in forbidden:
+    plan = progress.plan
+    for call in progress.rest:
+        if ForbiddenCall.of(call.action) in forbidden and call.index not in progress.under_way:
             return f"{call.action} has failed too often, or its server may still be at work"
-    course = Course(snapshot(knowledge))
+    course = Course(snapshot(knowledge), {number: plan.calls[number].action for number in progress.under_way})
     left = {one: progressed((one,), course.state) for constraint in constraints for one in instances(constraint, course.state)}
-    for event in plan.in_order():
+    for event in progress.events:
         try:
             course.happen([(event, plan.calls[event.call].action)])
         except Denied as denied:
@@ -175,3 +219,11 @@ def why_not(
         return f"the rest of the plan would leave {seen_instead(plan.goal, course.state)}"
     missing = [str(constraint) for constraint, rest in left.items() if not is_fulfilled(rest, course.state)]
     return f"the rest of the plan would leave {', '.join(missing)} unfulfilled" if missing else ""
+
+
+def shortened(progress: Progress, knowledge: KnowledgeBase) -> Progress:
+    """Return the plan without those calls that are needless from here: the rest leads to its goal all the same."""
+    for call in progress.rest:
+        if call.index not in progress.under_way and not why_not(shorter := progress.without(call.index), knowledge):
+            progress = shorter
+    return progress

@@ -14,7 +14,8 @@ from pathlib import Path
 
 from planner_bridge.forbidding import ForbiddenCall
 from planner_bridge.model import Problem
-from planner_bridge.pipeline import Stopwatch, Where, pursue_on
+from planner_bridge.pipeline import Where, pursue_on
+from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.replanning import History
 from planner_bridge.tasks import Episode, Settings, TaskObserver, TaskResult
 from planner_bridge.yaml_files.reader import read

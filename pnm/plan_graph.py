@@ -135,6 +135,8 @@ class ActionCall:
     """In place of the binding's."""
     store: tuple[tuple[str, str], ...] = ()
     """Result fields and the variables they are stored in, where this is not what the binding says."""
+    under_way: bool = False
+    """Its request was accepted already: the call goes on with it."""
 
     def __str__(self) -> str:
         return f"{self.action}#{self.index}"

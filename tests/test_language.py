@@ -19,7 +19,7 @@ from planner_bridge.model import Declaration, Domain, Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.plan import Plan, PlanStep
 from planner_bridge.plans import plan_graph
-from planner_bridge.replanning import Decision, History, Limits, PlanAgain, Resume, decide, why_not
+from planner_bridge.replanning import Decision, History, Limits, PlanAgain, Progress, Resume, decide, why_not
 from planner_bridge.sites import SimulatedSite
 from planner_bridge.state import initial_knowledge, problem_now
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
@@ -65,7 +65,7 @@ class Stage:
 
     def decide(self, graph: PlanGraph, result: RunResult) -> Decision:
         history = History().after(result.calls, result.failures)
-        return decide(self.now(), graph, result.calls, self.knowledge.world, history, Limits())
+        return decide(self.now(), Progress(graph, result.calls), self.knowledge.world, history, Limits())
 
 
 Script = Callable[[Stage], Coroutine[Anything, Anything, None]]
@@ -204,7 +204,7 @@ def test_every_order_that_the_graph_allows_works(opened: set[str], chooser: rand
     problem = doors(" ".join(("(at r1 k) (at r2 g)", *(f"(open {door})" for door in sorted(opened)))), goal="(and)")
     graph = plan_graph(problem, random_walk(problem, chooser))
     for _ in range(3):
-        assert why_not(any_order(graph, chooser), initial_knowledge(problem)) == ""
+        assert why_not(Progress.beginning(any_order(graph, chooser)), initial_knowledge(problem)) == ""
 
 
 BOTH = timed("0 2 open-door d1", "2.001 4 go r1 k h")
@@ -554,7 +554,7 @@ def mops(init: str, goal: str) -> Problem:
 def test_an_early_condition_is_decided_before_the_start_changes_it(wet: bool, assumed: frozenset[str]) -> None:
     problem = mops("(wet)" if wet else "", f"(and {'(clean)' if wet else '(not (clean))'} (not (streaked)))")
     graph = plan_graph(problem, timed("0 5 mop"))
-    assert why_not(graph, initial_knowledge(problem)) == ""
+    assert why_not(Progress.beginning(graph), initial_knowledge(problem)) == ""
 
     async def script(stage: Stage) -> None:
         result = await stage.run(graph)
@@ -568,7 +568,7 @@ def test_an_early_condition_is_decided_before_the_start_changes_it(wet: bool, as
 def test_a_condition_that_is_not_early_is_decided_at_the_end() -> None:
     problem = mops("", "(and (streaked) (not (clean)))")
     plan = timed("0 5 mop", "1 2 hose")
-    assert why_not(plan_graph(problem, plan), initial_knowledge(problem)) == ""
+    assert why_not(Progress.beginning(plan_graph(problem, plan)), initial_knowledge(problem)) == ""
 
     async def script(stage: Stage) -> None:
         assert (await stage.run(plan_graph(problem, plan))).goal

@@ -10,10 +10,11 @@ import pytest
 from planner_bridge.forbidding import ForbiddenCall, forbid
 from planner_bridge.model import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline import Stopwatch, achieve, pursue
+from planner_bridge.pipeline import achieve, pursue
+from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.plan import Plan, PlanStep
 from planner_bridge.plans import plan_graph
-from planner_bridge.replanning import Decision, GiveUp, History, Limits, PlanAgain, Resume, decide
+from planner_bridge.replanning import Decision, GiveUp, History, Limits, PlanAgain, Progress, Resume, decide
 from planner_bridge.sites import SimulatedSite
 from planner_bridge.tasks import Settings, TaskObserver, TaskResult
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
@@ -195,7 +196,7 @@ def decided(problem: Problem, steps: list[tuple[str, ...]], done: int = 0) -> De
     """What follows a run of these steps, the first of which are done, if the world now is as the problem says."""
     graph = plan_graph(problem, Plan(tuple(PlanStep(step[0], step[1:], float(number)) for number, step in enumerate(steps))))
     calls = tuple(CallResult(call, "succeeded" if call.index < done else "waiting") for call in graph.calls)
-    return decide(problem, graph, calls, KnowledgeBase(problem.init, objects=problem.objects_by_type), History(), Limits())
+    return decide(problem, Progress(graph, calls), KnowledgeBase(problem.init, objects=problem.objects_by_type), History(), Limits())
 
 
 def clean(room: str) -> Holds:

@@ -8,7 +8,8 @@ from typing import Final
 import pytest
 
 from planner_bridge.loading import load
-from planner_bridge.pipeline import Stopwatch, pursue
+from planner_bridge.pipeline import pursue
+from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.sites import SimulatedSite
 from planner_bridge.tasks import Settings, TaskObserver
 from planner_bridge.written import simulated_site, together

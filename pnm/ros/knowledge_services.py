@@ -1,7 +1,9 @@
 """What action servers ask while they carry out a goal: two services over the knowledge of the run that sent it.
 
 They are ordinary services (``pnm_interfaces/srv/QueryKnowledge`` and ``UpdateKnowledge``), for servers in any language;
-`pnm.ros.action_server` is for those in Python. A request that waits, for a person say, holds up no other.
+`pnm.ros.action_server` is for those in Python. A request that waits, for a person say, holds up no other. One that repeats
+another of the same goal that is still at work gets the same answer: at a first contact requests are sent again because an
+answer may have got lost, and a person shall not be asked twice.
 """
 
 from __future__ import annotations
@@ -34,6 +36,9 @@ Find: TypeAlias = Callable[[UUID], tuple[Layered, Asker] | None]
 """Returns the knowledge of the run that has sent the goal, and whom it asks as; None when there is no such goal, or no longer."""
 _Fields: TypeAlias = dict[str, object]
 _Work: TypeAlias = Callable[[Any], Awaitable[_Fields]]
+_Reply: TypeAlias = Callable[[_Fields], object]
+_Key: TypeAlias = tuple[_Work, str]
+"""What is done, and all fields of the request written out."""
 
 _log = logging.getLogger(__name__)
 
@@ -41,8 +46,8 @@ _log = logging.getLogger(__name__)
 class KnowledgeServices:
     """One pair of services, for all goals of this process.
 
-    The mutable state is, on the event loop's thread, the requests at work by goal; on the ROS thread, the services
-    and the number of requests that are not answered yet.
+    The mutable state is, on the event loop's thread, the requests at work by goal, and who waits for the answer to each;
+    on the ROS thread, the services and the number of requests that are not answered yet.
 
     Args:
         name: the services are ``<name>/query`` and ``<name>/update``; see `pnm.ros.goal_ids.service_prefix`.
@@ -56,7 +61,8 @@ class KnowledgeServices:
         self._name = name
         self._find = find
         self._sources = sources
-        self._work: dict[UUID, set[asyncio.Task[None]]] = {}
+        self._work: dict[UUID, set[asyncio.Task[_Fields]]] = {}
+        self._waiting: dict[_Key, list[_Reply]] = {}
         self._services: list[Any] = []
         self._unanswered = 0
 
@@ -88,33 +94,37 @@ class KnowledgeServices:
                 await until_true(self._ros, lambda: not self._unanswered)
         await self._ros.ask(self._take_down)
 
-    def _begin(self, work: _Work, request: Any, reply: Callable[[_Fields], object]) -> None:
+    def _begin(self, work: _Work, request: Any, reply: _Reply) -> None:
+        key = work, repr(request)
+        if key in self._waiting:
+            self._waiting[key].append(reply)
+            return
+        self._waiting[key] = [reply]
         goal = UUID(bytes=bytes(request.goal_id.uuid))
-        task = self._loop.create_task(self._answer(work, request, reply))
+        task = self._loop.create_task(self._answer(work, request))
         self._work.setdefault(goal, set()).add(task)
-        task.add_done_callback(partial(self._done, goal))
+        task.add_done_callback(partial(self._done, goal, key))
 
-    def _done(self, goal: UUID, task: asyncio.Task[None]) -> None:
+    def _done(self, goal: UUID, key: _Key, task: asyncio.Task[_Fields]) -> None:
         self._work[goal].discard(task)
         if not self._work[goal]:
             del self._work[goal]
+        fields = _refusal("the goal is over, or the executive ends") if task.cancelled() else task.result()
+        for reply in self._waiting.pop(key):
+            reply(fields)
 
-    async def _answer(self, work: _Work, request: Any, reply: Callable[[_Fields], object]) -> None:
-        """Do the work, and reply whatever becomes of it."""
-        limit = request.timeout if request.timeout > 0 else None
-        fields = _refusal("the goal is over, or the executive ends")
+    async def _answer(self, work: _Work, request: Any) -> _Fields:
+        """Do the work, and return the answer whatever becomes of it."""
         try:
-            async with asyncio.timeout(limit):
-                fields = {"success": True, **await work(request)}
+            async with asyncio.timeout(request.timeout if request.timeout > 0 else None):
+                return {"success": True, **await work(request)}
         except SourceError as error:
-            fields = _refusal(str(error))
+            return _refusal(str(error))
         except TimeoutError:
-            fields = _refusal(f"there was no answer within {round(request.timeout, 2):g} s")
+            return _refusal(f"there was no answer within {round(request.timeout, 2):g} s")
         except Exception as error:
             _log.exception("a request for knowledge failed")
-            fields = _refusal(f"{type(error).__name__}: {error}")
-        finally:
-            reply(fields)
+            return _refusal(f"{type(error).__name__}: {error}")
 
     async def _query(self, request: Any) -> _Fields:
         layer, question, (knowledge, asker) = self._read(request)

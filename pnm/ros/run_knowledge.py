@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Generator
+from math import inf
 from time import monotonic
 from typing import Any, Final
 
@@ -20,6 +21,7 @@ from pnm.queries import MISSING, Layer
 from pnm.ros.goal_ids import may_be_ours, service_prefix
 from pnm.ros.knowledge_services import DEPTH, LAYERS
 from pnm.ros.messages import import_type
+from pnm.ros.service_client import AGAIN
 from pnm.sources.base import SourceError
 from pnm.sources.values import read_value, write_value
 
@@ -29,6 +31,7 @@ _LOOK: Final = 0.1
 """Seconds between two looks at what does not wake the executor."""
 _MARGIN: Final = 1.0
 """Seconds more for the executive to say itself that there was no answer in time."""
+_PERSON: Final = LAYERS.index(Layer.PERSON)
 _GRACE: Final = 5.0
 """Seconds more until a thread takes it that nobody spins the node."""
 
@@ -47,7 +50,7 @@ class _Pause:
 class RunKnowledge:
     """Asks executives for what the runs know whose goals are carried out on a node.
 
-    The mutable state is the clients of each executive, the latest last.
+    The mutable state is the clients of each executive, the latest last, and those that have had an answer.
 
     Raises:
         InputError: the package pnm_interfaces is not installed.
@@ -58,6 +61,7 @@ class RunKnowledge:
         self._group = ReentrantCallbackGroup()  # answers come in whatever else the node is busy with
         self._types = {name: import_type(f"pnm_interfaces/srv/{name.capitalize()}Knowledge") for name in ("query", "update")}
         self._clients: OrderedDict[str, dict[str, Any]] = OrderedDict()
+        self._met: set[Any] = set()
         self._lock = threading.Lock()
 
     def meet(self, goal_handle: Any) -> None:
@@ -126,13 +130,20 @@ class RunKnowledge:
         while not client.service_is_ready():
             await _breathe(goal_handle, until, f"there is no service {prefix}/{service}; the executive that has sent the goal is gone")
         request.timeout = max(0.0, until - monotonic()) or _LOOK
-        future = client.call_async(request)
+        sent: list[Any] = []
+        again = 0.0
         try:
-            while not future.done():
+            while not (answered := [future for future in sent if future.done()]):
+                if monotonic() >= again:
+                    # The first answers of a service may get lost; but nobody is to be told anything twice.
+                    again = inf if client in self._met or (service == "update" and request.layer == _PERSON) else monotonic() + AGAIN
+                    sent.append(client.call_async(request))
                 await _breathe(goal_handle, until + _MARGIN, f"{prefix}/{service} did not answer within {limit:g} s")
-            return future.result()
+            self._met.add(client)
+            return answered[0].result()
         finally:
-            client.remove_pending_request(future)
+            for future in sent:
+                client.remove_pending_request(future)
 
     def _of(self, prefix: str) -> dict[str, Any]:
         """Return the clients of an executive; those of the one that was not needed for longest make place."""
@@ -142,6 +153,7 @@ class RunKnowledge:
             self._clients.move_to_end(prefix)
             if len(self._clients) > EXECUTIVES:
                 for client in self._clients.popitem(last=False)[1].values():
+                    self._met.discard(client)
                     self._node.destroy_client(client)
             return self._clients[prefix]
 

@@ -1,9 +1,13 @@
-"""A client of a service that may be missing, slow or dead: every call has a limit."""
+"""A client of a service that may be missing, slow or dead: every call has a limit.
+
+At a first contact an answer may get lost: a service hears of us, and answers, before it knows where answers to us go. So
+as long as a service has never answered, a request is sent again and again, and the first answer counts.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
 from functools import partial
 from typing import Any, Final
@@ -14,6 +18,8 @@ from pnm.sources.base import SourceError
 
 IN_FLIGHT: Final = 8
 """Requests that are unanswered at a time; services keep 10 by default and lose others without a word."""
+AGAIN: Final = 1.0
+"""Seconds after which a service that has never answered is asked again."""
 _LOOK: Final = 0.1
 """Seconds between two looks for something that is not there."""
 
@@ -29,7 +35,8 @@ async def until_true(ros: RosThread, check: Callable[[], object]) -> None:
 class ServiceClient:
     """A client of one service, connected when it is first needed.
 
-    The mutable state is the client, on the ROS thread, and how many requests may still be sent.
+    The mutable state is the client, on the ROS thread, whether the service that is there has ever answered, and how many
+    requests may still be sent. Of a service that has not, a request may arrive more than once.
 
     Args:
         type_name: such as ``std_srvs/srv/Trigger``.
@@ -44,6 +51,7 @@ class ServiceClient:
         self._type = import_type(type_name)
         self._name = name
         self._client: Any = None
+        self._met = False
         self._free = asyncio.Semaphore(IN_FLIGHT)
 
     def __repr__(self) -> str:
@@ -78,15 +86,20 @@ class ServiceClient:
         answered: asyncio.Future[Any] = loop.create_future()
 
         def take(future: Any) -> None:
+            self._met = True
             if not answered.done():
                 answered.set_result(future.result())
 
         def hand_over(future: Any) -> None:
             loop.call_soon_threadsafe(take, future)
 
-        sent = await self._ros.ask(partial(self._send, message, hand_over))
+        sent: list[Any] = []
         try:
-            return await answered
+            while not answered.done():
+                met = self._met
+                sent.append(await self._ros.ask(partial(self._send, message, hand_over)))
+                await asyncio.wait((answered,), timeout=None if met else AGAIN)
+            return answered.result()
         finally:
             self._ros.call(partial(self._forget, sent))
 
@@ -97,16 +110,19 @@ class ServiceClient:
 
         if self._client is None:
             self._client = self._ros.node.create_client(self._type, self._name, qos_profile=QoSProfile(depth=100))
-        return bool(self._client.service_is_ready())
+        ready = bool(self._client.service_is_ready())
+        self._met &= ready  # the next service of the name is another one
+        return ready
 
     def _send(self, message: Any, hand_over: Any) -> Any:
         future = self._client.call_async(message)
         future.add_done_callback(hand_over)
         return future
 
-    def _forget(self, future: Any) -> None:
+    def _forget(self, futures: Iterable[Any]) -> None:
         if self._client is not None:
-            self._client.remove_pending_request(future)
+            for future in futures:
+                self._client.remove_pending_request(future)
 
     def _absence(self) -> str:
         full = str(self._ros.node.resolve_service_name(self._name))

@@ -14,12 +14,13 @@ ROOT = Path(__file__).parents[2]
 
 
 class Script:
-    """One of the scripts, once it is ready."""
+    """One of the scripts, once it is ready; `said` is for tests to note what they have heard last."""
 
     def __init__(self, name: str, *arguments: str) -> None:
         command = [sys.executable, "-m", f"tests.ros.{name}", *arguments]
         self.process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         self._read = b""
+        self.said = ""
         assert self.line() == "ready"
 
     def line(self, limit: float = 40.0) -> str:

@@ -1,6 +1,7 @@
 """What lives in other processes: global knowledge, or a person. Run as a script; prints "ready" and then what it hears.
 
-knowledge NAME      keeps variables; the one called "slow" is never answered, "broken" is no JSON, "no" is refused
+knowledge NAME      keeps variables; the one called "slow" is never answered, "broken" is no JSON, "no" is refused;
+                    with "deaf", the first request of each service is never answered either
 person NAME WAY     answers questions: "reversed" two at a time, the second first; "never"; "late" only once withdrawn;
                     "wrong" with what is no JSON, with answers to nothing, and then as it should
 """
@@ -16,6 +17,7 @@ from typing import Any
 import rclpy
 from pnm_interfaces.msg import Answer, Question
 from pnm_interfaces.srv import QueryKnowledge, UpdateKnowledge
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
@@ -29,14 +31,16 @@ def say(*what: object) -> None:
 class Knowledge:
     """Keeps the JSON texts it is sent."""
 
-    def __init__(self, node: Any, name: str) -> None:
+    def __init__(self, node: Any, name: str, way: str = "") -> None:
         self.values: dict[str, str] = {"broken": "{"}
-        node.create_service(QueryKnowledge, f"{name}/query", self.query)
-        node.create_service(UpdateKnowledge, f"{name}/update", self.update)
+        self.ignored = set() if way == "deaf" else {"query", "update"}
+        group = ReentrantCallbackGroup()  # what is never answered holds up nothing else
+        node.create_service(QueryKnowledge, f"{name}/query", self.query, callback_group=group)
+        node.create_service(UpdateKnowledge, f"{name}/update", self.update, callback_group=group)
 
     async def query(self, request: Any, response: Any) -> Any:
         say("query", request.layer, request.name, request.meta, bytes(request.goal_id.uuid).hex())
-        if request.name == "slow":
+        if request.name == "slow" or self.ignores("query"):
             await Future()
         response.success = request.name != "no"
         response.message = "" if response.success else "not for you"
@@ -44,11 +48,18 @@ class Knowledge:
         response.found = request.name in self.values
         return response
 
-    def update(self, request: Any, response: Any) -> Any:
+    async def update(self, request: Any, response: Any) -> Any:
         say("update", request.layer, request.name, request.value)
+        if self.ignores("update"):
+            await Future()
         response.success = request.name != "no"
         self.values[request.name] = request.value
         return response
+
+    def ignores(self, service: str) -> bool:
+        first = service not in self.ignored
+        self.ignored.add(service)
+        return first
 
 
 class Person:
@@ -95,7 +106,7 @@ class Person:
 def main(kind: str, name: str, *rest: str) -> None:
     rclpy.init()
     node = rclpy.create_node(f"somewhere_{name}")
-    kept = Knowledge(node, name) if kind == "knowledge" else Person(node, name, *rest)
+    kept = Knowledge(node, name, *rest) if kind == "knowledge" else Person(node, name, *rest)
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     with suppress(KeyboardInterrupt, ExternalShutdownException):

@@ -8,6 +8,9 @@ from collections.abc import Callable, Iterator
 from uuid import UUID, uuid4
 
 import pytest
+from pnm_interfaces.srv import QueryKnowledge, UpdateKnowledge
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.task import Future
 
 from pnm.actions.base import OutcomeKind
 from pnm.queries import MISSING, Layer, Question
@@ -135,6 +138,37 @@ def test_an_executive_without_services_is_missed_by_name(ros, server):
         for action, rest in (("query", []), ("update", [1])):
             said = await one.said(server, action, "all", "spam", *rest, None, 0.5)
             assert said == f"there is no service {one.name}/{action}; the executive that has sent the goal is gone"
+        await one.close()
+
+    run(main())
+
+
+def test_an_executive_is_asked_again_until_it_has_answered_once_but_told_once(ros, server):
+    def deaf(heard):
+        async def answer(request, response):
+            heard.append(request.name)
+            if len(heard) == 1:
+                await Future()
+            response.success = True
+            return response
+
+        return answer
+
+    async def main():
+        one = Executive(ros, Sources())
+        heard = {kind: [] for kind in (QueryKnowledge, UpdateKnowledge)}
+        names = {QueryKnowledge: f"{one.name}/query", UpdateKnowledge: f"{one.name}/update"}
+
+        def offer():
+            group = ReentrantCallbackGroup()
+            return [ros.node.create_service(kind, names[kind], deaf(heard[kind]), callback_group=group) for kind in heard]
+
+        services = await ros.ask(offer)
+        assert await one.said(server, "query", "all", "spam", None, 20.0) == []
+        assert await one.said(server, "update", "person", "spam", 1, None, 1.5) == f"{one.name}/update did not answer within 1.5 s"
+        assert len(heard[QueryKnowledge]) >= 2
+        assert len(heard[UpdateKnowledge]) == 1
+        await ros.ask(lambda: [ros.node.destroy_service(service) for service in services])
         await one.close()
 
     run(main())
@@ -333,6 +367,44 @@ def test_a_query_that_cannot_be_answered_is_refused(ros, fields, said):
     run(main())
 
 
+def test_who_repeats_a_question_to_a_person_gets_the_same_answer(ros):
+    async def main():
+        person = Person()
+        async with executive(ros, person=person) as one:
+            goals = [one.new_id() for _ in range(2)]
+            one.goals |= dict.fromkeys(goals)
+            client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{one.name}/query")
+
+            def ask(goal, layer, name):
+                return asyncio.ensure_future(client.call({"goal_id": uuid_field(goal), "layer": layer, "name": name}, 20.0))
+
+            await ask(goals[0], 0, "spam")
+            same = [ask(goals[0], 3, "shop") for _ in range(2)]
+            others = [ask(goals[1], 3, "shop"), ask(goals[0], 3, "stop")]
+            questions = [await person.asked.get() for _ in range(3)]
+            await ask(goals[0], 0, "spam")  # whatever was sent before has come
+            assert sorted(questions) == ["shop", "shop", "stop"]
+            assert person.asked.empty()
+            one.services.end(goals[1])
+            assert (await others[0]).message == "the goal is over, or the executive ends"
+            del one.goals[goals[1]]
+            person.answers["stop"].set_result(1)
+            assert (await others[1]).value == "1"
+            first = ask(goals[0], 3, "again")
+            await person.asked.get()
+            person.answers["again"].set_result(1)
+            assert (await first).value == "1"
+            second = ask(goals[0], 3, "again")
+            await person.asked.get()
+            person.answers["again"].set_result(2)
+            assert (await second).value == "2", "what was answered is asked anew"
+            one.services.end(goals[0])
+            assert {answer.message for answer in await asyncio.gather(*same)} == {"the goal is over, or the executive ends"}
+            await client.close()
+
+    run(main())
+
+
 @pytest.mark.parametrize("value", ["", "kitchen", "NaN"])
 def test_an_update_with_what_is_no_json_is_refused(ros, value):
     async def main():
@@ -395,8 +467,6 @@ def test_ids_say_where_to_ask():
 
 
 def test_the_layers_of_the_interfaces_are_those_of_queries():
-    from pnm_interfaces.srv import QueryKnowledge, UpdateKnowledge
-
     from pnm.ros.knowledge_services import LAYERS
 
     for kind in (QueryKnowledge.Request, UpdateKnowledge.Request):
