@@ -501,12 +501,7 @@ class Pursuit:
         try:
             with self.seconds.of("plan"):
                 return await asyncio.to_thread(
-                    solve,
-                    problem,
-                    planner=self.settings.planner,
-                    timeout=timeout,
-                    cancel=self._no_plan_needed,
-                    executor=self.settings.executor,
+                    solve, problem, planner=self.settings.planner, timeout=timeout, cancel=self._no_plan_needed, executor=self.settings.executor
                 )
         except asyncio.CancelledError:
             self._no_plan_needed.set()

@@ -40,6 +40,8 @@ STUCK = 60.0
 """Seconds that a script may take."""
 IMPATIENCE = 2.0
 """Seconds after which a request is sent although the robot has not begun what it was to come after."""
+REPEATED = 0.3
+"""Seconds after which an answer is given once more."""
 STATES = {value: name for name, value in vars(TaskStatus).items() if name.isupper() and isinstance(value, int)}
 
 
@@ -78,6 +80,8 @@ class Visitor:
     """Requests to be sent once the robot does something."""
     held: dict[str, tuple[Request, str]] = field(default_factory=dict)
     """Answers to open questions that are late."""
+    given: dict[str, Answer] = field(default_factory=dict)
+    """Answers to open questions."""
     states: dict[str, tuple[str, str]] = field(default_factory=dict)
     timers: list[tuple[float, int, Callable[[], None]]] = field(default_factory=list)
     numbers: Any = field(default_factory=count)
@@ -118,10 +122,16 @@ class Visitor:
         self.send(self.requests[0])
         until = time.monotonic() + STUCK
         while not all(request.is_over for request in self.requests) and time.monotonic() < until:
-            rclpy.spin_once(self.node, timeout_sec=0.02)
+            self.spin(0.02)
             while self.timers and self.timers[0][0] <= time.monotonic():
                 heapq.heappop(self.timers)[2]()
         self.say("end", script["name"], stuck=[request.about for request in self.requests if not request.is_over])
+
+    def spin(self, seconds: float) -> None:
+        """Hear what there is to hear."""
+        until = time.monotonic() + seconds
+        while (left := until - time.monotonic()) > 0:
+            rclpy.spin_once(self.node, timeout_sec=left)
 
     def later(self, seconds: float, do: Callable[[], None]) -> None:
         """Do something later."""
@@ -165,8 +175,15 @@ class Visitor:
         """Answer a question, with words that no other answer has."""
         self.held.pop(question, None)
         value = f"{word} {next(self.numbers)}"
-        self.answers.publish(Answer(id=question, value=json.dumps(value)))
+        self.given[question] = Answer(id=question, value=json.dumps(value))
         self.say("answer", request.about, question=question, value=value)
+        self.publish(question)
+
+    def publish(self, question: str) -> None:
+        """Publish an answer until it is no longer needed: the first one may be lost, and one too many does no harm."""
+        if question in self.given:
+            self.answers.publish(self.given[question])
+            self.later(REPEATED, lambda: self.publish(question))
 
     # what is seen
 
@@ -174,6 +191,7 @@ class Visitor:
         """Reply to a question, or hear that no answer is needed any more."""
         if message.kind == Question.WITHDRAW:
             self.held.pop(message.id, None)
+            self.given.pop(message.id, None)
             self.say("withdrawn", "", question=message.id)
             return
         request = next((one for one in self.requests if one.about in message.text), None)
@@ -237,6 +255,7 @@ def main(file: str) -> None:
     sys.stdout.write("ready\n")
     for script in told["scripts"]:
         visitor.play(script)
+    visitor.spin(REPEATED)  # the last states of tasks are told a moment later
     rclpy.try_shutdown()
 
 

@@ -69,7 +69,8 @@ def judge(scripts: Sequence[Script], robot: Sequence[Line], visitor: Sequence[Li
             continue
         verdict.scripts += 1
         lines = [line for line in visitor if begin <= line["time"] <= end]
-        _Play(one, [doing for doing in doings if begin <= doing.start <= end], lines, verdict).judge()
+        states = [line for line in visitor if line["event"] == "state"]  # they may come after the end
+        _Play(one, [doing for doing in doings if begin <= doing.start <= end], lines, states, verdict).judge()
     return verdict
 
 
@@ -105,6 +106,7 @@ class _Play:
     script: Script
     doings: Sequence[Doing]
     lines: Sequence[Line]
+    states: Sequence[Line]
     verdict: Verdict
 
     def judge(self) -> None:
@@ -132,7 +134,7 @@ class _Play:
         if (result["status"], result["reason"]) != (SUCCEEDED, "goal_reached"):
             self._complain(f"{about} ended as {result['status']}, {result['reason']}: {result['message']}")
         (accepted,) = self._of("accepted", about)
-        goals = {line["about"] for line in self.lines if line["event"] == "state" and line["task"] == accepted["task"]}
+        goals = {line["about"] for line in self.states if line["task"] == accepted["task"]}
         expected = about if "shop" in wish else "small_talk"
         if not goals or not all(expected in goal for goal in goals):
             self._complain(f"the request about {about} is the task {', '.join(goals) or 'of nobody'}")
@@ -189,7 +191,7 @@ class _Play:
     def _resumed(self, about: str) -> None:
         """What was paused went on, and came to its end."""
         tasks = [line["task"] for line in self._of("accepted", about)]
-        states = [line["state"] for line in self.lines if line["event"] == "state" and line["task"] in tasks]
+        states = [line["state"] for line in self.states if line["task"] in tasks]
         self.verdict.paused += "PAUSED" in states
         if states[-1:] == ["PAUSED"]:
             self._complain(f"{about} was paused and never resumed")
