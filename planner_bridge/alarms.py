@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from planner_bridge.replanning import Progress
 from pnm.conditions import names
 from pnm.effects import assignments, names_written, unconditional
-from pnm.expressions import Constant, Environment, Fluent, State, Unknown, Value
+from pnm.expressions import Constant, Fluent, State, Unknown, Value
 from pnm.plan_graph import ActionCall
 
 

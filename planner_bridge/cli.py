@@ -156,8 +156,8 @@ def run(
     """Plan, execute, and replan until the goal holds; or carry out a plan that somebody has written."""
     from planner_bridge.console import ConsoleObserver, Terminal, print_result
     from planner_bridge.pipeline import achieve
-    from planner_bridge.stopwatch import Stopwatch
     from planner_bridge.replanning import Limits
+    from planner_bridge.stopwatch import Stopwatch
     from planner_bridge.tasks import Settings, TaskObserver
     from pnm.machine import OnFailure
 

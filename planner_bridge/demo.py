@@ -10,8 +10,8 @@ from rich.console import Console
 from planner_bridge.console import ConsoleObserver, print_result
 from planner_bridge.loading import load
 from planner_bridge.pipeline import pursue
-from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.sites import SimulatedSite
+from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.tasks import Settings
 from pnm.actions.faults import read_faults
 from pnm.bindings import read_bindings

@@ -6,18 +6,17 @@ write what the other needs otherwise. That is careful: a fact that a plan makes 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import assert_never
 
 from planner_bridge.forbidding import changed, guarded, unused
 from planner_bridge.model import Declaration, Problem
-from pnm.conditions import Condition, Holds, Not, conjuncts, fluents
+from pnm.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents
 from pnm.effects import Effects, ForEach, Set, When, assignments, read, unconditional
-from pnm.expressions import Constant, Fluent, State, show
+from pnm.expressions import NOTHING, Constant, Environment, Fluent, State, bind, choices, show
 from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import ActionCall
-
-_TRUTHS = {Constant(True): True, Constant(False): False}
 
 
 @dataclass(frozen=True)
@@ -67,14 +66,11 @@ def footprint(calls: Iterable[ActionCall], goal: Condition, knowledge: Knowledge
         reads |= knowledge.rests_on(read(effects, knowledge)) - written.keys()
         for fluent, values in written.items():
             writes.setdefault(fluent, set()).update(values)
-    for part in (part for condition in conditions for part in conjuncts(condition)):
-        match part:
-            case Holds(fluent) if fluent[0] not in derived:
-                facts.setdefault(fluent, set()).add(True)
-            case Not(Holds(fluent)) if fluent[0] not in derived:
-                facts.setdefault(fluent, set()).add(False)
-            case _:
-                reads |= knowledge.rests_on(fluents(part, knowledge))
+    for fluent, needed in (one for condition in conditions for one in _needed(condition, True, knowledge)):
+        if needed is None or fluent[0] in derived:
+            reads |= knowledge.rests_on(frozenset({fluent}))
+        else:
+            facts.setdefault(fluent, set()).add(needed)
     return Footprint(
         {fluent: frozenset(values) for fluent, values in facts.items()},
         frozenset(reads),
@@ -82,10 +78,33 @@ def footprint(calls: Iterable[ActionCall], goal: Condition, knowledge: Knowledge
     )
 
 
+def _needed(condition: Condition, value: bool, state: State, env: Environment = NOTHING) -> Iterator[tuple[Fluent, bool | None]]:
+    """Yield the fluents that a condition mentions, and which value of theirs helps to make it this; None when that depends."""
+    match condition:
+        case Holds(fluent):
+            yield bind(fluent, env), value
+        case Not(inner):
+            yield from _needed(inner, not value, state, env)
+        case All(parts) | Any(parts):
+            for part in parts:
+                yield from _needed(part, value, state, env)
+        case Implies(condition, then):
+            yield from _needed(condition, not value, state, env)
+            yield from _needed(then, value, state, env)
+        case ForAll(variables, body) | Exists(variables, body):
+            for chosen in choices(variables, state, env):
+                yield from _needed(body, value, state, chosen)
+        case Compare() | Computed():
+            yield from ((fluent, None) for fluent in fluents(condition, state, env))
+        case _:
+            assert_never(condition)
+
+
 def _written(effects: Effects, state: State) -> dict[Fluent, set[bool | None]]:
     found: dict[Fluent, set[bool | None]] = {}
     for fluent, effect, _ in assignments(unconditional(effects), state):
-        found.setdefault(fluent, set()).add(_TRUTHS.get(effect.value) if isinstance(effect.value, Constant) else None)
+        value = effect.value.value if isinstance(effect.value, Constant) else None
+        found.setdefault(fluent, set()).add(value if isinstance(value, bool) else None)
     return found
 
 

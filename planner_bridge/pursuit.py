@@ -8,34 +8,28 @@ the world as it will be after them, and they become calls of the new machine.
 from __future__ import annotations
 
 import asyncio
-import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
-from functools import partial
-from math import inf
+from dataclasses import dataclass, field, replace
 from typing import Final, cast
-from uuid import UUID, uuid4
 
-from planner_bridge.alarms import is_foreseen, is_relevant, obstacle
+from planner_bridge.alarms import is_foreseen, is_relevant
+from planner_bridge.circumstances import Circumstances
 from planner_bridge.codes import code_of_failures, code_of_planning
-from planner_bridge.footprints import Footprint, around, footprint
+from planner_bridge.footprints import Footprint, footprint
 from planner_bridge.forbidding import ForbiddenCall, forbid
 from planner_bridge.model import Problem
-from planner_bridge.monitoring import Monitor, Violation
-from planner_bridge.neighbours import ALONE, Conflict, Neighbours
-from planner_bridge.plan import Plan, PlanningResult, PlanningStatus
-from planner_bridge.planning import solve
+from planner_bridge.plan import Plan, PlanningResult
 from planner_bridge.plans import plan_graph
 from planner_bridge.projection import Unforeseeable, after
 from planner_bridge.replanning import GiveUp, History, PlanAgain, Progress, Resume, decide, rest_of, shortened, times_that_matter, why_not
-from planner_bridge.state import problem_now
+from planner_bridge.search import Search
 from planner_bridge.stopwatch import Stopwatch
-from planner_bridge.tasks import Episode, OnChange, Settings, TaskObserver, TaskResult
+from planner_bridge.supervision import Supervision
+from planner_bridge.tasks import HANDED_ON, Episode, OnChange, Settings, TaskObserver, TaskResult
 from pnm.actions.base import Outcome, Report, Request
 from pnm.analysis import verify
 from pnm.conditions import evaluate
-from pnm.errors import InputError
 from pnm.executor import Executor
 from pnm.expressions import Fluent, Unknown, Value
 from pnm.generation import generate
@@ -43,44 +37,18 @@ from pnm.knowledge import KnowledgeBase, Layered
 from pnm.machine import OnFailure, PetriNetMachine, Rule
 from pnm.observer import Observer
 from pnm.plan_graph import ActionCall, PlanGraph, PlanGraphError
-from pnm.resources import Resources
 from pnm.results import Failure, RunResult
 from pnm.run import Run, UnderWay
-from pnm.sites import Site, schedule
-from pnm.sources.base import Source
+from pnm.sites import Site
 from pnm.state_space import Unsound
 from pnm.tasking import Code, OnConflict, TaskState
+from pnm.trajectory import Constraint
 
 _LOOK: Final = 0.02
 """Seconds between two looks at whether a run has come to rest."""
 
 
-@dataclass(frozen=True)
-class Circumstances:
-    """What a task shares with others, and how it is known to them.
-
-    Args:
-        id: of the task.
-        name: what people know it by.
-        priority: higher ones come first.
-        resources: what calls have for themselves; its runs' own if None.
-        source: who is asked and told what runs do not know.
-        neighbours: the other tasks.
-        on_conflict: what to do about a goal that cannot be pursued beside theirs.
-        new_identity: makes the identities of runs.
-    """
-
-    id: UUID = field(default_factory=uuid4)
-    name: str = ""
-    priority: int = 0
-    resources: Resources | None = None
-    source: Source | None = None
-    neighbours: Neighbours = ALONE
-    on_conflict: OnConflict = OnConflict.PLAN_AROUND
-    new_identity: Callable[[], UUID] = uuid4
-
-
-class _Over(Exception):  # noqa: N818
+class _Over(Exception):
     """The task has come to its end."""
 
     def __init__(self, code: Code, reason: str) -> None:
@@ -110,33 +78,31 @@ class Pursuit:
     knowledge: Layered
     circumstances: Circumstances = field(default_factory=Circumstances)
     history: History = field(default_factory=History)
+    given: Plan | None = None
+    """A plan to begin with, in place of one that would have to be found."""
     state: TaskState = TaskState.PLANNING
     why: str = ""
     """Why it is in this state."""
     episodes: list[Episode] = field(default_factory=list)
     plans: int = 0
-    began: float = 0.0
     executor: Executor | None = None
     """What executes the current machine."""
-    _reserved: Footprint | None = None
-    """Of a plan whose run has not begun."""
+    run: Run | None = None
+    """The current run, or the last one."""
     _origin: float = 0.0
     """When the search for the current plan began: what its times count from."""
     _stopped: _Over | None = None
     """Why the task is over before its goal is reached."""
     _is_over: asyncio.Event = field(default_factory=asyncio.Event)
     """Nothing needs to be waited for any more."""
-    _no_plan_needed: threading.Event = field(default_factory=threading.Event)
     _may_go: asyncio.Event = field(default_factory=asyncio.Event)
     """The task is not paused."""
     _trouble: asyncio.Event = field(default_factory=asyncio.Event)
     """The run may not lead to the goal any more, or there may be a shorter way."""
-    _next_look: asyncio.TimerHandle | None = None
-    _limit: asyncio.TimerHandle | None = None
 
     def __post_init__(self) -> None:
-        self.monitor = Monitor(self.problem, self.knowledge)
-        self.allowed = self.settings.limits.allowed()
+        self.supervision = Supervision(self.problem, self.knowledge, self.observer, self.stop, self.settings.limits.allowed())
+        self.search = Search(self.settings, self.observer, self.seconds, self.circumstances)
         self._may_go.set()
 
     # --- from outside ---------------------------------------------------------------------------
@@ -154,7 +120,8 @@ class Pursuit:
             try:
                 if opens:
                     await self.site.open(self.knowledge.world)
-                self._watch(at_the_end)
+                self.supervision.begin(at_the_end)
+                at_the_end.callback(self.knowledge.world.listen(self._changed))
                 await self._pursue()
             except asyncio.CancelledError:  # while no run was there to be stopped
                 cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
@@ -167,10 +134,11 @@ class Pursuit:
 
     def stop(self, code: Code, reason: str) -> None:
         """End whatever is going on; what is under way is cancelled, and confirms it or is given up after its limit."""
-        if self._stopped is None:
+        first, worse = self._stopped is None, code is Code.CONSTRAINT_VIOLATED  # nothing makes that good
+        if first or (worse and cast("_Over", self._stopped).code is not code):
             self._stopped = _Over(code, reason)
             self._is_over.set()
-            self._no_plan_needed.set()
+            self.search.stop()
             self._may_go.set()
             if self.executor:
                 self._enter(TaskState.CANCELLING, reason)
@@ -219,7 +187,9 @@ class Pursuit:
     @property
     def footprint(self) -> Footprint | None:
         """What the rest of the plan needs and changes; None while there is no plan."""
-        return self._reserved if (progress := self.progress) is None else self._footprint(progress)
+        if (progress := self.progress) is None:
+            return self.search.reserved
+        return footprint(progress.rest, progress.plan.goal, self.knowledge.world)
 
     # --- the story ------------------------------------------------------------------------------
 
@@ -277,12 +247,15 @@ class Pursuit:
 
     async def _next(self, result: RunResult, way: _Way | None) -> PlanGraph:
         """Return what follows a run that is over."""
-        machine = self.executed
+        machine = cast("Run", self.run).machine
         patient = self.settings.on_change is OnChange.LAZY
-        if (patient and not result.goal) or not self.monitor.idle:  # reports about what has just happened may still be under way
+        if (patient and not result.goal) or not self.supervision.monitor.idle:  # reports may still be under way
             await asyncio.sleep(self.knowledge.world.longest_lag)
         await self._settle()
-        if verdict := self._verdict(result):
+        verdict = self._verdict(result)
+        if verdict is None and self.given:
+            verdict = _Over(code_of_failures(result.failures), result.reason)
+        if verdict:
             self.episodes.append(Episode(machine, result))
             raise verdict
         if way and way.plan:
@@ -314,6 +287,8 @@ class Pursuit:
             return await self._planned(decision.forbidden)
 
     def _note(self, way: _Way, machine: PetriNetMachine, result: RunResult) -> None:
+        calls = tuple(replace(one, outcome=HANDED_ON) if one.outcome == "running" else one for one in result.calls)
+        result = replace(result, calls=calls)
         self.history = way.history
         self.episodes.append(Episode(machine, result, way.decision))
 
@@ -321,8 +296,8 @@ class Pursuit:
         """Return how the task ends if it ends with this run."""
         if self._stopped and self._stopped.code is Code.CONSTRAINT_VIOLATED:
             return self._stopped
-        carried_out = result.goal or not self.problem.network  # a network is more than its goal
-        if carried_out and evaluate(self.problem.goal, self.knowledge) is True and not self.monitor.missing(self._elapsed()):
+        carried_out = result.goal or not (self.problem.network or self.given)  # either is more than its goal
+        if carried_out and evaluate(self.problem.goal, self.knowledge) is True and not self._missing():
             return _Over(Code.GOAL_REACHED, "the goal holds")
         return self._stopped
 
@@ -415,14 +390,15 @@ class Pursuit:
 
     def _waits_for_more(self, progress: Progress) -> bool:
         """Tell whether calls that are under way will undo the goal, or constraints ask for more."""
-        undone = why_not(Progress(progress.plan, progress.calls, progress.under_way).only_under_way(), self.knowledge.world)
-        return bool(undone) or bool(self.monitor.missing(self._elapsed()))
+        undone = why_not(progress.what_goes_on, self.knowledge.world)
+        return bool(undone) or bool(self._missing())
 
     def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
         """Look at the plan when facts change otherwise than its calls change them."""
-        if self.settings.on_change is OnChange.EAGER and (progress := self.progress) and not self.is_paused:
-            if is_relevant(progress, changes) and not is_foreseen(progress, changes):
-                self._trouble.set()
+        if self.settings.on_change is OnChange.LAZY or self.is_paused or not (progress := self.progress):
+            return
+        if is_relevant(progress, changes) and not is_foreseen(progress, changes, self.knowledge):
+            self._trouble.set()
 
     # --- planning -------------------------------------------------------------------------------
 
@@ -441,75 +417,33 @@ class Pursuit:
             await self._may_go.wait()
             if self._stopped:
                 raise self._stopped
-            now = forbid(self._now(after(self.knowledge.world, under_way)), forbidden)
             if not under_way:
                 self._origin = asyncio.get_running_loop().time()
                 self._enter(TaskState.PLANNING)
-            plan = await self._solved(now, forbidden)
-            plan, conflicts = await self._beside(now, plan, [one.call for one in under_way])
+            now = forbid(self._now(after(self.knowledge.world, under_way)), forbidden)
+            given = None if self.plans else self.given
+            found, conflicts = await self.search.find(now, [one.call for one in under_way], self.supervision.left, given)
+            if self._stopped:
+                raise self._stopped
+            if found.plan is None:
+                failures = [failure for episode in self.episodes for failure in episode.result.failures]
+                raise _Over(code_of_planning(found.status, failures), _no_plan(found, forbidden) + self._last_failure())
             if not conflicts:
-                self._accept(plan)
-                return plan
+                self._accept(found.plan)
+                return found.plan
             reason = "; ".join(map(str, conflicts))
+            if not under_way and all(one.yields for one in conflicts):
+                await self._until(self.circumstances.neighbours.preempt(conflicts))
+                continue
             if under_way or self.circumstances.on_conflict is OnConflict.REFUSE:
                 raise _Over(Code.CONFLICT, reason)
-            self._reserved = None
             self._enter(TaskState.QUEUED, f"waits for {reason}")
             await self._until(self.circumstances.neighbours.changed())
 
     def _accept(self, plan: Plan) -> None:
         self.plans += 1
-        self.allowed = max(self.allowed, self.settings.limits.allowed(plan.makespan if plan.temporal else 0.0))
-        self._limit_time()
+        self.supervision.allow(self.settings.limits.allowed(plan.makespan if plan.temporal else 0.0))
         self.observer.planned(plan)
-
-    async def _beside(self, now: Problem, plan: Plan, under_way: list[ActionCall]) -> tuple[Plan, tuple[Conflict, ...]]:
-        """Return the plan, or one that leaves the neighbours alone, and with whom it is still in conflict."""
-        respected: dict[UUID, Conflict] = {}
-        candidate = plan
-        while conflicts := self._conflicts(now, candidate, under_way):
-            new = {one.task: one for one in conflicts if one.task not in respected}
-            if not new or self.circumstances.on_conflict is not OnConflict.PLAN_AROUND:
-                return plan, conflicts
-            respected |= new
-            found = await self._solve(around(now, [one.footprint for one in respected.values()]))
-            if found.plan is None:
-                return plan, tuple(respected.values())
-            candidate = found.plan
-        return candidate, ()
-
-    def _conflicts(self, now: Problem, plan: Plan, under_way: list[ActionCall]) -> tuple[Conflict, ...]:
-        self._reserved = self._footprint(Progress.beginning(plan_graph(now, plan, under_way)))
-        return self.circumstances.neighbours.conflicts(self._reserved)
-
-    def _footprint(self, progress: Progress) -> Footprint:
-        return footprint(progress.rest, progress.plan.goal, self.knowledge.world)
-
-    async def _solved(self, now: Problem, forbidden: frozenset[ForbiddenCall]) -> Plan:
-        self.observer.planning(self.settings.planner)
-        found = await self._solve(now)
-        if self._stopped:
-            raise self._stopped
-        if found.plan is None:
-            self.observer.unplanned(found)
-            failures = [failure for episode in self.episodes for failure in episode.result.failures]
-            raise _Over(code_of_planning(found.status, failures), _no_plan(found, forbidden) + self._last_failure())
-        return found.plan
-
-    async def _solve(self, problem: Problem) -> PlanningResult:
-        timeout = max(0.01, min(self.settings.planner_timeout, self._left()))
-        try:
-            with self.seconds.of("plan"):
-                return await asyncio.to_thread(
-                    solve, problem, planner=self.settings.planner, timeout=timeout, cancel=self._no_plan_needed, executor=self.settings.executor
-                )
-        except asyncio.CancelledError:
-            self._no_plan_needed.set()
-            raise
-        except InputError as error:
-            if not self.episodes:
-                raise
-            return PlanningResult(PlanningStatus.INVALID, message=str(error))
 
     # --- machines -------------------------------------------------------------------------------
 
@@ -518,10 +452,9 @@ class Pursuit:
             machine = generate(graph, self.settings.bindings, on_failure=self.settings.on_failure)
         with self.seconds.of("verify"):
             proof = verify(machine)
-        self.executed = machine
         self.observer.generated(machine, proof)
         circumstances = self.circumstances
-        return Run(
+        self.run = Run(
             machine,
             self.knowledge,
             id=circumstances.new_identity(),
@@ -535,52 +468,15 @@ class Pursuit:
             priority=circumstances.priority,
             adopted=adopted or {},
         )
+        return self.run
 
-    # --- time, constraints, states --------------------------------------------------------------
-
-    def _watch(self, at_the_end: ExitStack) -> None:
-        """Begin; let those timed facts come true by themselves that nobody reports; look when something changes or its time comes."""
-        self.began = asyncio.get_running_loop().time()
-        at_the_end.callback(schedule(self.knowledge.world, self.problem.timed, self.began))
-        at_the_end.callback(self._cancel_timers)
-        at_the_end.callback(self.knowledge.world.listen(self._look))
-        at_the_end.callback(self.knowledge.world.listen(self._changed))
-        self._limit_time()
-        self._look()
-
-    def _cancel_timers(self) -> None:
-        for timer in (self._next_look, self._limit):
-            if timer:
-                timer.cancel()
-
-    def _limit_time(self) -> None:
-        if self._limit:
-            self._limit.cancel()
-        over = partial(self.stop, Code.TIMED_OUT, f"the limit of {self.allowed:g} s is reached")
-        self._limit = asyncio.get_running_loop().call_at(self.began + self.allowed, over)
-
-    def _look(self, _changes: object = None) -> None:
-        now = self._elapsed()
-        for violation in self.monitor.look(now):
-            self.observer.violated(violation, asyncio.get_running_loop().time())
-            self._violated(violation)
-        if self._next_look:
-            self._next_look.cancel()
-        time = self.monitor.next_look(now)
-        self._next_look = None if time == inf else asyncio.get_running_loop().call_at(self.began + time, self._look)
-
-    def _violated(self, violation: Violation) -> None:
-        """End whatever is going on, and what has been ended for another reason: nothing makes this good."""
-        if self._stopped is None or self._stopped.code is not Code.CONSTRAINT_VIOLATED:
-            self.stop(Code.CONSTRAINT_VIOLATED, str(violation))
-            self._stopped = _Over(Code.CONSTRAINT_VIOLATED, str(violation))
+    # --- waiting, states, the end -----------------------------------------------------------------
 
     async def _settle(self) -> None:
         """Wait until it is known whether that is violated which looks violated now."""
-        doubtful = self.monitor.doubtful_until() - self._elapsed()
-        if doubtful > 0:
-            await self._wait(doubtful)
-            self._look()
+        if self.supervision.doubtful > 0:
+            await self._wait(self.supervision.doubtful)
+            self.supervision.look()
 
     async def _wait(self, seconds: float) -> None:
         with suppress(TimeoutError):
@@ -597,16 +493,10 @@ class Pursuit:
                 one.cancel()
 
     def _now(self, world: KnowledgeBase | None = None) -> Problem:
-        elapsed = self._elapsed()
-        return self.monitor.rest_of(problem_now(self.problem, world or self.knowledge.world, elapsed), elapsed)
+        return self.supervision.now(world or self.knowledge.world)
 
-    def _elapsed(self) -> float:
-        """Return how many seconds the task has taken so far."""
-        return asyncio.get_running_loop().time() - self.began
-
-    def _left(self) -> float:
-        """Return how many seconds the task may still take."""
-        return max(0.0, self.allowed - self._elapsed())
+    def _missing(self) -> tuple[Constraint, ...]:
+        return self.supervision.monitor.missing(self.supervision.elapsed)
 
     def _enter(self, state: TaskState, why: str = "") -> None:
         if self.is_paused and state in (TaskState.RUNNING, TaskState.PLANNING):
@@ -618,24 +508,24 @@ class Pursuit:
     def _last_failure(self) -> str:
         if not self.episodes:
             return ""
-        result, missing = self.episodes[-1].result, self.monitor.missing(self._elapsed())
+        result, missing = self.episodes[-1].result, self._missing()
         failure = "" if result.goal else f"; last failure: {result.reason}"
         more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
         return failure + (f"; not fulfilled: {', '.join(map(str, missing[:3]))}{more}" if missing else "")
 
     def _ended(self, code: Code, reason: str) -> TaskResult:
-        now = self._elapsed()
-        self._reserved = None
+        self.search.reserved = None
         self._enter(TaskState.OVER, reason)
+        monitor, now = self.supervision.monitor, self.supervision.elapsed
         return TaskResult(
             code,
             reason,
             self.plans,
             tuple(self.episodes),
             self.seconds.seconds,
-            self.began,
-            self.monitor.constraint_results(now),
-            self.monitor.preference_results(now),
+            self.supervision.began,
+            monitor.constraint_results(now),
+            monitor.preference_results(now),
         )
 
 

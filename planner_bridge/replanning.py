@@ -77,6 +77,10 @@ class History:
             0 if progress else self.fruitless + 1,
         )
 
+    def changed(self) -> History:
+        """Return the history with one more run that did not fail, but would have."""
+        return replace(self, replans=self.replans + 1)
+
     def forbidden(self, limits: Limits) -> frozenset[ForbiddenCall]:
         """Return the ground actions that failed too often, or whose servers may still be at work."""
         return self.unconfirmed | {call for call, times in self.failed.items() if times >= limits.forbid_after}
@@ -145,6 +149,14 @@ class Progress:
         """The events that are still to come, in an order that the plan allows; starts of what is under way are over."""
         begun = {PlanEvent(number, Moment.START) for number in self.under_way}
         return tuple(event for event in self.plan.in_order() if event.call not in self._finished and event not in begun)
+
+    @property
+    def what_goes_on(self) -> Progress:
+        """The same plan as if only what is under way were left of it."""
+        left = self
+        for call in self.rest:
+            left = left if call.index in self.under_way else left.without(call.index)
+        return left
 
     def without(self, call: int) -> Progress:
         """Return the same plan as if the call were done."""

@@ -155,6 +155,8 @@ class LoggedRobots:
 
     robots: SimulatedRobots
     log: TextIO | None
+    _clashes: int = 0
+    """How many have been written down."""
     _began: float = field(default_factory=lambda: asyncio.get_running_loop().time())
 
     def __post_init__(self) -> None:
@@ -171,6 +173,7 @@ class LoggedRobots:
             match what:
                 case Accepted():
                     self.write("start", action=str(request.action))
+                    asyncio.get_running_loop().call_soon(self._note_clashes)  # the robots begin right after they have accepted
                 case Ended(_, outcome):
                     self.write("end", action=str(request.action), outcome=outcome.kind.value, message=outcome.message)
             report(what)
@@ -187,6 +190,11 @@ class LoggedRobots:
             time = round(asyncio.get_running_loop().time() - self._began, 4)
             self.log.write(json.dumps({"time": time, "event": event, **data}) + "\n")
             self.log.flush()
+
+    def _note_clashes(self) -> None:
+        for text in self.robots.clashes[self._clashes :]:
+            self.write("clash", text=text)
+        self._clashes = len(self.robots.clashes)
 
     def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
         self.write("change", facts=sorted(starmap(show_statement, changes.items())))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from enum import Enum
+from typing import TYPE_CHECKING, Any, Final
 
 from planner_bridge.monitoring import ConstraintResult, PreferenceResult, Violation
 from planner_bridge.plan import Plan, PlanningResult
@@ -14,9 +15,13 @@ from pnm.bindings import Bindings
 from pnm.machine import OnFailure, PetriNetMachine
 from pnm.observer import Observer
 from pnm.results import CallResult, Failure, RunResult
+from pnm.tasking import Code, TaskState
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
+
+HANDED_ON: Final = "goes on"
+"""The outcome of a call that the next machine goes on with."""
 
 
 class TaskObserver(Observer):
@@ -40,8 +45,20 @@ class TaskObserver(Observer):
     def replanning(self, decision: Resume | PlanAgain, result: RunResult) -> None:
         """Note that a run failed and what follows."""
 
+    def entered(self, state: TaskState, why: str) -> None:
+        """Note that the task is in another state, and why."""
+
     def violated(self, violation: Violation, now: float) -> None:
         """Note that a constraint is violated; the task will not go on."""
+
+
+class OnChange(Enum):
+    """When a plan is looked at again because facts have changed."""
+
+    EAGER = "eager"
+    """At once, if the plan has to do with them."""
+    LAZY = "lazy"
+    """When a call needs them, and fails."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +70,7 @@ class Settings:
     bindings: Bindings = field(default_factory=Bindings)
     limits: Limits = field(default_factory=Limits)
     on_failure: OnFailure = OnFailure.DRAIN
+    on_change: OnChange = OnChange.LAZY
     executor: Executor | None = None
     """Runs the planners when they race; a process for each by default."""
 
@@ -70,7 +88,7 @@ class Episode:
 class TaskResult:
     """How a task ended, episode by episode."""
 
-    goal_reached: bool
+    code: Code
     reason: str
     plans: int
     """How often a planner found a plan."""
@@ -85,9 +103,14 @@ class TaskResult:
     """What became of the preferences, name by name."""
 
     @property
+    def goal_reached(self) -> bool:
+        """Whether the goal holds."""
+        return self.code is Code.GOAL_REACHED
+
+    @property
     def calls(self) -> tuple[CallResult, ...]:
-        """What became of the calls of all episodes."""
-        return tuple(call for episode in self.episodes for call in episode.result.calls)
+        """What became of the calls of all episodes; of a call that was handed on, where it ended."""
+        return tuple(call for episode in self.episodes for call in episode.result.calls if call.outcome != HANDED_ON)
 
     @property
     def failures(self) -> tuple[Failure, ...]:
@@ -103,6 +126,7 @@ class TaskResult:
         """Return the result as `pnm run --json` prints it."""
         return {
             "goal_reached": self.goal_reached,
+            "code": self.code.word,
             "reason": self.reason,
             "plans": self.plans,
             "replans": self.replans,

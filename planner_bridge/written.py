@@ -12,11 +12,12 @@ from functools import reduce
 from math import isfinite
 from pathlib import Path
 
+from planner_bridge.codes import code_of_failures
 from planner_bridge.forbidding import ForbiddenCall
 from planner_bridge.model import Problem
 from planner_bridge.pipeline import Where, pursue_on
-from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.replanning import History
+from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.tasks import Episode, Settings, TaskObserver, TaskResult
 from planner_bridge.yaml_files.reader import read
 from pnm.actions.faults import NO_FAULTS, Faults
@@ -33,9 +34,11 @@ from pnm.ledger import UNCONFIRMED
 from pnm.machine import OnFailure
 from pnm.performing import Performer, Program
 from pnm.plan_graph import ActionCall
+from pnm.results import RunResult
 from pnm.sites import RobotsSite, Ros2Site, Site, schedule
 from pnm.sources.chain import Sources
 from pnm.sources.registry import Choice, Surroundings, open_sources
+from pnm.tasking import Code
 
 
 @dataclass(frozen=True)
@@ -188,7 +191,7 @@ class _WrittenTask:
                 result = await performer.execute(performance)
         finally:
             stop_time()
-        task = TaskResult(result.goal, result.reason, 0, (Episode(self._program.machine, result),), self.seconds.seconds, began)
+        task = TaskResult(_code(result), result.reason, 0, (Episode(self._program.machine, result),), self.seconds.seconds, began)
         if any(failure.replan for failure in result.failures):
             task = await self._replanned(task, performer.world)
         return PlanResult(task, performance.results, performance.variables)
@@ -205,6 +208,12 @@ class _WrittenTask:
         history = History(given_up, frozenset(ForbiddenCall.of(one.call.action) for one in task.calls if one.outcome == UNCONFIRMED))
         rest = await pursue_on(problem, self.site, self.settings, self.observer, self.seconds, knowledge=world, history=history)
         return replace(rest, episodes=(*task.episodes, *rest.episodes), began=task.began)
+
+
+def _code(result: RunResult) -> Code:
+    if result.goal:
+        return Code.GOAL_REACHED
+    return Code.CANCELLED if result.stopped else code_of_failures(result.failures)
 
 
 def problem_of(plan: HandWrittenPlan, world: KnowledgeBase) -> Problem:
@@ -243,5 +252,6 @@ def simulated_site(plan: HandWrittenPlan, bindings: Bindings, faults: Faults = N
     timed = (frozenset(fluent[0] for fluent in change.changes) for change in plan.timed)
     truth = KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules)
     lasting = bool(plan.timed) or any(call.action.duration is not None for call in calls)
-    robots = simulated_robots(truth, frozenset().union(*written, *timed), bindings, faults, plan.timed, lasting=lasting)
+    changing, capacities = frozenset().union(*written, *timed), plan.graph.capacities
+    robots = simulated_robots(truth, changing, bindings, faults, plan.timed, lasting=lasting, capacities=capacities)
     return RobotsSite(robots, bindings.assumed)

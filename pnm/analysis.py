@@ -2,7 +2,9 @@
 
 *Sound* means: whatever its servers and the world answer, and whenever it is told to stop, the
 machine ends, with exactly one token on its goal place or on its failed place and none elsewhere
-but on record places; no place ever holds two tokens, a budget never more than it began with.
+but on record places; no place ever holds two tokens, a budget never more than it began with. A run
+that is paused goes on when it is told to, and each pause may have calls begin anew: so it ends if it
+is paused finitely often.
 
 `explore` walks through all states: the oracle, for machines of a few calls. `verify` is linear
 in the number of calls, and trusts nothing but the net and the rules. Every block (the transitions
@@ -11,7 +13,11 @@ what it holds taken as one step that comes to an end; at every place some exit o
 time for any answer; every place between blocks has one writing and one reading block, neighbours
 or a step and what holds it; and what neighbours wait for has no cycle. By induction along that
 order, and from the innermost steps outwards, each block gets its inputs once and gives its outputs
-once whenever it is entered. Resources are taken by blocks that hold nothing yet, all at once.
+once whenever it is entered.
+
+A block takes all of its resources at once, while it has none, gives them back whatever happens, and
+waits neither for other blocks nor for what it holds as long as it has them. So whoever has resources
+comes to an end without anybody else's help, and whoever waits for some gets them in the end.
 """
 
 from __future__ import annotations
@@ -102,6 +108,7 @@ def explore(machine: PetriNetMachine) -> int:
             machine.on_failure is OnFailure.CANCEL,
             is_proper,
             restarts=frozenset(machine.restart_places),
+            resources=machine.resource_places,
         )
     )
 
@@ -114,7 +121,7 @@ def _check_exits(part: Part) -> None:
     exits: dict[str, list[Guard]] = {}
     for step in part.steps:
         for place in step.inputs:
-            if place not in part.records and not isinstance(step.guard, Inside):
+            if place not in part.records | part.resources and not isinstance(step.guard, Inside):
                 exits.setdefault(place, []).append(step.guard)
     for place, guards in exits.items():
         outcomes = [guard.kinds for guard in guards if isinstance(guard, Ends)]
@@ -160,8 +167,6 @@ def _check_rules(machine: PetriNetMachine, call: int | None, names: list[str]) -
             raise Unsound(f"{name} listens to another call")
         if (rule.deed is Deed.SEND) is not bool(waiting & set(outputs)):
             raise Unsound(f"{name} does not send the request that is waited for, or sends one that is not")
-        if machine.resource_places & set(outputs) and machine.orderings.keys() & set(machine.net.inputs[name]):
-            raise Unsound(f"{name} waits for others while it keeps resources that they may need")
         if any(machine.failure_places.get(place, call) != call for place in outputs):
             raise Unsound(f"{name} marks the failure of another call")
         if machine.goal_place in outputs and rule.guard != Holding(machine.plan.goal):
@@ -193,7 +198,10 @@ def _shape(part: Part) -> object:
     )
     marked = tuple((number[place], tokens) for place, tokens in part.initial.items())
     roles = tuple(
-        (place in part.records, place in part.counters, place in part.failures, place in part.early, place in part.restarts)
+        (
+            *(place in part.records, place in part.counters, place in part.failures, place in part.early, place in part.restarts),
+            place in part.resources,
+        )
         for place in part.places
     )
     supplies = tuple(tuple(number[place] for place in supply) for supply in part.supplies)

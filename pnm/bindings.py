@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol
 
-from pnm.errors import InputError
+from pnm.errors import InputError, Position
 from pnm.expressions import UNDEFINED, Fluent, Unknown, Value, bind
 from pnm.knowledge import parse_fluent
 from pnm.plan_graph import GroundAction
@@ -49,6 +49,8 @@ class Binding:
     """How often the action is tried again within one plan."""
     ask: Mapping[str, str] = field(default_factory=dict)
     """Variables, and what a person is asked when nobody knows them; ``{shop}`` stands for the argument of parameter ``?shop``."""
+    resources: tuple[str, ...] = ()
+    """What the action has for itself while it runs, such as ``{robot}/base``."""
 
 
 DEFAULT = Binding()
@@ -79,12 +81,20 @@ class Bindings:
         Raises:
             InputError: the name has a part in braces that is not a parameter of the action.
         """
-        pattern = self.of(action.name).server or action.name
-        own = dict(zip(action.parameters, action.arguments, strict=True))
-        for name in placeholders(pattern):
-            if name not in own:
-                raise InputError(f"the server {pattern!r} of {action.name} names {{{name}}}, which is not a parameter ({', '.join(own)})")
-        return pattern.format_map(own)
+        return _filled(self.of(action.name).server or action.name, action, "server")
+
+    def resources(self, action: GroundAction) -> tuple[str, ...]:
+        """Return what the ground action has for itself while it runs: its own resources, and those of its binding.
+
+        Work on knowledge has none.
+
+        Raises:
+            InputError: a name has a part in braces that is not a parameter of the action.
+        """
+        if action.operation is not None:
+            return ()
+        patterns = (*action.resources, *self.of(action.name).resources)
+        return tuple(dict.fromkeys(_filled(pattern, action, "resource") for pattern in patterns)) if patterns else ()
 
     def names_server(self, action: GroundAction) -> bool:
         """Tell whether the name of the server is known, or has a part that is only known when the call starts."""
@@ -94,6 +104,15 @@ class Bindings:
         """Return how many seconds the action may run."""
         chosen = self.of(action.name).timeout
         return chosen if chosen is not None else max(10.0, 2.0 * (action.duration or 0.0), 60.0 if action.duration is None else 0.0)
+
+
+def _filled(pattern: str, action: GroundAction, what: str) -> str:
+    """Put the arguments of the action in the place of parameters in braces."""
+    own = dict(zip(action.parameters, action.arguments, strict=True))
+    for name in placeholders(pattern):
+        if name not in own:
+            raise InputError(f"the {what} {pattern!r} of {action.name} names {{{name}}}, which is not a parameter ({', '.join(own)})")
+    return pattern.format_map(own)
 
 
 class Lookup(Protocol):
@@ -189,7 +208,7 @@ def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
 
 
 def _binding(entry: Mapped) -> Binding:
-    entry.only("server", "type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask")
+    entry.only("server", "type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "resources")
     return read_binding(entry)
 
 
@@ -210,7 +229,7 @@ def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAUL
     _check_fluents(goal, entry)
     server = entry.string("server")
     if server is not None:
-        _check_pattern(server, entry)
+        _check_pattern(server, entry.position("server"), "/{robot}/navigate")
     return Binding(
         server=server,
         type=entry.string(type_key),
@@ -221,7 +240,17 @@ def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAUL
         cancel=entry.number("cancel", DEFAULT.cancel),
         retries=entry.whole("retries", retries),
         ask=read_texts(entry, "ask", "expected variables, and what a person is asked when nobody knows them"),
+        resources=tuple(dict.fromkeys(name for name, _ in _read_resources(entry))),
     )
+
+
+def _read_resources(entry: Mapped) -> Iterator[tuple[str, Position]]:
+    """Yield the patterns of resources, and where they stand."""
+    names, node = entry.strings("resources"), entry.node("resources")
+    items = (node.items if node else None) or ()
+    for name, item in zip(names, items, strict=True):
+        _check_pattern(name, item.position, "{robot}/base")
+        yield name, item.position
 
 
 def read_texts(entry: Mapped, key: str, expected: str) -> dict[str, str]:
@@ -249,19 +278,22 @@ def _check_fluents(source: object, entry: Mapped) -> None:
             raise InputError(error.message, entry.position("goal")) from error
 
 
-def _check_pattern(server: str, entry: Mapped) -> None:
+def _check_pattern(pattern: str, position: Position, example: str) -> None:
     try:
-        wrong = [f"{{{name}}} is no parameter" for name in placeholders(server) if not _NAME.match(name)]
+        wrong = [f"{{{name}}} is no parameter" for name in placeholders(pattern) if not _NAME.match(name)]
     except ValueError as error:
         wrong = [str(error)]
     if wrong:
-        raise InputError(f"{wrong[0]} in {server!r}; expected something like /{{robot}}/navigate", entry.position("server"))
+        raise InputError(f"{wrong[0]} in {pattern!r}; expected something like {example}", position)
 
 
 def _check_names(name: str, binding: Binding, entry: Mapped, known: Vocabulary) -> None:
     known.check_action(name, entry.start)
     for parameter in placeholders(binding.server or ""):
         known.check_parameter(name, parameter, entry.position("server"))
+    for pattern, position in _read_resources(entry):
+        for parameter in placeholders(pattern):
+            known.check_parameter(name, parameter, position)
     for parameter in _parameters(binding.goal or {}):
         known.check_parameter(name, parameter, entry.position("goal"))
 
@@ -279,8 +311,8 @@ def _parameters(source: object) -> Iterator[str]:
         yield from (term[1:] for term in parse_fluent(source) if term.startswith("?"))
 
 
-def placeholders(server: str) -> Iterator[str]:
-    """Yield the parameters named in the braces of a server pattern."""
-    for _, name, _, _ in string.Formatter().parse(server):
+def placeholders(pattern: str) -> Iterator[str]:
+    """Yield the parameters named in the braces of a pattern."""
+    for _, name, _, _ in string.Formatter().parse(pattern):
         if name is not None:
             yield name

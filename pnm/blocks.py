@@ -145,7 +145,7 @@ class Anatomy:
         rest = tuple(one for one in inputs if one not in first)
         _check_together((first, rest), steps)
         early = frozenset(one for one in outputs if one in machine.orderings and machine.orderings[one].before.moment is Moment.START)
-        taken = _resources(steps, machine.resource_places, first)
+        taken = _resources(steps, machine.resource_places)
         initial = {place: machine.initial[place] for place in places if machine.initial[place] and place not in machine.resource_places}
         part = Part(
             places,
@@ -161,6 +161,7 @@ class Anatomy:
             frozenset(own_records),
             bool(machine.restart_places) and owner is not None,
             owner is not None and (bool(machine.restart_places) or self.region_of[owner].owner is not None),
+            machine.resource_places & frozenset(places),
         )
         return Block(owner, _counted(part), first, rest, early)
 
@@ -229,12 +230,15 @@ def _check_together(supplies: Iterable[tuple[str, ...]], steps: Iterable[Step]) 
                 raise Unsound(f"{step.name} takes only some of the inputs {list(together)}")
 
 
-def _resources(steps: Iterable[Step], resources: frozenset[str], first: tuple[str, ...]) -> dict[str, int]:
-    """Return what the block takes of resources; it must take all of it at once, and have nothing else when it does."""
+def _resources(steps: Iterable[Step], resources: frozenset[str]) -> dict[str, int]:
+    """Return what the block takes of resources; it must take all of it at once.
+
+    That it has none of it when it does, is explored: there is only so much for it.
+    """
     taken: dict[str, int] = {}
     for step in steps:
         wanted = {place: weight for place, weight in step.inputs.items() if place in resources}
-        if wanted and (set(step.inputs) - set(wanted) != set(first) or taken not in ({}, wanted)):
+        if wanted and taken not in ({}, wanted):
             raise Unsound(f"{step.name} waits for {', '.join(wanted)} while it may hold what others wait for")
         taken |= wanted
     return taken

@@ -7,8 +7,8 @@ happened at once, because it concerned knowledge alone, in `reports`.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import assert_never
 from uuid import UUID, uuid5
 
@@ -25,6 +25,25 @@ from pnm.machine import Deed
 from pnm.operators import CHANGING, Uncomputable
 from pnm.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.queries import MISSING, KnowledgeOperation, Layer, Operation, Query, Question, Update, asked, compute, named
+from pnm.results import CallResult
+
+
+@dataclass(frozen=True, slots=True)
+class UnderWay:
+    """A request that was accepted and is not over, with what its run knows of it: another run may take it over."""
+
+    call: ActionCall
+    """As it was sent."""
+    request: UUID
+    accepted: float
+    """When it was."""
+    result: CallResult
+    """What is told of the call so far."""
+    intended: Intention
+    begun: Changes | None
+    """What was assumed at its start, as it was before."""
+    resources: tuple[str, ...]
+
 
 GoalFields = Callable[[GroundAction], tuple[str, ...] | None]
 
@@ -54,6 +73,8 @@ class Calls:
         self._actions: dict[int, GroundAction] = {}
         self._intended: dict[int, Intention] = {}
         self._begun: dict[int, Changes] = {}
+        self.accepted: dict[int, float] = {}
+        """Calls whose requests were accepted and nobody cancels, and when they were."""
 
     # --- what is asked about a call -----------------------------------------------------------
 
@@ -89,8 +110,19 @@ class Calls:
             return {}, _unknown_values(action.operation, consulted)
         binding = self.binding(call)
         fields, missing = goal_data(action, binding, self._goal_fields(action), consulted)
-        in_server = frozenset(placeholders(binding.server or ""))
-        return fields, tuple(dict.fromkeys((*missing, *(name for name in open_parameters(action) if name in in_server))))
+        patterns = (binding.server or "", *binding.resources, *action.resources)
+        in_names = {name for pattern in patterns for name in placeholders(pattern)}
+        return fields, tuple(dict.fromkeys((*missing, *(name for name in open_parameters(action) if name in in_names))))
+
+    def claiming(self, call: int, deed: Deed | None, consulted: Consultation) -> tuple[UUID, GroundAction]:
+        """Return for which request, and with which parameters, the call claims resources: for the next one if it is being sent."""
+        if deed is Deed.SEND:
+            return self._next(call), self.ready(call, consulted)
+        return self._requests[call], self.action(call)
+
+    def resources(self, action: GroundAction) -> tuple[str, ...]:
+        """Return what the action has for itself while it is under way."""
+        return self._bindings.resources(action)
 
     def unseen(self, call: int, consulted: Consultation) -> tuple[str, ...]:
         """Return what of the call's effects is not seen."""
@@ -125,7 +157,10 @@ class Calls:
         match deed:
             case Deed.SEND:
                 self._send(call, attempt, consulted)
+            case Deed.ADOPT:
+                pass  # what there is to know of it is known
             case Deed.CANCEL:
+                self.accepted.pop(call, None)
                 self.commands.append(Cancel(self._requests[call]))
             case Deed.BEGIN:
                 start = self._intended[call].start
@@ -138,6 +173,32 @@ class Calls:
                     self._write(undo(self._begun.pop(call), self._intended[call].start, consulted))
             case _:
                 assert_never(deed)
+
+    def adopt(self, call: int, taken: UnderWay) -> None:
+        """Know of the request what its run has known."""
+        self.open[taken.request] = call
+        self._requests[call] = taken.request
+        self._actions[call] = taken.call.action
+        self._intended[call] = taken.intended
+        self.accepted[call] = taken.accepted
+        if taken.begun is not None:
+            self._begun[call] = taken.begun
+
+    def under_way(self, results: Sequence[CallResult]) -> tuple[UnderWay, ...]:
+        """Return the requests that another run may take over; results are what is told of the calls so far."""
+        return tuple(
+            UnderWay(
+                self.as_sent(call),
+                request,
+                self.accepted[call],
+                results[call],
+                self._intended[call],
+                self._begun.get(call),
+                self.resources(self.action(call)),
+            )
+            for request, call in self.open.items()
+            if call in self.accepted
+        )
 
     def forget(self, call: int) -> None:
         """No longer wait for the request of the call."""
@@ -153,8 +214,9 @@ class Calls:
         action = self.ready(call, consulted)
         self._actions[call] = action
         self._begun.pop(call, None)
+        self.accepted.pop(call, None)
+        identity = self._next(call)
         self._sent[call] = self._sent.get(call, 0) + 1
-        identity = self.identity(f"{call}/{self._sent[call]}")
         self.open[identity] = call
         self._requests[call] = identity
         self._intended[call] = intention(replace(self._plan.calls[call], action=action), consulted)
@@ -162,6 +224,10 @@ class Calls:
             self._operate(identity, action.operation, consulted)
         else:
             self.commands.append(Send(Request(identity, action, self.goal(call, consulted)[0], attempt)))
+
+    def _next(self, call: int) -> UUID:
+        """Return the identity of the next request of the call."""
+        return self.identity(f"{call}/{self._sent.get(call, 0) + 1}")
 
     def identity(self, what: str) -> UUID:
         """Return an identity that follows from the run's and what it is for; the first four bytes are the run's, to be found by."""

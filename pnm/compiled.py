@@ -48,6 +48,10 @@ class Engine:
         """Tell whether the marking covers the transition's preset."""
         return self.missing[transition] == 0
 
+    def lacking(self, transition: int) -> set[int]:
+        """Return the places of the transition's preset that do not hold enough tokens."""
+        return {place for place, weight in self.compiled.inputs[transition] if self.tokens[place] < weight}
+
     def fire(self, transition: int, times: int = 1) -> None:
         """Fire the transition `times` at once.
 

@@ -25,6 +25,11 @@ class KnowledgeChanged:
 
 
 @dataclass(frozen=True, slots=True)
+class ResourcesChanged:
+    """Somebody who waits for resources may have them now; calls that wait for some ask again."""
+
+
+@dataclass(frozen=True, slots=True)
 class Tick:
     """The moment of a `Wake` has come."""
 
@@ -38,6 +43,18 @@ class Stop:
 
 
 @dataclass(frozen=True, slots=True)
+class Pause:
+    """Start nothing more until told to resume; let what runs come to its end, or have it cancelled and begin anew later."""
+
+    at_once: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Resume:
+    """Go on after a pause."""
+
+
+@dataclass(frozen=True, slots=True)
 class Answered:
     """What a question of an `Ask` was answered with; `MISSING` when nobody knows, or nobody has answered in time."""
 
@@ -47,7 +64,7 @@ class Answered:
     """Why there is no value, when there is none."""
 
 
-Event: TypeAlias = Begin | KnowledgeChanged | Tick | Stop | Answered | Report
+Event: TypeAlias = Begin | KnowledgeChanged | ResourcesChanged | Tick | Stop | Pause | Resume | Answered | Report
 
 
 @dataclass(frozen=True, slots=True)

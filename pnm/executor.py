@@ -4,16 +4,34 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Mapping
+from functools import partial
 from typing import assert_never, cast
 from uuid import UUID
 
 from pnm.actions.base import ActionClient, Ended, Outcome, OutcomeKind
-from pnm.events import Answered, Ask, Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tell, Tick, Wake, Withdraw
+from pnm.events import (
+    Answered,
+    Ask,
+    Begin,
+    Cancel,
+    Command,
+    Event,
+    KnowledgeChanged,
+    Pause,
+    ResourcesChanged,
+    Resume,
+    Send,
+    Stop,
+    Tell,
+    Tick,
+    Wake,
+    Withdraw,
+)
 from pnm.expressions import Fluent, Unknown, Value
 from pnm.queries import MISSING, Question
 from pnm.results import RunResult
-from pnm.run import Run
+from pnm.run import Run, RunError
 from pnm.sources import Asker, Source, SourceError
 
 _log = logging.getLogger(__name__)
@@ -22,8 +40,8 @@ _log = logging.getLogger(__name__)
 class Executor:
     """One run and the client that carries out its actions, on one asyncio loop.
 
-    The mutable state is the inbox of events, the timer, whether a knowledge change waits in the inbox, and what is being asked
-    or told outside.
+    The mutable state is the inbox of events, the timer, which changes wait in the inbox, what is listened to, and what is
+    being asked or told outside.
 
     Args:
         run: what is driven.
@@ -40,20 +58,49 @@ class Executor:
         self._talks: dict[UUID, asyncio.Task[None]] = {}
         self._inbox: asyncio.Queue[Event] = asyncio.Queue()
         self._timer: asyncio.TimerHandle | None = None
-        self._change_waits = False
+        self._leaving: list[Callable[[], None]] = []
+        self._waiting: set[KnowledgeChanged | ResourcesChanged] = set()
 
     def stop(self, *, cancel: bool = True, reason: str = "cancelled") -> None:
         """End the run: start nothing more; cancel what runs, or wait for it."""
         self._inbox.put_nowait(Stop(cancel, reason))
 
+    def pause(self, *, at_once: bool = False) -> None:
+        """Start nothing more for now; let what runs come to its end, or cancel it, to begin it anew later."""
+        self._inbox.put_nowait(Pause(at_once))
+
+    def resume(self) -> None:
+        """Go on after a pause."""
+        self._inbox.put_nowait(Resume())
+
+    def succeed(self, run: Run) -> None:
+        """Go on with another run in the place of this one, at once. Not to be called by observers.
+
+        Reports about requests that it takes over reach it, those included that have come but not been handled yet.
+
+        Raises:
+            RunError: this run is over, was told to stop or is not being carried out; or something of it is under way that
+                the other does not take over.
+        """
+        _check_succession(self.run, run)
+        if not self._leaving:
+            raise RunError("the run that is to be succeeded is not being carried out")
+        old, self.run = self.run, run
+        self._leave()
+        old.retire(run.open_requests)
+        if old.pausing:
+            run.handle(old.pausing, asyncio.get_running_loop().time())
+        self._enter()
+        self._handle(Begin())
+        self._inbox.put_nowait(Tick())  # whoever waits for the inbox looks whether that was all
+
     async def execute(self) -> RunResult:
-        """Run to the end and return how it ended; the run's own limits bound the time.
+        """Run to the end and return how it ended; the run's own limits bound the time. The end is that of the last run.
 
         Cancelling the task stops the run: what its actions are doing is cancelled and waited for. Cancelling it again leaves them alone.
         """
         is_stopped = False
-        layers = self.run.knowledge.world, self.run.knowledge.local
-        stop_listening = [layer.listen(self._changed) for layer in layers]
+        self._enter()
         self._inbox.put_nowait(Begin())
         try:
             while not self.run.over:
@@ -65,21 +112,36 @@ class Executor:
                     is_stopped = True
                     cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
                     event = Stop()
-                if isinstance(event, KnowledgeChanged):
-                    self._change_waits = False
-                for command in self.run.handle(event, asyncio.get_running_loop().time()):
-                    self._do(command)
+                self._handle(event)
         except BaseException:
             for request in self.run.open_requests:  # nobody will hear of them any more
                 self._client.cancel(request)
             raise
         finally:
-            for stop in stop_listening:
-                stop()
-            for talk in self._talks.values():
-                talk.cancel()
-            self._wake_at(None)
+            self._leave()
+            self.run.retire()
         return self.run.result()
+
+    def _enter(self) -> None:
+        """Listen to what the run depends on."""
+        knowledge, resources = self.run.knowledge, self.run.resources
+        self._leaving = [layer.listen(self._changed) for layer in (knowledge.world, knowledge.local)]
+        self._leaving.append(resources.listen(partial(self._put_once, ResourcesChanged())))
+
+    def _leave(self) -> None:
+        """Listen no longer, and have nothing asked or waited for."""
+        for stop in self._leaving:
+            stop()
+        self._leaving = []
+        for talk in self._talks.values():
+            talk.cancel()
+        self._wake_at(None)
+
+    def _handle(self, event: Event) -> None:
+        if isinstance(event, KnowledgeChanged | ResourcesChanged):
+            self._waiting.discard(event)
+        for command in self.run.handle(event, asyncio.get_running_loop().time()):
+            self._do(command)
 
     def _do(self, command: Command) -> None:
         match command:
@@ -138,9 +200,30 @@ class Executor:
         self._timer = None if at is None else asyncio.get_running_loop().call_at(at, self._inbox.put_nowait, Tick())
 
     def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
-        if not self._change_waits:
-            self._change_waits = True
-            self._inbox.put_nowait(KnowledgeChanged())
+        self._put_once(KnowledgeChanged())
+
+    def _put_once(self, event: KnowledgeChanged | ResourcesChanged) -> None:
+        """Put the event into the inbox unless one like it still waits there."""
+        if event not in self._waiting:
+            self._waiting.add(event)
+            self._inbox.put_nowait(event)
+
+
+def _check_succession(old: Run, new: Run) -> None:
+    """Refuse to lose what is under way."""
+    if old.over or old.stopped:
+        raise RunError("a run that is over, or was told to stop, is not succeeded by another")
+    if old.id == new.id:
+        raise RunError("the run that succeeds another has an id of its own")
+    if old.settling:
+        raise RunError(f"the effects of {', '.join(map(str, old.settling))} are still to be looked for")
+    taken, there = set(new.open_requests), {one.request for one in old.under_way()}
+    left = [str(call) for request, call in old.open_calls.items() if request not in taken]
+    if left:
+        raise RunError(f"the other run does not take over {', '.join(left)}")
+    gone = [str(call) for request, call in new.open_calls.items() if request not in there]
+    if gone:
+        raise RunError(f"{', '.join(gone)} cannot be taken over: it is over, or being cancelled")
 
 
 def _is_cancelled() -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Final
 
@@ -12,6 +13,10 @@ from pnm.results import CallResult, Failure
 
 UNCONFIRMED: Final = "canceled, unconfirmed"
 """The outcome of a call that was stopped, but whose server has not confirmed that."""
+SUSPENDED: Final = "suspended"
+"""The outcome so far of a call that was cancelled for a pause and has not begun anew."""
+HANDED_OVER: Final = "handed over"
+"""The outcome of a call that another run goes on with."""
 
 _DONE: Final = {
     "skip": "skipped",
@@ -36,6 +41,7 @@ _CAUSES: Final = {
     "ended_oddly": "aborted",
     "expired": "timed_out",
     "unconfirmed": "timed_out",
+    "unconfirmed_pause": "timed_out",
     "effects_missing": "effects_missing",
 }
 """The transitions after which a call recovers or fails, and how the cause is called."""
@@ -59,16 +65,20 @@ class Ledger:
         self._messages: dict[int, str] = {}
         self._causes: dict[int, tuple[str, str, str]] = {}
 
-    def told(self) -> tuple[CallResult, ...]:
+    def told(self, handed: Collection[int] = ()) -> tuple[CallResult, ...]:
         """Return what became of the calls, every time they were reached.
 
         A plan of calls alone keeps its order; of any other plan calls are told in the order in which they were sent, and of those
         that were never reached the outermost ones.
+
+        Args:
+            handed: the numbers of calls whose requests another run takes over.
         """
+        results = [replace(one, outcome=HANDED_OVER) if one.call.index in handed else one for one in self.results]
         if self._is_flat and not self.rounds:
-            return tuple(self.results)
-        reached = [one for one in (*self.rounds, *self.results) if one.outcome != "waiting"]
-        others = [one for one in self.results if one.outcome == "waiting" and one.call.index in self._outermost]
+            return tuple(results)
+        reached = [one for one in (*self.rounds, *results) if one.outcome != "waiting"]
+        others = [one for one in results if one.outcome == "waiting" and one.call.index in self._outermost]
         return (*sorted(reached, key=lambda one: (_first(one), one.call.index)), *others)
 
     def answered(self, call: int, outcome: Outcome) -> None:
@@ -85,6 +95,10 @@ class Ledger:
         elif rule.deed is Deed.SEND:
             started = now if result.started is None else result.started
             self.results[call] = replace(result, outcome="running", attempts=result.attempts + 1, started=started)
+        elif rule.name == "suspended":
+            self.results[call] = replace(result, outcome=SUSPENDED)
+        elif rule.name == "skip" and result.outcome == SUSPENDED:
+            self.results[call] = replace(result, outcome="canceled", ended=now)
         elif rule.name in _DONE:
             self.results[call] = replace(result, outcome=_DONE[rule.name], ended=now, assumed=rule.deed is Deed.FINISH and assumed)
         elif rule.name == "fork" and result.ended is None:
@@ -92,6 +106,10 @@ class Ledger:
             self.results[call] = replace(result, outcome=f"{cause}, passed over", ended=now)
         if rule.name in _CAUSES:
             self.caused(call, (_CAUSES[rule.name], *self._expectation(rule.name, call, missing)))
+
+    def adopted(self, call: ActionCall, before: CallResult) -> None:
+        """Note that the call was sent by another run, and what was told of it there."""
+        self.results[call.index] = replace(before, call=call)
 
     def sent(self, call: ActionCall) -> None:
         """Note with which values for its parameters the call was sent."""
@@ -110,6 +128,8 @@ class Ledger:
                 return "an answer to the goal in time", "none"
             case "expired":
                 return "an end in time", f"none; then {self._messages[call]}"
+            case "unconfirmed_pause":
+                return "a confirmed cancellation in time, for a pause", "none"
             case "unconfirmed":
                 return "an end, or a confirmed cancellation, in time", "neither"
             case _:

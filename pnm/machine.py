@@ -48,6 +48,11 @@ class CancelAsked:
 
 
 @dataclass(frozen=True, slots=True)
+class PauseAsked:
+    """Open when the run was told to pause at once: running calls shall be cancelled, to begin anew later."""
+
+
+@dataclass(frozen=True, slots=True)
 class Holding:
     """Open when the condition is true."""
 
@@ -90,6 +95,13 @@ class EffectsMissing:
 
 
 @dataclass(frozen=True, slots=True)
+class Adopted:
+    """Open when another run has sent the call's request, which is under way, and this run has not taken it over yet."""
+
+    call: int
+
+
+@dataclass(frozen=True, slots=True)
 class Accepts:
     """Opened by the report that the call's request was accepted."""
 
@@ -125,12 +137,14 @@ Guard: TypeAlias = (
     | Ending
     | Failing
     | CancelAsked
+    | PauseAsked
     | Holding
     | Denied
     | AlreadyTrue
     | DataMissing
     | EffectsSeen
     | EffectsMissing
+    | Adopted
     | Accepts
     | Ends
     | After
@@ -142,6 +156,7 @@ class Deed(Enum):
     """What the firing of a transition brings about for its call."""
 
     SEND = "send the request"
+    ADOPT = "take over the request that another run has sent"
     CANCEL = "ask for the request to be cancelled"
     BEGIN = "write the assumed start effects"
     FINISH = "write the assumed end effects"
@@ -165,6 +180,8 @@ class OnFailure(Enum):
 
     DRAIN = "drain"
     CANCEL = "cancel"
+    CONTINUE_OTHERS = "continue_others"
+    """As drain; but whoever has the run carried out does not wait for its end before going on in another way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +215,11 @@ class PetriNetMachine:
     budget_places: frozenset[str]
     """Places that count retries, recoveries and rounds left, and those spent."""
     resource_places: frozenset[str]
-    """Places whose tokens calls have for themselves from start to end."""
+    """Places whose tokens calls have for themselves as long as they are under way."""
+    settling_places: Mapping[str, int]
+    """For every place at which a call has succeeded and its effects are still to be looked for, the number of the call."""
+    alive_places: frozenset[str]
+    """Places of calls that are under way: a request may be alive, or its effects are looked for."""
     blocks: Mapping[int, tuple[str, ...]]
     """For every step, the places of its block."""
     orderings: Mapping[str, Ordering]

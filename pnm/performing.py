@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from uuid import UUID, uuid4
@@ -27,6 +27,7 @@ from pnm.nearest import meant
 from pnm.observer import Observer
 from pnm.plan_graph import GroundAction
 from pnm.queries import MISSING
+from pnm.resources import Resources
 from pnm.results import RunResult
 from pnm.run import Run
 from pnm.sites import Site
@@ -46,7 +47,14 @@ class Program:
 
     @staticmethod
     def of(plan: HandWrittenPlan) -> Program:
-        """Generate the machine and prove it."""
+        """Generate the machine and prove it.
+
+        Raises:
+            InputError: it is said that a call of another plan has resources.
+        """
+        for call in plan.graph.calls:
+            if call.action.name in plan.calls and (names := plan.bindings.resources(call.action)):
+                raise InputError(f"{call.action.name} is a plan and has no resources ({', '.join(names)}): its calls take what they need")
         machine = generate(plan.graph, plan.bindings, on_failure=plan.on_failure)
         return Program(plan, machine, verify(machine))
 
@@ -98,9 +106,14 @@ class Performer:
     site: Site
     world: KnowledgeBase
     source: Source | None = None
+    resources: Resources = field(init=False)
+    """Shared by all runs, those of plans that are called included."""
     prefix: bytes = field(default_factory=partial(os.urandom, 4))
     """The first four bytes of the identities of all runs and requests: action servers find this process by them."""
     going_on: list[Performance] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.resources = Resources(_capacities(program.plan for program in self.programs.values()))
 
     async def prepare(self) -> tuple[str, ...]:
         """Get ready to carry out everything that is in the plans, as far as the plans tell who does it.
@@ -137,6 +150,7 @@ class Performer:
             goal_fields=client.goal_fields,
             asks=self.source is not None,
             observer=observer,
+            resources=self.resources,
         )
         return Performance(program, Executor(run, client, self.source, name), client)
 
@@ -163,6 +177,15 @@ class Performer:
             if request in run.open_requests:
                 return run.knowledge, Asker(run.id, performance.program.plan.name)
         return None
+
+
+def _capacities(plans: Iterable[HandWrittenPlan]) -> dict[str, int]:
+    """Return how many calls may have each resource at the same time: what the most careful of the plans says."""
+    found: dict[str, int] = {}
+    for plan in plans:
+        for name, capacity in plan.graph.capacities.items():
+            found[name] = min(capacity, found.get(name, capacity))
+    return found
 
 
 def _check_parameters(plan: HandWrittenPlan, given: Mapping[str, object]) -> None:

@@ -58,7 +58,7 @@ class GroundAction:
     operation: KnowledgeOperation | None = None
     """What is done to knowledge; no server is needed then."""
     resources: tuple[str, ...] = ()
-    """What the action has for itself from start to end, such as an arm."""
+    """What the action has for itself while it is under way, such as an arm; ``{robot}`` stands for an argument."""
     returns: tuple[tuple[str, Data], ...] = ()
     """What a simulated server answers: result fields, computed from the goal and from the world at the end."""
 
@@ -136,7 +136,7 @@ class ActionCall:
     store: tuple[tuple[str, str], ...] = ()
     """Result fields and the variables they are stored in, where this is not what the binding says."""
     under_way: bool = False
-    """Its request was accepted already: the call goes on with it."""
+    """Its request has been sent by another run, and was accepted; it is taken over as it is."""
 
     def __str__(self) -> str:
         return f"{self.action}#{self.index}"
@@ -284,6 +284,11 @@ class PlanGraph:
         others = [step.index for step in self.every_step if not isinstance(step, ActionCall)]
         if sorted(others) != [*range(len(self.calls), len(self.calls) + len(others))]:
             raise PlanGraphError("the steps that are not calls are numbered after the calls, each once")
+        outermost = {step.index for step in self.steps}
+        for call in self.calls:
+            waits = any(one.after == PlanEvent(call.index, Moment.START) for one in self.orderings)
+            if call.under_way and (waits or call.index not in outermost):
+                raise PlanGraphError(f"{call} is under way: it cannot wait for others, or be part of another step")
         for flow in (self.flow, *(inner for step in self.every_step for inner in flows(step))):
             _check_orderings(flow)
 

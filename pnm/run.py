@@ -9,24 +9,42 @@ again when facts change, when the run begins to end, or when its moment has come
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
+from collections.abc import Collection, Mapping
 from heapq import heappop, heappush
 from typing import Final, assert_never
 from uuid import UUID
 
 from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Report
 from pnm.bindings import Bindings
-from pnm.calls import Calls, GoalFields
+from pnm.calls import Calls, GoalFields, UnderWay
 from pnm.checks import already_true, is_assumed
+from pnm.claims import Claims
 from pnm.compiled import Engine
 from pnm.conditions import Condition, evaluate, failing, ground, names, observed
 from pnm.consultation import Consultation, Questions
 from pnm.errors import PnmError
-from pnm.events import Answered, Ask, Begin, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake, Withdraw
+from pnm.events import (
+    Answered,
+    Ask,
+    Begin,
+    Command,
+    Event,
+    KnowledgeChanged,
+    Pause,
+    ResourcesChanged,
+    Resume,
+    Send,
+    Stop,
+    Tick,
+    Wake,
+    Withdraw,
+)
 from pnm.knowledge import Layered
 from pnm.ledger import Ledger
 from pnm.machine import (
     Accepts,
+    Adopted,
     After,
     AlreadyTrue,
     Always,
@@ -42,6 +60,7 @@ from pnm.machine import (
     Failing,
     Holding,
     OnFailure,
+    PauseAsked,
     PetriNetMachine,
     Rule,
 )
@@ -49,9 +68,11 @@ from pnm.marking import Marking
 from pnm.observer import Observer
 from pnm.plan_graph import ActionCall, GroundAction, Loop
 from pnm.queries import Question, Unanswered
+from pnm.resources import Claim, Resources
 from pnm.results import RunResult
 
 NEVER: Final = float("inf")
+_NONE: Final[Mapping[int, UnderWay]] = {}
 _KNOWING: Final = (Holding, Denied, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
 """Guards whose answer may change when facts change."""
 
@@ -76,6 +97,10 @@ class Run:
         asks: whether there is anybody outside to be asked.
         observer: is told what happens.
         origin: the time from which releases count; the beginning of the run when not given.
+        resources: what its calls share with other runs; what the plan says of them is its own when not given.
+        task: on whose behalf resources are claimed; its own when not given.
+        priority: how its claims stand among those of others.
+        adopted: for the number of every call that the plan says is under way, the request that it takes over.
 
     The mutable state is what the constructor sets under "state".
     """
@@ -91,10 +116,16 @@ class Run:
         asks: bool = False,
         observer: Observer | None = None,
         origin: float | None = None,
+        resources: Resources | None = None,
+        task: UUID | None = None,
+        priority: int = 0,
+        adopted: Mapping[int, UnderWay] = _NONE,
     ) -> None:
         self.machine = machine
         self.knowledge = knowledge
         self.id = id
+        self.resources = Resources(machine.plan.capacities) if resources is None else resources
+        self.task = id if task is None else task
         self._observer = observer or Observer()
         compiled = machine.compiled
         self._rules = [machine.rules[name] for name in compiled.transitions]
@@ -103,7 +134,11 @@ class Run:
         for transition, rule in enumerate(self._rules):
             if isinstance(rule.guard, Accepts | Ends):
                 self._reported.setdefault(rule.guard.call, []).append(transition)
-        self._counters = {compiled.place_id[place] for place in machine.counter_places}
+        self._records = {compiled.place_id[place] for place in machine.record_places}
+        self._resource_ids = {compiled.place_id[place] for place in machine.resource_places}
+        self._alive_ids = [compiled.place_id[place] for place in machine.alive_places]
+        self._takes = self._touching(compiled.inputs)
+        self._gives = self._touching(compiled.outputs)
         self._restart_ids = {compiled.place_id[place] for place in machine.restart_places}
         self._failure_ids = {compiled.place_id[place]: call for place, call in machine.failure_places.items()}
         self._final_ids = (compiled.place_id[machine.goal_place], compiled.place_id[machine.failed_place])
@@ -125,8 +160,38 @@ class Run:
         self._deciding: int | None = None
         self._calls = Calls(id, machine.plan, knowledge, bindings or Bindings(), goal_fields, asks=asks)
         self._ledger = Ledger(machine.plan)
+        self._claims = Claims(self.resources, self.task, priority)
         self._missing: dict[int, tuple[str, ...]] = {}
         self._stop: Stop | None = None
+        self._pause: Pause | None = None
+        self._early: list[Report] = []
+        """Reports about requests taken over that came before the beginning."""
+        self._adopted = dict(adopted)
+        self._adopt()
+
+    def _adopt(self) -> None:
+        """Know of the requests that are taken over, and have what they have.
+
+        Raises:
+            RunError: they are not those that the plan speaks of, or have more than there is.
+        """
+        expected = {call.index for call in self.machine.plan.calls if call.under_way}
+        if expected != self._adopted.keys():
+            raise RunError(f"the calls {sorted(expected)} of the plan are under way; requests are taken over for {sorted(self._adopted)}")
+        used = Counter(name for one in self._adopted.values() for name in one.resources)
+        for name, count in used.items():
+            if count > self.machine.initial.get(f"resource {name}", count):
+                raise RunError(f"{count} requests that are taken over have {name}")
+        for call, taken in self._adopted.items():
+            self._calls.adopt(call, taken)
+            if taken.resources:
+                self._claims.keep(call, self._claims.claim(taken.request, taken.resources))
+
+    def _touching(self, arcs: list[list[tuple[int, int]]]) -> frozenset[int]:
+        """Return the transitions that are connected to resources."""
+        if not self._resource_ids:
+            return frozenset()
+        return frozenset(transition for transition, found in enumerate(arcs) if any(place in self._resource_ids for place, _ in found))
 
     # --- what a caller sees -------------------------------------------------------------------
 
@@ -144,6 +209,21 @@ class Run:
     def ending(self) -> bool:
         """Whether nothing more is started: a failure or restart place is marked, or the run was told to stop."""
         return self._failing or any(self._engine.tokens[place] for place in self._restart_ids)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the run was told to stop."""
+        return self._stop is not None
+
+    @property
+    def pausing(self) -> Pause | None:
+        """What the run was told about a pause that has not ended."""
+        return self._pause
+
+    @property
+    def paused(self) -> bool:
+        """Whether the run was told to pause, and nothing is under way any more."""
+        return self._pause is not None and not any(self._engine.tokens[place] for place in self._alive_ids)
 
     @property
     def _failing(self) -> bool:
@@ -165,6 +245,25 @@ class Run:
             raise RunError(f"the run is not over: {self.marking}")
         goal = bool(self._engine.tokens[self._final_ids[0]])
         return RunResult(goal, self._reason(goal), self._ledger.told(), tuple(self._ledger.failures), self._stop is not None)
+
+    def under_way(self) -> tuple[UnderWay, ...]:
+        """Return the requests that were accepted and that nobody cancels: a successor can take them over."""
+        return self._calls.under_way(self._ledger.results)
+
+    @property
+    def settling(self) -> tuple[ActionCall, ...]:
+        """The calls that have succeeded, and whose effects are still to be looked for: nobody can take them over."""
+        ids = self._engine.compiled.place_id
+        return tuple(self._calls.as_sent(call) for place, call in self.machine.settling_places.items() if self._engine.tokens[ids[place]])
+
+    def retire(self, kept: Collection[UUID] = ()) -> None:
+        """Give back all resources but what these requests have: the run is not carried on."""
+        self._claims.end(kept)
+
+    def told(self) -> RunResult:
+        """Return how far the run has come, for one that is succeeded by another."""
+        handed = {one.call.index for one in self.under_way()}
+        return RunResult(False, "another run goes on", self._ledger.told(handed), tuple(self._ledger.failures), self._stop is not None)
 
     def _reason(self, goal: bool) -> str:
         if goal:
@@ -190,6 +289,8 @@ class Run:
                 self._begin()
             case KnowledgeChanged():
                 self._agenda.extend(place for place in self._undecided if self._listening[place])
+            case ResourcesChanged():
+                self._agenda.extend(self._claims.served())
             case Tick():
                 self._wake = NEVER
                 while self._timers and self._timers[0][0] <= self._now:
@@ -199,14 +300,25 @@ class Run:
                 if self._stop is None or event.cancel:
                     self._stop = event
                 self._agenda.extend(self._undecided)
+            case Pause(at_once):
+                self._pause = Pause(at_once or (self._pause is not None and self._pause.at_once))
+                self._agenda.extend(self._undecided)
+            case Resume():
+                self._pause = None
+                self._agenda.extend(self._undecided)
             case Answered(identity, value, message):
                 place = self._questions.answered(identity, value, message)
                 self._agenda.extend([] if place is None else [place])
+            case Accepted() | Ended() if self._began is None:
+                self._early.append(event)
             case Accepted() | Ended():
                 self._report(event)
             case _:
                 assert_never(event)
         self._settle()
+        while self._began is not None and self._early:
+            self._report(self._early.pop(0))
+            self._settle()
         commands, self._commands = self._commands, []
         return commands
 
@@ -215,7 +327,7 @@ class Run:
             raise RunError("the run has begun already")
         self._began = self._now
         self._origin = self._now if self._origin is None else self._origin
-        self._agenda.extend(place for place, tokens in enumerate(self._engine.tokens) if tokens and place not in self._counters)
+        self._agenda.extend(place for place, tokens in enumerate(self._engine.tokens) if tokens and place not in self._records)
 
     def _report(self, report: Report) -> None:
         call = self._calls.open.get(report.request)
@@ -267,25 +379,70 @@ class Run:
         self._deciding = place
         again, waiting = NEVER, False
         for transition, _ in self._engine.compiled.consumers[place]:
-            if not self._engine.is_enabled(transition):
+            if not self._is_near(transition):
                 continue
             try:
+                if self._is_put_off(transition, place):
+                    waiting = True
+                    break  # the rules after this one are asked when it may be asked itself
                 opens = self._opens(transition, place)
                 if opens <= self._now and (call := self._rules[transition].call) is not None:
                     self._calls.foresee(self._rules[transition].deed, call, self._consult(call))
             except Unanswered as needed:  # and so are all rules after this one
                 self._ask(place, needed.question)
-                self._undecided[place] = None
-                return
+                self._leave_line(place)
+                waiting = True
+                break
             if opens <= self._now:
                 self._fire(transition)
                 return
             again, waiting = min(again, opens), True
+            if transition in self._takes:
+                self._leave_line(place)
         if waiting:
             self._undecided[place] = None
         if again < NEVER and self._scheduled.get(place) != again:
             self._scheduled[place] = again
             heappush(self._timers, (again, place))
+
+    # --- resources ----------------------------------------------------------------------------
+
+    def _is_near(self, transition: int) -> bool:
+        """Tell whether the transition is enabled, or would be if no call had what it needs for itself."""
+        if self._engine.is_enabled(transition):
+            return True
+        if isinstance(self._rules[transition].guard, Adopted):
+            return False
+        return transition in self._takes and self._engine.lacking(transition) <= self._resource_ids
+
+    def _is_put_off(self, transition: int, place: int) -> bool:
+        """Tell whether the transition must wait: for the end of a pause, or for what the call needs for itself."""
+        if isinstance(self._rules[transition].guard, Adopted):
+            return False
+        if self._pause is not None and (transition in self._takes or self._rules[transition].deed is Deed.SEND):
+            self._leave_line(place)
+            return True
+        return transition in self._takes and not self._has_resources(transition, place)
+
+    def _has_resources(self, transition: int, place: int) -> bool:
+        """Tell whether the call can have what the transition needs for it; if not, it waits for that."""
+        if not self._claims.are_free(place, self._claim(transition)):
+            return False
+        if not self._engine.is_enabled(transition):
+            self._claims.wait_for_own(place)
+            return False
+        return True
+
+    def _claim(self, transition: int) -> Claim:
+        rule = self._rules[transition]
+        assert rule.call is not None, "only calls have resources"
+        request, action = self._calls.claiming(rule.call, rule.deed, self._consult(rule.call))
+        return self._claims.claim(request, self._calls.resources(action))
+
+    def _leave_line(self, place: int) -> None:
+        """No longer wait for resources at the place; whoever waits behind it may have them now."""
+        if self._claims.leave(place):
+            self._agenda.extend(self._claims.served())
 
     def _ask(self, place: int, question: Question) -> None:
         if not self._questions.is_asked(place, question):
@@ -310,6 +467,8 @@ class Run:
                 return _now_if(self._failing)
             case CancelAsked():
                 return _now_if(self._cancels())
+            case PauseAsked():
+                return _now_if(self._pause is not None and self._pause.at_once)
             case Holding(condition):
                 return _now_if(self._holds(condition, rule))
             case Denied(condition):
@@ -324,6 +483,8 @@ class Run:
                 return _now_if(not self._missing[call])
             case EffectsMissing(call):
                 return self._denied(transition, not self._missing[call], self._calls.lag_of_effects(call, self._consult(call)))
+            case Adopted(call):
+                return _now_if(call in self._adopted)
             case Accepts() | Ends():
                 return NEVER
             case After(seconds):
@@ -356,6 +517,8 @@ class Run:
     def _fire(self, transition: int) -> None:
         compiled, rule = self._engine.compiled, self._rules[transition]
         fails = [place for place, _ in compiled.outputs[transition] if place in self._failure_ids]
+        if transition in self._takes and rule.call is not None and rule.deed is not Deed.ADOPT:
+            self._claims.take(rule.call, self._claim(transition))
         if rule.call is not None and rule.call < len(self.machine.plan.calls):
             self._note(rule, rule.call, bool(fails))
             if rule.deed is not None:
@@ -363,15 +526,20 @@ class Run:
                 if self._calls.changed:
                     self._calls.changed = False
                     self._agenda.extend(place for place in self._undecided if self._listening[place])
-        was_ending = self.ending
+        was_ending, arrived = self.ending, self._now
+        if rule.deed is Deed.ADOPT and rule.call is not None:
+            arrived = self._adopted.pop(rule.call).accepted
         self._engine.fire(transition)
+        if transition in self._gives and rule.call is not None:
+            self._claims.give(rule.call)
+            self._agenda.extend(self._claims.served())
         for place in fails:
             self._fail(self._failure_ids[place], rule)
         for place, _ in compiled.inputs[transition]:
             self._leave(place)
         for place, _ in compiled.outputs[transition]:
-            self._arrived[place] = self._now
-            if place not in self._counters:
+            self._arrived[place] = arrived
+            if place not in self._records:
                 self._agenda.append(place)
         if self.ending and not was_ending:
             self._agenda.extend(self._undecided)
@@ -379,7 +547,11 @@ class Run:
 
     def _do(self, deed: Deed, call: int) -> None:
         self._calls.do(deed, call, self._ledger.results[call].attempts, self._consult(call))
-        if deed is Deed.SEND:
+        if deed is Deed.BEGIN:
+            self._calls.accepted[call] = self._now
+        elif deed is Deed.ADOPT:
+            self._ledger.adopted(self._calls.as_sent(call), self._adopted[call].result)
+        elif deed is Deed.SEND:
             sent = self._calls.as_sent(call)
             self._ledger.sent(sent)
             for command in self._calls.commands:
@@ -391,6 +563,7 @@ class Run:
     def _leave(self, place: int) -> None:
         """Forget what the decision at the place was made from."""
         self._undecided.pop(place, None)
+        self._leave_line(place)
         self._commands.extend(map(Withdraw, self._questions.left(place)))
         for consumer, _ in self._engine.compiled.consumers[place]:
             self._denied_since.pop(consumer, None)
@@ -439,7 +612,7 @@ _CHECKS: Final = frozenset({"precondition_false", "data_missing", "before", "aft
 _BEFORE_ACCEPTANCE: Final = frozenset({OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE, OutcomeKind.LOST})
 """Ends that do not tell whether the goal was accepted before."""
 
-_GIVEN_UP: Final = frozenset({"unheard", "unconfirmed", "unconfirmed_stop"})
+_GIVEN_UP: Final = frozenset({"unheard", "unconfirmed", "unconfirmed_stop", "unconfirmed_pause"})
 """The transitions after which a request is no longer waited for."""
 
 

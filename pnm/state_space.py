@@ -5,12 +5,12 @@ A part is a whole machine, or a block of it with its inputs supplied from outsid
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
 from pnm.errors import PnmError
-from pnm.machine import After, Always, CancelAsked, Denied, Due, Ending, Failing, Guard, Holding
+from pnm.machine import Adopted, After, Always, CancelAsked, Denied, Due, Ending, Failing, Guard, Holding, PauseAsked
 from pnm.net import Weights
 
 MAX_STATES: Final = 2_000_000
@@ -68,6 +68,8 @@ class Part:
     """Whether other parts may ask for that."""
     repeats: bool = False
     """Whether it may be entered again once it was left, with its counters as they then are."""
+    resources: frozenset[str] = frozenset()
+    """Places that others take from as well: a step that lacks nothing else is waited for, and the rules after it are not asked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +101,8 @@ class _Explorer:
         self.failures = [self.index[place] for place in self.part.failures]
         self.restarts = [self.index[place] for place in self.part.restarts]
         self.counters = {self.index[place] for place in self.part.counters if place in self.index}
+        self.resources = {self.index[place]: self.part.initial.get(place, 0) for place in self.part.resources}
+        self.records = self.counters | self.resources.keys()
         self.stops = (1, 2, 3) if self.part.others_restart else (2, 3)
         budget = sum(tokens for place, tokens in self.part.initial.items() if place in self.part.records)
         self.most = [budget if place in self.part.records - self.part.failures else 1 for place in self.part.places]
@@ -142,25 +146,48 @@ class _Explorer:
         found: dict[int, None] = {}
         enabled: dict[int, bool] = {}
         for place, tokens in enumerate(state.tokens):
-            if tokens and place not in self.counters:
-                for number in self.consumers[place]:
-                    step = self.part.steps[number]
-                    if number not in enabled:
-                        enabled[number] = self._is_enabled(step, state)
-                    if not enabled[number]:
-                        continue
-                    is_open = _is_open(step.guard, *moods)
-                    if is_open is not False:
-                        found[number] = None
-                    if is_open is True:
-                        break
+            if tokens and place not in self.records:
+                found |= dict.fromkeys(self._exits(place, state, moods, enabled)[0])
         return [self.part.steps[number] for number in found]
+
+    def _exits(self, place: int, state: _State, moods: tuple[bool, bool, bool], enabled: dict[int, bool]) -> tuple[list[int], bool]:
+        """Return which steps may be open at a place, and whether those after them wait for resources."""
+        found: list[int] = []
+        for number in self.consumers[place]:
+            step = self.part.steps[number]
+            if number not in enabled:
+                enabled[number] = self._is_enabled(step, state)
+            if not enabled[number]:
+                if self._lacks_resources(step, state) and not isinstance(step.guard, Adopted):
+                    return found, True
+                continue
+            is_open = _is_open(step.guard, *moods)
+            if is_open is not False:
+                found.append(number)
+            if is_open is True:
+                break
+        return found, False
+
+    def _starves(self, state: _State) -> bool:
+        """Tell whether resources are waited for, and nothing else is sure to happen."""
+        moods, waits, enabled = self._moods(state), False, dict[int, bool]()
+        for place, tokens in enumerate(state.tokens):
+            if tokens and place not in self.records:
+                found, waiting = self._exits(place, state, moods, enabled)
+                steps = (self.part.steps[number] for number in found)
+                if any(not waiting or isinstance(step.guard, After | Due) or _is_open(step.guard, *moods) for step in steps):
+                    return False
+                waits = waits or waiting
+        return waits
 
     def _unanswered(self, place: int, state: _State) -> str:
         """Tell for which condition there is only an exit for when it does not hold, and nothing else is sure to happen."""
-        guards = [step.guard for number in self.consumers[place] if self._is_enabled(step := self.part.steps[number], state)]
+        steps = [self.part.steps[number] for number in self.consumers[place]]
+        guards = [step.guard for step in steps if self._is_enabled(step, state)]
         moods = self._moods(state)
-        if any(isinstance(guard, After | Due) or _is_open(guard, *moods) for guard in guards):
+        if any(self._lacks_resources(step, state) for step in steps) or any(
+            isinstance(guard, After | Due) or _is_open(guard, *moods) for guard in guards
+        ):
             return ""
         for guard in guards:
             if isinstance(guard, Denied) and Holding(guard.condition) not in guards:
@@ -170,6 +197,14 @@ class _Explorer:
     def _is_enabled(self, step: Step, state: _State) -> bool:
         return all(state.tokens[self.index[one]] >= weight for one, weight in step.inputs.items())
 
+    def _lacks_resources(self, step: Step, state: _State) -> bool:
+        """Tell whether the step would be enabled if nobody had what it needs for itself."""
+        if self.resources.keys().isdisjoint(self.index[one] for one in step.inputs):
+            return False
+        own = ((self.index[one], weight) for one, weight in step.inputs.items())
+        lacking = {place for place, weight in own if state.tokens[place] < weight}
+        return bool(lacking) and lacking <= self.resources.keys()
+
     def _fired(self, tokens: Tokens, step: Step) -> Tokens:
         after = list(tokens)
         for place, weight in step.inputs.items():
@@ -177,6 +212,9 @@ class _Explorer:
         for place, weight in step.outputs.items():
             after[self.index[place]] += weight
         return tuple(after)
+
+    def _keeps(self, state: _State) -> bool:
+        return any(state.tokens[place] < tokens for place, tokens in self.resources.items())
 
     def check(self, state: _State, stuck: bool) -> str:
         """Tell what is wrong with a state; empty when nothing is."""
@@ -186,6 +224,10 @@ class _Explorer:
         for number in self.deniable:
             if state.tokens[number] and (wrong := self._unanswered(number, state)):
                 return wrong
+        if self._keeps(state) and (stuck or any(isinstance(step.guard, Inside) for step in self._possible(state))):
+            return "it waits for others while it keeps resources that they may need"
+        if self.resources and self._starves(state):
+            return "it waits for resources that nobody gives back"
         if not stuck:
             return ""
         missing = len(self.part.supplies) - state.supplied
@@ -198,6 +240,10 @@ class _Explorer:
         }
         return self.part.is_proper(left)
 
+
+_Trace: TypeAlias = "tuple[_Trace, str] | None"
+"""What has led somewhere: the last step, and what has led to it."""
+_Reached: TypeAlias = tuple[_State, _Trace]
 
 _STOPS: Final = ("", "restart elsewhere", "stop", "cancel")
 _AGAIN: Final = "enter again"
@@ -225,39 +271,58 @@ def explore_part(part: Part) -> int:
         Unsound: some state is wrong, something can go round for ever, or there are too many states.
     """
     explorer = _Explorer(part)
+    # how often it is paused, or entered, whoever does that says: what follows from there is walked through apart
+    apart = {step.name for step in part.steps if isinstance(step.guard, PauseAsked)} | {_AGAIN}
     start = _State(tuple(part.initial.get(place, 0) for place in part.places))
-    path: list[tuple[_State, Iterator[tuple[str, _State]]]] = []
-    names: list[str] = []
-    on_path: dict[_State, int] = {}
+    roots: list[_Reached] = [(start, None)]
     seen: set[_State] = set()
+    while roots:
+        root = roots.pop()
+        if root[0] not in seen:
+            roots += _walk(explorer, root, seen, apart)
+    return len(seen)
 
-    def enter(state: _State) -> None:
+
+def _walk(explorer: _Explorer, root: _Reached, seen: set[_State], apart: Set[str]) -> list[_Reached]:
+    """Walk through every state that is reached from the root but by some steps; return what those lead to."""
+    path: list[tuple[_Reached, Iterator[tuple[str, _State]]]] = []
+    on_path: set[_State] = set()
+    left: dict[_State, _Reached] = {}
+
+    def enter(reached: _Reached) -> None:
+        state, trace = reached
         nexts = list(explorer.successors(state))
         stuck = all(name in (*_STOPS, _AGAIN, "supply") for name, _ in nexts)
         if wrong := explorer.check(state, stuck):
-            raise Unsound(wrong, names)
+            raise Unsound(wrong, _names(trace))
         if len(seen) > MAX_STATES:
             raise Unsound(f"more than {MAX_STATES} states")
         seen.add(state)
-        on_path[state] = len(names)
-        path.append((state, iter(nexts)))
+        on_path.add(state)
+        path.append((reached, iter(nexts)))
 
-    enter(start)
+    enter(root)
     while path:
-        state, nexts = path[-1]
+        (state, trace), nexts = path[-1]
         found = next(nexts, None)
         if found is None:
             path.pop()
-            del on_path[state]
-            if names:
-                names.pop()
+            on_path.remove(state)
             continue
         name, following = found
-        if following in on_path:
-            if _AGAIN not in (*names[on_path[following] :], name):  # how often it is entered, whoever holds it says
-                raise Unsound("it can go round for ever", [*names, name])
-            continue
-        if following not in seen:
-            names.append(name)
-            enter(following)
-    return len(seen)
+        if name in apart:
+            if following not in seen:
+                left.setdefault(following, (following, (trace, name)))
+        elif following in on_path:
+            raise Unsound("it can go round for ever", _names((trace, name)))
+        elif following not in seen:
+            enter((following, (trace, name)))
+    return list(left.values())
+
+
+def _names(trace: _Trace) -> list[str]:
+    found: list[str] = []
+    while trace is not None:
+        trace, name = trace
+        found.append(name)
+    return found[::-1]

@@ -78,3 +78,32 @@ def hard(holes: int = 30) -> Problem:
     things = f"{' '.join(f'p{n}' for n in range(holes + 1))} - pigeon {' '.join(f'h{n}' for n in range(holes))} - hole"
     init, goal = (" ".join(f"({fact}{n})" for n in range(count)) for fact, count in (("free h", holes), ("sits p", holes + 1)))
     return parse_problem(f"(define (problem p) (:domain d) (:objects {things}) (:init {init}) (:goal (and {goal})))", parse_domain(domain))
+
+
+FLEET = """
+(define (domain fleet)
+  (:requirements :strips :typing :negative-preconditions)
+  (:types robot parcel room - object)
+  (:predicates (at ?r - robot ?a - room) (way ?a ?b - room) (in ?p - parcel ?a - room) (has ?r - robot ?p - parcel) (free ?r - robot))
+  (:action move :parameters (?r - robot ?a ?b - room)
+    :precondition (and (at ?r ?a) (way ?a ?b))
+    :effect (and (not (at ?r ?a)) (at ?r ?b)))
+  (:action pick :parameters (?r - robot ?p - parcel ?a - room)
+    :precondition (and (at ?r ?a) (in ?p ?a) (free ?r))
+    :effect (and (not (in ?p ?a)) (has ?r ?p) (not (free ?r))))
+  (:action drop :parameters (?r - robot ?p - parcel ?a - room)
+    :precondition (and (at ?r ?a) (has ?r ?p))
+    :effect (and (in ?p ?a) (not (has ?r ?p)) (free ?r))))
+"""
+
+
+def fleet(robots: int = 2, parcels: int = 4, places: int = 4, goal: str = "(and)") -> Problem:
+    """Robots and parcels in rooms that lie around a court: each leads to the next one, and back."""
+    ring = [f"(way a{n} a{m})" for n in range(places) for m in ((n + 1) % places, (n - 1) % places)]
+    init = [f"(at r{n} a{n % places}) (free r{n})" for n in range(robots)] + [f"(in p{n} a{n % places})" for n in range(parcels)]
+    things = " ".join(
+        f"{' '.join(f'{letter}{n}' for n in range(count))} - {kind}"
+        for letter, count, kind in (("r", robots, "robot"), ("p", parcels, "parcel"), ("a", places, "room"))
+    )
+    text = f"(define (problem p) (:domain fleet) (:objects {things}) (:init {' '.join(dict.fromkeys(init + ring))}) (:goal {goal}))"
+    return parse_problem(text, parse_domain(FLEET))

@@ -14,10 +14,10 @@ from planner_bridge.console import ConsoleObserver, print_result
 from planner_bridge.model import ActionSchema, Preference, Problem
 from planner_bridge.monitoring import Monitor, Violation
 from planner_bridge.pipeline import pursue
-from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.replanning import Limits
 from planner_bridge.sites import SimulatedSite
 from planner_bridge.state import problem_now
+from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.tasks import Settings, TaskObserver, TaskResult
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.bindings import Bindings

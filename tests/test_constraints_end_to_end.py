@@ -10,9 +10,9 @@ import pytest
 from planner_bridge.model import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline import achieve, pursue
-from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.replanning import PlanAgain, Resume
 from planner_bridge.sites import SimulatedSite
+from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.tasks import Settings, TaskObserver, TaskResult
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.bindings import Bindings

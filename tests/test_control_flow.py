@@ -60,6 +60,7 @@ SHAPES = {
     "own check before": plan(call(0, on(Cause.BEFORE, Then.SKIP, call(1)))),
     "own check after": plan(call(0, on(Cause.AFTER, Then.RETRY))),
     "resource": plan(call(0, resources=("arm",)), call(1, resources=("arm",))),
+    "resource and an end that waits": plan(call(0, resources=("arm",)), call(1, resources=("arm",)), orders=("1s<0e",)),
 }
 LARGE = {
     "restart beside another call": plan(call(0, on(Cause.ABORTED, Then.RESTART_PLAN)), call(1)),
@@ -232,11 +233,15 @@ def test_a_resource_is_had_by_one_call_at_a_time() -> None:
 
 
 def test_what_keeps_a_resource_while_it_waits_for_others_is_not_sound() -> None:
-    machine = generate(plan(call(0, resources=("arm",)), call(1, resources=("arm",)), orders=("1s<0e",)), ONCE)
+    machine = generate(SHAPES["resource and an end that waits"], ONCE)
+    given, kept = "a0()#0 succeeded", "a0()#0 await"
+    outputs = {one: dict(places) for one, places in machine.net.outputs.items()}
+    outputs[kept]["resource arm"] = outputs[given].pop("resource arm")
+    keeping = replace(machine, net=replace(machine.net, outputs=outputs))
     with pytest.raises(Unsound, match="keeps resources that they may need"):
-        verify(machine)
+        verify(keeping)
     with pytest.raises(Unsound):
-        explore(machine)
+        explore(keeping)
 
 
 def test_an_update_of_global_knowledge_is_awaited_and_a_local_one_is_not() -> None:

@@ -152,7 +152,7 @@ BAD_BINDINGS = [
     ("actions:\n  move: {timout: 3}", "FILE:2:10: unknown key 'timout'; did you mean 'timeout'?"),
     (
         "actions: {move: {x: 3}}",
-        "FILE:1:18: unknown key 'x'; expected one of server, type, goal, store, timeout, accept, cancel, retries, ask",
+        "FILE:1:18: unknown key 'x'; expected one of server, type, goal, store, timeout, accept, cancel, retries, ask, resources",
     ),
     ("actions:\n  move: {}\n  move: {}", "FILE:3:3: the key 'move' is there twice"),
     ("assumed: at", "FILE:1:10: expected a list of names under 'assumed'"),
@@ -189,6 +189,11 @@ BAD_BINDINGS = [
         "actions: {move: {server: '/{r.__class__}'}}",
         "FILE:1:26: {r.__class__} is no parameter in '/{r.__class__}'; expected something like /{robot}/navigate",
     ),
+    ("actions: {move: {resources: arm}}", "FILE:1:29: expected a list of names under 'resources'"),
+    (
+        "actions: {move: {resources: [arm, '{robot/base']}}",
+        "FILE:1:35: expected '}' before end of string in '{robot/base'; expected something like {robot}/base",
+    ),
 ]
 
 
@@ -212,6 +217,7 @@ actions:
     accept: 1.5
     cancel: 0
     retries: 3
+    resources: ["{robot}/base", arm]
 """
     move = Binding(
         server="/{robot}/navigate",
@@ -222,6 +228,7 @@ actions:
         accept=1.5,
         cancel=0.0,
         retries=3,
+        resources=("{robot}/base", "arm"),
     )
     assert read_bindings(written(tmp_path, content)) == Bindings({"wait": Binding(), "move": move}, frozenset({"holding", "tidy"}), 2.0)
     assert read_bindings(written(tmp_path, "{}")) == Bindings()
@@ -241,6 +248,7 @@ UNKNOWN_NAMES = [
     ("actions: {mvoe: {retries: 1}}", "FILE:1:17: there is no action 'mvoe' in the domain; did you mean 'move'?"),
     ("actions: {jump: {}}", "FILE:1:17: there is no action 'jump' in the domain; expected one of move, wait"),
     ("actions: {move: {server: '{to}/{who}'}}", "FILE:1:26: who is not a parameter of move (robot, from, to)"),
+    ("actions: {move: {resources: [arm, '{who}/base']}}", "FILE:1:35: who is not a parameter of move (robot, from, to)"),
     ("actions: {wait: {goal: {at: '?at'}}}", "FILE:1:24: at is not a parameter of wait (it has none)"),
 ]
 

@@ -11,8 +11,8 @@ import pytest
 from planner_bridge.loading import load
 from planner_bridge.pddl import write_domain, write_problem
 from planner_bridge.pipeline import pursue
-from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.sites import SimulatedSite
+from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.tasks import Settings, TaskObserver
 from pnm.clock import run_async
 from pnm.conditions import evaluate

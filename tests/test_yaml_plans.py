@@ -366,7 +366,6 @@ def test_starts_ends_and_times_are_waited_for(read: Read) -> None:
         ("{go: , id: a, end_after: [b]}, {go: , id: b, after: [a]}", "steps wait for each other: "),
         ("{concurrent_actions: [], id: a}, {go: , after: [{start: a}]}", "'a' is no call; only the end of such a step can be waited for"),
         ("{go: , id: a, after: []}, {go: , end_after: [{end: a, delay: 1}], after: []}", "an end cannot be delayed"),
-        ("{go: , id: a, resources: [arm], end_after: [{start: b}]}, {go: , id: b, after: []}", "a step with resources cannot have its end"),
         ("{go: , id: a}, {go: , after: [{strat: a}]}", "unknown key 'strat'; did you mean 'start'?"),
         ("{go: , id: a}, {go: , after: [{delay: 2}]}", "expected either 'start' or 'end' and the id of a step"),
         ("{go: , id: a, recoveries: {during: {aborted: [retry]}}}, {go: , after: [{start: a}]}", "a step with recoveries cannot have"),

@@ -9,8 +9,8 @@ import pytest
 
 from planner_bridge.loading import load
 from planner_bridge.pipeline import pursue
-from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.sites import SimulatedSite
+from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.tasks import Settings, TaskObserver
 from planner_bridge.written import simulated_site, together
 from planner_bridge.yaml_files.export import exported

@@ -46,8 +46,8 @@ actions:
       during: {aborted: [{arm: {}}, retry], lost: [{note: {operation: {RemoteUpdate: [v, 1]}}}, restart_plan]}
   note: {type: kb_action, params: [operation]}
 """
-FREE = frozenset({"plain", "given", "asked", "checked", "looked", "moved", "lasting", "note"})
-"""Actions without resources and recoveries."""
+FREE = frozenset({"plain", "given", "asked", "checked", "looked", "moved", "lasting", "arm", "note"})
+"""Actions without recoveries."""
 COMMANDS = ("retry", "restart_action", "restart_plan", "skip_action", "fail", "replan")
 OUTCOMES = ("aborted", "preempted", "rejected", "unavailable", "timed_out", "lost")
 
@@ -143,8 +143,8 @@ def _waits(names: list[str], steps: list[Json]) -> st.SearchStrategy[Json]:
 
 
 def _is_free(step: Json) -> bool:
-    """Tell whether this is a call without resources and recoveries."""
-    return not FREE.isdisjoint(step) and step.keys().isdisjoint({"resources", "recoveries"})
+    """Tell whether this is a call without recoveries."""
+    return not FREE.isdisjoint(step) and step.keys().isdisjoint({"recoveries"})
 
 
 def _steps(depth: int) -> st.SearchStrategy[Json]:

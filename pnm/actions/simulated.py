@@ -39,6 +39,7 @@ class _Job:
     activity: Activity
     fault: Fault | None
     began: float
+    resources: tuple[str, ...] = ()
     lasts: float | None = None
     """Seconds of the clock until it ends well; None if it never will."""
     timer: asyncio.TimerHandle | None = None
@@ -50,7 +51,7 @@ class _Job:
 class SimulatedRobots:
     """Performs every action for its duration and changes the world, unless a fault says otherwise.
 
-    The mutable state is the jobs going on, the servers lost, and how often each fault was looked at.
+    The mutable state is the jobs going on, the clashes, the servers lost, and how often each fault was looked at.
     """
 
     world: World
@@ -61,6 +62,10 @@ class SimulatedRobots:
     """Seconds that an action without a planned duration takes."""
     speed: float = 1.0
     """How many seconds of the world pass in one second of the clock."""
+    capacities: Mapping[str, int] = field(default_factory=dict)
+    """How many jobs may use a resource at the same time; one for those not listed."""
+    clashes: list[str] = field(default_factory=list)
+    """What was used by more jobs at once than it can be: whoever sent them has made a mistake."""
     _jobs: dict[UUID, _Job] = field(default_factory=dict)
     _lost: set[str] = field(default_factory=set)
     _seen: dict[int, int] = field(default_factory=dict)
@@ -122,7 +127,9 @@ class SimulatedRobots:
         if isinstance(begun, str):
             report(Ended(request.id, Outcome(OutcomeKind.ABORTED, message=begun)))
             return
-        job = self._jobs[request.id] = _Job(request, report, begun, fault, asyncio.get_running_loop().time())
+        now, resources = asyncio.get_running_loop().time(), self.bindings.resources(action)
+        job = self._jobs[request.id] = _Job(request, report, begun, fault, now, resources)
+        self._look_for_clashes(job)
         self._happen("start", action)
         self._schedule(job)
 
@@ -191,6 +198,12 @@ class SimulatedRobots:
                     chosen = chosen or fault
         return chosen
 
+    def _look_for_clashes(self, job: _Job) -> None:
+        for name in job.resources:
+            users = [str(one.request.action) for one in self._jobs.values() if name in one.resources]
+            if len(users) > self.capacities.get(name, 1):
+                self.clashes.append(f"{name} is used by {' and '.join(users)} at once")
+
     def _happen(self, moment: str, action: GroundAction) -> None:
         for change in self.faults.changes:
             if change.follows(moment, action):
@@ -256,6 +269,7 @@ def simulated_robots(
     *,
     lasting: bool,
     speed: float = 1.0,
+    capacities: Mapping[str, int] | None = None,
 ) -> SimulatedRobots:
     """Return robots in a world that begins with the truth.
 
@@ -267,9 +281,10 @@ def simulated_robots(
         timed: what changes by itself.
         lasting: whether actions last or facts change by themselves: beside these, other actions take no time at all.
         speed: how many seconds of the world pass in one second of the clock.
+        capacities: how many jobs may use a resource at the same time; one for those not listed.
     """
     hidden = {fluent[0] for change in faults.changes for fluent in change.changes}
-    return SimulatedRobots(World(truth, changing | hidden), faults, bindings, timed, 0.0 if lasting else 1.0, speed)
+    return SimulatedRobots(World(truth, changing | hidden), faults, bindings, timed, 0.0 if lasting else 1.0, speed, capacities or {})
 
 
 def sense(world: World, knowledge: KnowledgeBase, assumed: Iterable[str] = ()) -> None:

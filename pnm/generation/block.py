@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Generic, TypeVar
 
-from pnm.generation.builder import Builder, Context, resources_of
+from pnm.generation.builder import Builder, Context
 from pnm.machine import Always, Deed, Due, Ending, Guard, Region, Rule
 from pnm.plan_graph import Flow, Moment, PlanEvent, Step
 
@@ -32,25 +32,20 @@ class Block(Generic[AnyStep]):
         """What the end of the step waits for besides the step itself."""
         return self.builder.into.get(PlanEvent(self.step.index, Moment.END), [])
 
-    @cached_property
-    def resources(self) -> list[str]:
-        """What the step takes when it is entered, and gives back when it is left."""
-        return [] if self.context.held else [f"resource {name}" for name in resources_of(self.step)]
-
     def enter(self, ready: str, release: float = 0.0) -> None:
-        """Wait for the orderings into the start, for its resources, and for the times that it must not be earlier than."""
+        """Wait for the orderings into the start, and for the times that it must not be earlier than."""
         orderings = self.builder.orderings
         waiting, ready = self.builder.into[PlanEvent(self.step.index, Moment.START)], self.name(ready)
         delays = tuple((place, orderings[place].delay) for place in waiting if place in orderings and orderings[place].delay > 0)
         join = Due(release, delays) if release or delays else Always()
         if join != Always():
             rule = Rule("overtaken", Ending(), self.step.index)
-            self.builder.transition(self.name("overtaken"), rule, [*waiting, *self.resources], [ready])
-        self.builder.transition(self.name("join"), Rule("join", join, self.step.index), [*waiting, *self.resources], [ready])
+            self.builder.transition(self.name("overtaken"), rule, waiting, [ready])
+        self.builder.transition(self.name("join"), Rule("join", join, self.step.index), waiting, [ready])
 
     def leave(self) -> None:
-        """Tell the steps that wait for the end, and give the resources back."""
-        leaving = [*self.builder.out_of[PlanEvent(self.step.index, Moment.END)], *self.resources]
+        """Tell the steps that wait for the end."""
+        leaving = self.builder.out_of[PlanEvent(self.step.index, Moment.END)]
         self.builder.transition(self.name("fork"), Rule("fork", call=self.step.index), [self.name("done"), *self.awaited], leaving)
 
     def budget(self, left: str, spent: str, times: int, *, refilled: bool = True) -> None:
@@ -62,9 +57,9 @@ class Block(Generic[AnyStep]):
             rule = Rule("refill", call=self.step.index)
             self.builder.transition(self.name(f"refill {left}"), rule, [done, self.name(spent)], [done, self.name(left)])
 
-    def region(self, flow: Flow, what: str, *, repeated: bool, held: bool) -> Region:
+    def region(self, flow: Flow, what: str, *, repeated: bool) -> Region:
         """Make the places around steps that this one holds."""
-        context = Context(repeated or self.context.repeated, held or self.context.held)
+        context = Context(repeated or self.context.repeated)
         return self.builder.region(flow, self.step.index, self.name(f"{what} begins"), self.name(f"{what} ends"), context)
 
     def fire(self, name: str, guard: Guard, source: str, *targets: str, deed: Deed | None = None) -> None:

@@ -11,7 +11,7 @@ from pnm.bindings import Bindings
 from pnm.machine import OnFailure, PetriNetMachine, Region, Rule
 from pnm.marking import Marking
 from pnm.net import NetBuilder
-from pnm.plan_graph import ActionCall, Flow, Moment, Ordering, PlanEvent, PlanGraph, Step, Then, every_step, in_order
+from pnm.plan_graph import Flow, Moment, Ordering, PlanEvent, PlanGraph, Step, Then
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,8 +20,6 @@ class Context:
 
     repeated: bool = False
     """It may be entered again after it was left."""
-    held: bool = False
-    """Whoever holds it has its resources already."""
 
 
 @dataclass
@@ -37,6 +35,8 @@ class Builder:
     restart_places: dict[str, int] = field(default_factory=dict)
     budget_places: set[str] = field(default_factory=set)
     resource_places: set[str] = field(default_factory=set)
+    alive_places: set[str] = field(default_factory=set)
+    settling_places: dict[str, int] = field(default_factory=dict)
     blocks: dict[int, list[str]] = field(default_factory=dict)
     orderings: dict[str, Ordering] = field(default_factory=dict)
     regions: list[Region] = field(default_factory=list)
@@ -66,6 +66,8 @@ class Builder:
             restart_places=self.restart_places,
             budget_places=frozenset(self.budget_places),
             resource_places=frozenset(self.resource_places),
+            settling_places=self.settling_places,
+            alive_places=frozenset(self.alive_places),
             blocks={step: tuple(places) for step, places in self.blocks.items()},
             orderings=self.orderings,
             regions=tuple(self.regions),
@@ -89,7 +91,6 @@ class Builder:
             end: how the owner's taking of the last places is called.
             context: of the steps.
         """
-        flow = taking_turns(flow) if context.held else flow
         self._connect(flow)
         first: list[str] = []
         last: list[str] = []
@@ -118,25 +119,3 @@ class Builder:
             self.orderings[place] = ordering
             self.out_of.setdefault(before, []).append(place)
             self.into.setdefault(after, []).append(place)
-
-
-def resources_of(step: Step) -> tuple[str, ...]:
-    """Return what a call has for itself from start to end, its recoveries included: it never waits for more of it later."""
-    found = [one for inner in every_step((step,)) if isinstance(inner, ActionCall) for one in inner.action.resources]
-    return tuple(dict.fromkeys(found)) if isinstance(step, ActionCall) else ()
-
-
-def taking_turns(flow: Flow) -> Flow:
-    """Add orderings, so that no two of the steps use the same resource at the same time: all share what their holder has."""
-    steps = {step.index: step for step in flow.steps}
-    ordered = {(one.before, one.after) for one in flow.orderings}
-    last: dict[str, PlanEvent] = {}
-    for event in in_order(flow):
-        if event.moment is Moment.START:
-            inner = every_step((steps[event.call],))
-            for name in dict.fromkeys(name for one in inner if isinstance(one, ActionCall) for name in one.action.resources):
-                if name in last:
-                    ordered.add((last[name], event))
-                last[name] = PlanEvent(event.call, Moment.END)
-    added = ordered - {(one.before, one.after) for one in flow.orderings}
-    return Flow(flow.steps, (*flow.orderings, *(Ordering(*pair) for pair in sorted(added, key=str))))

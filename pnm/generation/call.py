@@ -9,6 +9,13 @@ attempts before its start was announced and for those after.
 An end that must wait for other events (`awaited`) is reached by the robot when it likes; its checks and its `fork`
 wait. A retry moves a token from *budget* to *spent*; giving up takes all of *spent*, by an arc whose weight is the
 whole budget. Where the plan says itself what is done about a cause, that comes in the place of retrying.
+
+A call that is under way already, sent by another run, is taken over as it is: its first attempt begins at `running`.
+A run that is paused at once has its calls cancelled: they begin anew later, and none of their budget is spent.
+
+The call has its resources as long as a request may be alive and until its effects have been looked for, unless that
+must wait for other events: whatever leads from outside into those places takes all of them at once, and whatever
+leads out of them gives all back.
 """
 
 from __future__ import annotations
@@ -26,6 +33,7 @@ from pnm.generation.block import Block
 from pnm.generation.recovery import Recoveries, abandon, build_recoveries
 from pnm.machine import (
     Accepts,
+    Adopted,
     After,
     AlreadyTrue,
     Always,
@@ -40,6 +48,7 @@ from pnm.machine import (
     Ends,
     Guard,
     Holding,
+    PauseAsked,
 )
 from pnm.plan_graph import ActionCall, Cause, GroundAction, Moment, PlanEvent
 from pnm.rules import Rules
@@ -49,6 +58,8 @@ _UNSUCCESSFUL = frozenset(OutcomeKind) - _SUCCEEDED
 _EARLY = {OutcomeKind.REJECTED: Cause.REJECTED, OutcomeKind.UNAVAILABLE: Cause.UNAVAILABLE, OutcomeKind.LOST: Cause.LOST}
 """How a request may end before anybody has said that it was accepted."""
 _LATE = {OutcomeKind.ABORTED: Cause.ABORTED, OutcomeKind.CANCELED: Cause.CANCELED, OutcomeKind.LOST: Cause.LOST}
+_ALIVE = ("requested", "withdrawing", "again requested", "again withdrawing", "running", "overdue", "stopping", "suspending")
+"""Places of a call whose request may be alive."""
 
 
 @dataclass
@@ -59,8 +70,8 @@ class CallBlock(Block[ActionCall]):
 
     def build(self) -> None:
         """Add the block to the machine."""
-        announced = self.builder.out_of.get(PlanEvent(self.step.index, Moment.START), [])
-        for name in ("running", "overdue", "stopping", "finished", "done", "failed"):
+        announced = self._announced
+        for name in ("running", "overdue", "stopping", "suspending", "finished", "done", "failed"):
             self.place(name)
         for phase in ("", "again ") if announced else ("",):
             for name in ("ready", "requested", "recover", "withdrawing"):
@@ -72,10 +83,43 @@ class CallBlock(Block[ActionCall]):
         self._attempt("", announced)
         if announced:
             self._attempt("again ", [])
-        self.enter("ready", self.step.release)
+        self.enter("ready", 0.0 if self.step.under_way else self.step.release)
         self._run("again " if announced else "")
         self._finish("again " if announced else "")
         self.leave()
+
+    def add(
+        self, name: str, guard: Guard, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], deed: Deed | None = None
+    ) -> None:
+        """Add a transition between any places; one that leads to where a request may be alive takes the resources."""
+        if self._resources:
+            taken, marked = inputs if isinstance(inputs, dict) else dict.fromkeys(inputs, 1), [*outputs]
+            was_alive, is_alive = (not self._alive.isdisjoint(places) for places in (taken, marked))
+            inputs = {**taken, **dict.fromkeys(self._resources, 1)} if is_alive and not was_alive else taken
+            outputs = [*marked, *self._resources] if was_alive and not is_alive else marked
+        super().add(name, guard, inputs, outputs, deed)
+
+    def place(self, name: str) -> str:
+        """Make a place of this block."""
+        if self.name(name) in self._alive:
+            self.builder.alive_places.add(self.name(name))
+        if name in ("returned", "finished"):
+            self.builder.settling_places[self.name(name)] = self.step.index
+        return super().place(name)
+
+    @cached_property
+    def _announced(self) -> list[str]:
+        """What the start of the call marks."""
+        return self.builder.out_of.get(PlanEvent(self.step.index, Moment.START), [])
+
+    @cached_property
+    def _alive(self) -> frozenset[str]:
+        """Places of a call that is under way; what waits for others before its effects are looked for is not."""
+        return frozenset(map(self.name, _ALIVE if self.awaited else (*_ALIVE, "finished")))
+
+    @cached_property
+    def _resources(self) -> tuple[str, ...]:
+        return tuple(f"resource {name}" for name in self.builder.bindings.resources(self.step.action))
 
     @cached_property
     def binding(self) -> Binding:
@@ -102,6 +146,8 @@ class CallBlock(Block[ActionCall]):
         def add(name: str, guard: Guard, source: str, outputs: Iterable[str], deed: Deed | None = None) -> None:
             self.add(phase + name, guard, [source], outputs, deed)
 
+        if self.step.under_way and announced == self._announced:
+            add("adopt", Adopted(call), ready, [self.name("running"), *announced], Deed.ADOPT)
         add("skip", Ending(), ready, out)
         if not self._must_happen:
             add("already_true", AlreadyTrue(call), ready, out)
@@ -136,7 +182,7 @@ class CallBlock(Block[ActionCall]):
         repeated, what it has made itself the last time says nothing.
         """
         repeats = self.context.repeated and self.step.action.expected != TRUE
-        relied_on = bool(self.awaited or self.builder.out_of.get(PlanEvent(self.step.index, Moment.START)))
+        relied_on = bool(self.awaited or self._announced)
         return repeats or relied_on or bool(self.step.release)
 
     def _run(self, phase: str) -> None:
@@ -153,6 +199,7 @@ class CallBlock(Block[ActionCall]):
         others = _UNSUCCESSFUL - frozenset(_LATE)
         self._outcome("ended_oddly", Ends(call, others), "running", Cause.ABORTED, recover)
         self.fire("stop", CancelAsked(), "running", "stopping", deed=Deed.CANCEL)
+        self.fire("suspend", PauseAsked(), "running", "suspending", deed=Deed.CANCEL)
         if self.step.action.invariant != TRUE:
             self.fire("invariant_false", Denied(self.step.action.invariant), "running", "stopping", "failed", deed=Deed.CANCEL)
         if isfinite(self.step.deadline):
@@ -162,6 +209,11 @@ class CallBlock(Block[ActionCall]):
         self.fire("late_success", Ends(call, _SUCCEEDED), "overdue", returned)
         self._outcome("expired", Ends(call, _UNSUCCESSFUL), "overdue", Cause.TIMED_OUT, recover)
         self.fire("unconfirmed", After(self.binding.cancel), "overdue", "done", "failed", deed=Deed.UNDO)
+
+        self.fire("stop_suspending", CancelAsked(), "suspending", "stopping")
+        self.fire("ended_before", Ends(call, _SUCCEEDED), "suspending", returned)
+        self.fire("suspended", Ends(call, _UNSUCCESSFUL), "suspending", phase + "ready", deed=Deed.UNDO)
+        self.fire("unconfirmed_pause", After(self.binding.cancel), "suspending", "done", "failed", deed=Deed.UNDO)
 
         self.fire("completed", Ends(call, _SUCCEEDED), "stopping", "done", deed=Deed.FINISH)
         self.fire("stopped", Ends(call, _UNSUCCESSFUL), "stopping", "done", deed=Deed.UNDO)

@@ -19,7 +19,7 @@ class LoopBlock(Block[Loop]):
         head, done, failed = (self.place(name) for name in ("head", "done", "failed"))
         left, spent = self.name("left"), self.name("spent")
         self.builder.failure_places[failed] = self.step.index
-        body = self.region(self.step.body, "body", repeated=True, held=False)
+        body = self.region(self.step.body, "body", repeated=True)
         self.enter("head")
         self.budget("left", "spent", self.step.limit)
         self.fire("skip", Ending(), "head", "done")
@@ -40,7 +40,7 @@ class ChoiceBlock(Block[Choice]):
         self.fire("skip", Ending(), "head", "done")
         branches = (("then", Holding(self.step.condition), self.step.then), ("else", Denied(self.step.condition), self.step.otherwise))
         for name, guard, flow in branches:
-            branch = self.region(flow, name, repeated=False, held=False)
+            branch = self.region(flow, name, repeated=False)
             self.add(name, guard, [head], branch.first)
             self.add(f"{name}_done", Always(), branch.last, [done])
         self.leave()

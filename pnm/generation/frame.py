@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import assert_never
 
 from pnm.bindings import Bindings
-from pnm.generation.builder import Builder, Context, resources_of
+from pnm.generation.builder import Builder, Context
 from pnm.generation.call import CallBlock
 from pnm.generation.control import ChoiceBlock, JunctionBlock, LoopBlock
 from pnm.machine import Always, Denied, Due, Ending, Failing, Holding, OnFailure, PetriNetMachine, Rule
@@ -18,7 +18,7 @@ def generate(plan: PlanGraph, bindings: Bindings | None = None, *, on_failure: O
     start, end = builder.net.place("start"), builder.net.place("end")
     goal, failed = builder.net.place("goal"), builder.net.place("failed")
     builder.initial[start] = 1
-    for name in dict.fromkeys(name for step in plan.every_step for name in resources_of(step)):
+    for name in dict.fromkeys(name for call in plan.calls for name in builder.bindings.resources(call.action)):
         place = builder.net.place(f"resource {name}")
         builder.resource_places.add(place)
         builder.initial[place] = plan.capacities.get(name, 1)

@@ -71,7 +71,7 @@ def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> list[
     done, failed = block.name("done"), block.name("failed")
     left, used = f"left {number}", f"used {number}"
     block.budget(left, used, recovery.times, refilled=recovery.then is not Then.RESTART_PLAN)
-    chain = block.region(recovery.chain, f"recovery {number}", repeated=recovery.times > 1, held=True)
+    chain = block.region(recovery.chain, f"recovery {number}", repeated=recovery.times > 1)
     abandon(block, f"hurt {number}")
     block.add(f"recover {number}", Always(), [hurt, block.name(left)], [*chain.first, block.name(used)])
     block.add(f"give_up {number}", Always(), {hurt: 1, block.name(used): recovery.times}, [done, failed])

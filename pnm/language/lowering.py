@@ -100,13 +100,8 @@ class Lowering:
     def _without_usual(self, region: _Region) -> Iterator[Step]:
         """Yield the steps; a call whose start others wait for, or whose end waits itself, can only be tried again or fail."""
         special = {one.before.call for one in region.orderings if one.before.moment is Moment.START}
-        waiting = {one.after.call for one in region.orderings if one.after.moment is Moment.END}
-        special |= waiting
+        special |= {one.after.call for one in region.orderings if one.after.moment is Moment.END}
         for step in region.steps:
-            if isinstance(step, ActionCall) and step.index in waiting and step.action.resources:
-                raise InputError(
-                    "a step with resources cannot have its end wait for others: it would keep them from those", self._positions[step.index]
-                )
             if step.index in special and isinstance(step, ActionCall) and step.recoveries:
                 if step.index in self._recovering:
                     raise InputError(

@@ -1,0 +1,78 @@
+"""What a task shares with others: resources, and a world in which their plans must get on with each other."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from uuid import UUID, uuid4
+
+from planner_bridge.footprints import Footprint
+from pnm.resources import Resources
+from pnm.sources.base import Source
+from pnm.tasking import OnConflict
+
+
+@dataclass(frozen=True, slots=True)
+class Conflict:
+    """A task beside which a plan cannot be carried out.
+
+    Args:
+        task: the other one.
+        name: what people know it by.
+        footprint: what its plan still needs and changes.
+        why: what is in the way.
+        yields: whether it has a lower priority, and makes way.
+    """
+
+    task: UUID
+    name: str
+    footprint: Footprint
+    why: str
+    yields: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.why}"
+
+
+class Neighbours:
+    """Those of a task that is alone: nobody."""
+
+    def conflicts(self, footprint: Footprint, /) -> tuple[Conflict, ...]:
+        """Return the tasks that are going on and beside which a plan with this footprint cannot be carried out."""
+        return ()
+
+    async def preempt(self, conflicts: tuple[Conflict, ...], /) -> None:
+        """Have those that yield pause until this task is over; return when nothing of theirs is under way."""
+
+    async def changed(self) -> None:
+        """Wait until one of them is over, or needs less than before."""
+        await asyncio.Event().wait()
+
+
+ALONE = Neighbours()
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """What a task shares with others, and how it is known to them.
+
+    Args:
+        id: of the task.
+        name: what people know it by.
+        priority: higher ones come first.
+        resources: what calls have for themselves; its runs' own if None.
+        source: who is asked and told what runs do not know.
+        neighbours: the other tasks.
+        on_conflict: what to do about a goal that cannot be pursued beside theirs.
+        new_identity: makes the identities of runs.
+    """
+
+    id: UUID = field(default_factory=uuid4)
+    name: str = ""
+    priority: int = 0
+    resources: Resources | None = None
+    source: Source | None = None
+    neighbours: Neighbours = ALONE
+    on_conflict: OnConflict = OnConflict.PLAN_AROUND
+    new_identity: Callable[[], UUID] = uuid4

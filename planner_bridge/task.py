@@ -1,0 +1,223 @@
+"""One task among others: what is wanted, how it is doing, and what has happened to it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final, Protocol
+from uuid import UUID
+
+from planner_bridge.footprints import Footprint
+from planner_bridge.plan import Plan, PlanningResult
+from planner_bridge.replanning import PlanAgain, Resume
+from planner_bridge.tasks import TaskObserver
+from pnm.actions.base import Outcome, Request
+from pnm.analysis import Proof
+from pnm.conditions import TRUE, Condition
+from pnm.machine import PetriNetMachine, Rule
+from pnm.marking import Marking
+from pnm.plan_graph import ActionCall
+from pnm.results import Failure, RunResult
+from pnm.run import Run
+from pnm.tasking import Code, Moment, Status, Step, StepState, TaskEnding, TaskListener, TaskState, Wanted
+
+TRACE: Final = 200
+"""The events of a task that are kept, the last ones."""
+
+_STATES: Final = {
+    "waiting": StepState.WAITING,
+    "running": StepState.RUNNING,
+    "succeeded": StepState.DONE,
+    "already true": StepState.DONE,
+    "skipped": StepState.SKIPPED,
+    "canceled": StepState.SKIPPED,
+}
+
+
+class Doing(Protocol):
+    """Whoever does what a task is about."""
+
+    @property
+    def run(self) -> Run | None:
+        """The run that goes on, or that went on last."""
+
+    @property
+    def footprint(self) -> Footprint | None:
+        """What is still needed and changed; None when that is not known yet."""
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether it was told to pause."""
+
+    def stop(self, code: Code, reason: str) -> None:
+        """End it."""
+
+    async def pause(self, reason: str, *, at_once: bool) -> None:
+        """Start nothing more; return when nothing is under way."""
+
+    def resume(self) -> None:
+        """Go on."""
+
+
+@dataclass(eq=False)
+class Task(TaskObserver):
+    """A task, which listens to whoever does it. The mutable state is what has a default.
+
+    Args:
+        wanted: what it is about.
+        order: tasks are numbered as they come in.
+        listener: is told what happens.
+        clock: tells the time.
+        found: is told when a plan has been found that can be carried out.
+    """
+
+    wanted: Wanted
+    order: int
+    listener: TaskListener
+    clock: Callable[[], float]
+    found: Callable[[Task], None]
+    goal: Condition = TRUE
+    doing: Doing | None = None
+    state: TaskState = TaskState.QUEUED
+    why: str = ""
+    is_held: bool = False
+    """Whether somebody has paused it."""
+    preempted_by: set[UUID] = field(default_factory=set)
+    """The tasks of higher priority that it makes way for."""
+    ended_calls: int = 0
+    replans: int = 0
+    plans: int = 0
+    nets: int = 0
+    ending: TaskEnding | None = None
+    trace: deque[Moment] = field(default_factory=lambda: deque(maxlen=TRACE))
+    deadline: asyncio.TimerHandle | None = None
+    over: asyncio.Event = field(default_factory=asyncio.Event)
+
+    @property
+    def rank(self) -> tuple[int, int]:
+        """Its place among others: higher priorities first, then who came first."""
+        return -self.wanted.priority, self.order
+
+    @property
+    def id(self) -> UUID:
+        """The id of the task."""
+        return self.wanted.id
+
+    @property
+    def name(self) -> str:
+        """What people know it by."""
+        return f"{self.wanted.text or 'the goal of the problem'} ({self.id.hex[:8]})"
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it is being done, and not paused."""
+        return self.doing is not None and self.ending is None and not self.doing.is_paused
+
+    @property
+    def status(self) -> Status:
+        """How it is doing."""
+        run = self.doing.run if self.doing else None
+        running = tuple(str(call.action) for call in run.open_calls.values()) if run and self.ending is None else ()
+        return Status(self.id, self.wanted.text, self.wanted.priority, self.state, self.why, running, self.ended_calls, self.replans)
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """The calls of its plan, and how far they have come."""
+        run = self.doing.run if self.doing else None
+        if run is None:
+            return ()
+        graph = run.machine.plan
+        before: dict[int, list[int]] = {}
+        for ordering in graph.orderings:
+            if ordering.before.call < len(graph.calls) and ordering.after.call < len(graph.calls):
+                before.setdefault(ordering.after.call, []).append(ordering.before.call)
+        states = {one.call.index: _STATES.get(one.outcome, StepState.FAILED) for one in run.told().calls}
+        return tuple(
+            Step(
+                call.action.name,
+                call.action.arguments,
+                call.planned,
+                call.action.duration or 0.0,
+                states.get(call.index, StepState.WAITING),
+                tuple(dict.fromkeys(before.get(call.index, ()))),
+            )
+            for call in graph.calls
+        )
+
+    @property
+    def net(self) -> tuple[int, PetriNetMachine, Marking] | None:
+        """How many nets it has had before, the net it has now, and where its tokens are."""
+        run = self.doing.run if self.doing else None
+        return None if run is None else (self.nets - 1, run.machine, run.marking)
+
+    # --- what happens ---------------------------------------------------------------------------
+
+    def enter(self, state: TaskState, why: str = "") -> None:
+        """Be in another state from now on."""
+        self.state, self.why = state, why
+        self.note("state", "", f"{state.name.lower()}{f': {why}' if why else ''}")
+        self.listener.changed(self.id)
+
+    def note(self, kind: str, subject: str = "", text: str = "") -> None:
+        """Write down what has happened."""
+        moment = Moment(self.id, self.clock(), kind, subject, text)
+        self.trace.append(moment)
+        self.listener.happened(moment)
+
+    def end(self, ending: TaskEnding) -> None:
+        """Be over."""
+        self.state, self.why = TaskState.OVER, ending.message
+        self.note("state", "", f"over: {ending.code.word}: {ending.message}")
+        self.ending = TaskEnding(ending.code, ending.message, self.replans, tuple(self.trace), ending.results)
+        if self.deadline:
+            self.deadline.cancel()
+        self.listener.ended(self.id, self.ending)
+        self.over.set()
+
+    def entered(self, state: TaskState, why: str) -> None:
+        """Be in the state of whoever does it."""
+        if state is not TaskState.OVER:  # which it is when its result is known
+            self.enter(state, why)
+
+    def planned(self, plan: Plan) -> None:
+        """Note that a plan was found."""
+        self.plans += 1
+        self.found(self)
+        self.note("planned", "", f"{len(plan.steps)} calls: {', '.join(map(str, plan.steps[:5]))}{', …' if len(plan.steps) > 5 else ''}")
+
+    def unplanned(self, result: PlanningResult) -> None:
+        """Note that no plan was found."""
+        self.note("unplanned", "", result.reason)
+
+    def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
+        """Note that there is another net."""
+        self.nets += 1
+        self.listener.planned(self.id)
+
+    def replanning(self, decision: Resume | PlanAgain, result: RunResult) -> None:
+        """Note that the plan is replaced."""
+        self.replans += 1
+        self.note("replanned", "", "the rest of the plan still works" if isinstance(decision, Resume) else decision.why)
+        self.listener.changed(self.id)
+
+    def sent(self, call: ActionCall, request: Request, now: float) -> None:
+        """Note that a call is being sent."""
+        self.note("sent", str(call.action))
+        self.listener.changed(self.id)
+
+    def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:
+        """Note that a call is over."""
+        self.ended_calls += 1
+        self.note("ended", str(call.action), f"{outcome.kind.value}{f': {outcome.message}' if outcome.message else ''}")
+        self.listener.changed(self.id)
+
+    def failed(self, failure: Failure, now: float) -> None:
+        """Note that something has failed."""
+        self.note("failed", str(failure.call), str(failure))
+
+    def fired(self, transition: str, rule: Rule, now: float) -> None:
+        """Tell that a transition has fired; too much for the trace of the task."""
+        self.listener.happened(Moment(self.id, now, "fired", transition))
+        self.listener.moved(self.id)

@@ -1,0 +1,373 @@
+"""Several tasks at once, in one world with shared robots: goals with priorities; pause, resume, preempt, cancel.
+
+A task makes way for one of higher priority that needs what it has, or whose plan is in conflict with its own: it is paused, and
+goes on by itself when that one is over. Among equals who came first is served first.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final
+from uuid import UUID, uuid4
+
+from planner_bridge.circumstances import Circumstances, Conflict, Neighbours
+from planner_bridge.footprints import Footprint, conflict
+from planner_bridge.model import Problem
+from planner_bridge.pursuit import Pursuit
+from planner_bridge.state import problem_now
+from planner_bridge.stopwatch import Stopwatch
+from planner_bridge.task import Task
+from planner_bridge.tasks import Settings
+from planner_bridge.turnstile import Turnstile
+from pnm.conditions import Condition
+from pnm.errors import InputError
+from pnm.knowledge import KnowledgeBase, Layered
+from pnm.machine import PetriNetMachine
+from pnm.marking import Marking
+from pnm.resources import Resources
+from pnm.sites import Site
+from pnm.sources.base import Asker, Source
+from pnm.tasking import Code, Moment, OnConflict, Status, Step, TaskEnding, TaskListener, TaskRefused, TaskState, Wanted
+
+_REMEMBERED: Final = 20
+"""Tasks that are over and still told about."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """How many tasks there may be.
+
+    Args:
+        active: that are pursued at the same time.
+        queue: that wait besides.
+        on_conflict: what to do about a goal that cannot be pursued beside others, if it does not say.
+    """
+
+    active: int = 20
+    queue: int = 100
+    on_conflict: OnConflict = OnConflict.PLAN_AROUND
+
+
+class TaskMaster:
+    """Pursues goals in one world, as `pnm.tasking.Tasks`.
+
+    The mutable state is what the constructor sets under "state".
+
+    Args:
+        problem: the domain and the objects; what is true at first is not looked at any more.
+        knowledge: what is known of the world; the site keeps it up to date.
+        site: where actions are carried out, which is open.
+        settings: planner, bindings, limits and policies.
+        read_goal: finds out what a text means as a goal; raises InputError.
+        source: who is asked and told what runs do not know.
+        room: how many tasks there may be.
+        prefix: the first four bytes of the identities of all runs and requests.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        knowledge: KnowledgeBase,
+        site: Site,
+        settings: Settings,
+        read_goal: Callable[[str], Condition],
+        *,
+        source: Source | None = None,
+        room: Room | None = None,
+        resources: Resources | None = None,
+        prefix: bytes | None = None,
+    ) -> None:
+        self._problem = problem
+        self._knowledge = knowledge
+        self._site = site
+        self._settings = settings
+        self._read_goal = read_goal
+        self._source = source
+        self._room = room or Room()
+        self._resources = resources or Resources()
+        self._prefix = prefix or os.urandom(4)
+        self._loop = asyncio.get_running_loop()
+        self._began = self._loop.time()
+        # state
+        self._tasks: dict[UUID, Task] = {}
+        self._past: list[Task] = []
+        self._doing: dict[UUID, asyncio.Task[None]] = {}
+        self._pausing: set[asyncio.Task[None]] = set()
+        self._listeners: list[TaskListener] = []
+        self._order = 0
+        self._is_held = False
+        self._turnstile: Turnstile[Task] = Turnstile(lambda task: task.rank)
+        self._stop_listening = self._resources.listen(self._arrange)
+
+    def __repr__(self) -> str:
+        return f"<TaskMaster {len(self._tasks)} tasks>"
+
+    # --- Tasks ----------------------------------------------------------------------------------
+
+    def begin(self, wanted: Wanted, /) -> None:
+        """Begin a task. Whatever is wrong with it ends it, with a code and a reason."""
+        self._order += 1
+        task = Task(wanted, self._order, _Everybody(self._listeners), self._loop.time, self._turnstile.gone)
+        waiting = sum(one.doing is None for one in self._tasks.values())
+        if wanted.id in self._tasks:
+            self._end(task, TaskEnding(Code.ERROR, "there is a task of this id already"))
+            return
+        if waiting >= self._room.queue and self._is_full:
+            self._end(task, TaskEnding(Code.QUEUE_FULL, f"{waiting} tasks are waiting already"))
+            return
+        try:
+            goal = self._read_goal(wanted.text)
+        except InputError as error:
+            self._end(task, TaskEnding(Code.INVALID_GOAL, str(error)))
+            return
+        self._tasks[task.id] = task
+        if wanted.deadline is not None:
+            task.deadline = self._loop.call_later(wanted.deadline, self._missed, task)
+        task.is_held = self._is_held
+        task.goal = goal
+        task.enter(TaskState.QUEUED)
+        self._admit()
+
+    async def pause(self, task: UUID | None, /, *, at_once: bool) -> None:
+        """Start nothing more of a task, or of all; return when nothing of it is under way."""
+        if task is None:
+            self._is_held = True
+        chosen = self._chosen(task)
+        for one in chosen:
+            one.is_held = True
+        await asyncio.gather(*(self._pause(one, "somebody has paused it", at_once) for one in chosen))
+        self._turnstile.changed()
+
+    async def resume(self, task: UUID | None, /) -> None:
+        """Let a task that was paused go on, or all."""
+        chosen = self._chosen(task)
+        if task is None:
+            self._is_held = False
+        elif not chosen[0].is_held:
+            raise TaskRefused(f"the task {task} was not paused")
+        for one in chosen:
+            one.is_held = False
+            self._go_on(one)
+        self._admit()
+
+    async def cancel(self, task: UUID | None, /) -> None:
+        """End a task, or all; return when what was under way has confirmed it, or the limit for that has passed."""
+        chosen = self._chosen(task)
+        for one in chosen:
+            self.stop(one, Code.CANCELLED, "cancelled")
+        for one in chosen:
+            await one.over.wait()
+
+    def status(self) -> tuple[Status, ...]:
+        """Return how all tasks that are not over are doing, in the order in which they are served, and those that ended last."""
+        return tuple(one.status for one in (*sorted(self._tasks.values(), key=lambda one: one.rank), *self._past))
+
+    def plan(self, task: UUID, /) -> tuple[int, tuple[Step, ...]]:
+        """Return how many plans the task has had before, and how far its plan has come; nothing when it has none."""
+        found = self._tasks.get(task)
+        return (max(0, found.plans - 1), found.steps) if found else (0, ())
+
+    def net(self, task: UUID, /) -> tuple[int, PetriNetMachine, Marking] | None:
+        """Return how many nets the task has had before, the net that it has now, and where its tokens are."""
+        found = self._tasks.get(task)
+        return found.net if found else None
+
+    def listen(self, listener: TaskListener, /) -> Callable[[], None]:
+        """Tell the listener from now on; return what stops that."""
+        self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener)
+
+    # --- for whoever serves ---------------------------------------------------------------------
+
+    def knowledge_of(self, request: UUID) -> tuple[Layered, Asker] | None:
+        """Return what the run knows whose request this is, and whom it asks as; None when it is not, or no longer, open."""
+        for task in self._tasks.values():
+            run = task.doing.run if task.doing else None
+            if run is not None and request in run.open_requests:
+                return run.knowledge, Asker(run.id, task.wanted.text)
+        return None
+
+    async def close(self) -> None:
+        """Cancel all tasks, and wait until they are over."""
+        for one in tuple(self._tasks.values()):
+            self.stop(one, Code.CANCELLED, "whoever does the task is being shut down")
+        for one in tuple(self._tasks.values()):
+            await one.over.wait()
+        self._stop_listening()
+
+    def stop(self, task: Task, code: Code, reason: str) -> None:
+        """End a task, which may still have to confirm it."""
+        if task.doing is not None:
+            task.doing.stop(code, reason)
+        else:
+            self._end(task, TaskEnding(code, reason))
+
+    # --- admission ------------------------------------------------------------------------------
+
+    @property
+    def _is_full(self) -> bool:
+        return sum(one.doing is not None for one in self._tasks.values()) >= self._room.active
+
+    def _admit(self) -> None:
+        """Begin with those that wait, as far as there is room."""
+        for task in sorted(self._tasks.values(), key=lambda one: one.rank):
+            if task.doing is None and not task.is_held and not self._is_full:
+                pursuit = self._pursuit(task)
+                task.doing = pursuit
+                doing = self._doing[task.id] = self._loop.create_task(self._pursue(task, pursuit))
+                doing.add_done_callback(partial(self._forget, task))
+
+    def _pursuit(self, task: Task) -> Pursuit:
+        problem = replace(problem_now(self._problem, self._knowledge, self._loop.time() - self._began), goal=task.goal)
+        circumstances = Circumstances(
+            task.id,
+            task.wanted.text,
+            task.wanted.priority,
+            self._resources,
+            self._source,
+            _Others(self, task),
+            task.wanted.on_conflict or self._room.on_conflict,
+            lambda: UUID(bytes=self._prefix + uuid4().bytes[4:]),
+        )
+        return Pursuit(problem, self._site, self._settings, task, Stopwatch(), Layered(self._knowledge), circumstances)
+
+    async def _pursue(self, task: Task, pursuit: Pursuit) -> None:
+        ending = TaskEnding(Code.ERROR, "an error of whoever does the task; its log says more")
+        try:
+            result = await pursuit.pursue()
+            ending = TaskEnding(result.code, result.reason)
+        except InputError as error:
+            ending = TaskEnding(Code.PLANNER_ERROR, str(error))
+        except Exception:
+            _log.exception("%s cannot be pursued", task.name)
+        finally:
+            self._end(task, ending)
+
+    def _forget(self, task: Task, _: object) -> None:
+        self._doing.pop(task.id, None)
+
+    def _end(self, task: Task, ending: TaskEnding) -> None:
+        self._tasks.pop(task.id, None)
+        self._turnstile.gone(task)
+        self._past = [*self._past[1 - _REMEMBERED :], task]
+        task.end(ending)
+        self._turnstile.changed()
+        for other in self._tasks.values():
+            other.preempted_by.discard(task.id)
+            self._go_on(other)
+        self._admit()
+
+    def _missed(self, task: Task) -> None:
+        self.stop(task, Code.DEADLINE_MISSED, f"the goal was not reached within {task.wanted.deadline:g} s")
+
+    # --- pausing and making way -----------------------------------------------------------------
+
+    def _chosen(self, task: UUID | None) -> list[Task]:
+        if task is None:
+            return list(self._tasks.values())
+        if task not in self._tasks:
+            over = any(one.id == task for one in self._past)
+            raise TaskRefused(f"the task {task} is over" if over else f"there is no task {task}")
+        return [self._tasks[task]]
+
+    async def _pause(self, task: Task, reason: str, at_once: bool) -> None:
+        self._turnstile.gone(task)
+        if task.doing is not None:
+            await task.doing.pause(reason, at_once=at_once)
+        else:
+            task.enter(TaskState.PAUSED, reason)
+
+    def _go_on(self, task: Task) -> None:
+        """Let a task go on that nobody has paused and that makes way for nobody."""
+        if not task.is_held and not task.preempted_by:
+            if task.doing is not None:
+                task.doing.resume()
+            elif task.state is TaskState.PAUSED:
+                task.enter(TaskState.QUEUED)
+
+    def _arrange(self) -> None:
+        """Have those make way that have what a claim of higher priority waits for."""
+        for claim in self._resources.line:
+            for held in self._resources.held:
+                if held.priority < claim.priority and not set(held.names).isdisjoint(claim.names) and held.task in self._tasks:
+                    self._begin_making_way(self._tasks[held.task], claim.task)
+
+    def _begin_making_way(self, task: Task, other: UUID) -> None:
+        if other not in task.preempted_by:
+            pausing = self._loop.create_task(self.make_way(task, other))
+            self._pausing.add(pausing)
+            pausing.add_done_callback(self._pausing.discard)
+
+    async def make_way(self, task: Task, other: UUID) -> None:
+        """Pause a task until another one is over; return when nothing of it is under way."""
+        name = self._tasks[other].name if other in self._tasks else str(other)
+        task.preempted_by.add(other)
+        task.note("conflict", "", f"makes way for {name}")
+        await self._pause(task, f"makes way for {name}", at_once=True)
+        self._turnstile.changed()
+
+    def beside(self, task: Task) -> Iterable[Task]:
+        """Return the other tasks that are active."""
+        return [one for one in self._tasks.values() if one is not task and one.is_active]
+
+    async def turn_of(self, task: Task) -> None:
+        """Wait until another task is over or paused, and it is this one's turn to look for a plan beside those that are not."""
+        await self._turnstile.wait(task)
+
+
+class _Others(Neighbours):
+    """The neighbours of one task."""
+
+    def __init__(self, master: TaskMaster, task: Task) -> None:
+        self._master = master
+        self._task = task
+
+    def conflicts(self, footprint: Footprint, /) -> tuple[Conflict, ...]:
+        found: list[Conflict] = []
+        for other in self._master.beside(self._task):
+            its = other.doing.footprint if other.doing else None
+            if its is not None and (why := conflict(footprint, its)):
+                found.append(Conflict(other.id, other.name, its, why, other.wanted.priority < self._task.wanted.priority))
+        return tuple(found)
+
+    async def preempt(self, conflicts: tuple[Conflict, ...], /) -> None:
+        yielding = {one.task for one in conflicts if one.yields}
+        tasks = [one for one in self._master.beside(self._task) if one.id in yielding]
+        await asyncio.gather(*(self._master.make_way(one, self._task.id) for one in tasks))
+
+    async def changed(self) -> None:
+        await self._master.turn_of(self._task)
+
+
+class _Everybody(TaskListener):
+    """Passes on what happens to all who listen."""
+
+    def __init__(self, listeners: list[TaskListener]) -> None:
+        self._listeners = listeners
+
+    def changed(self, task: UUID) -> None:
+        for one in tuple(self._listeners):
+            one.changed(task)
+
+    def planned(self, task: UUID) -> None:
+        for one in tuple(self._listeners):
+            one.planned(task)
+
+    def happened(self, moment: Moment) -> None:
+        for one in tuple(self._listeners):
+            one.happened(moment)
+
+    def moved(self, task: UUID) -> None:
+        for one in tuple(self._listeners):
+            one.moved(task)
+
+    def ended(self, task: UUID, ending: TaskEnding) -> None:
+        for one in tuple(self._listeners):
+            one.ended(task, ending)

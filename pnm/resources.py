@@ -1,0 +1,155 @@
+"""Resources that several runs share: who has what, and who stands in line for it.
+
+A claim gets all that it names at once, or nothing; whoever has something waits for nothing else. In line stand
+higher priorities first, then who came first, and a claim takes nothing that one ahead of it waits for. So nobody is
+overtaken for ever by equals, and as long as everybody gives back what they have, everybody gets what they want.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final
+from uuid import UUID
+
+_ONE_EACH: Final[Mapping[str, int]] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """What a request needs for itself."""
+
+    task: UUID
+    """Whose request it is."""
+    request: UUID
+    priority: int
+    names: tuple[str, ...]
+
+
+class Resources:
+    """How many requests may have each resource at the same time, those that have some, and the line.
+
+    Args:
+        capacities: one for those not listed.
+
+    The mutable state is what the constructor sets under "state".
+    """
+
+    def __init__(self, capacities: Mapping[str, int] = _ONE_EACH) -> None:
+        self._capacities = dict(capacities)
+        # state
+        self._held: dict[UUID, Claim] = {}
+        self._used: Counter[str] = Counter()
+        self._line: list[Claim] = []
+        self._listeners: list[Callable[[], None]] = []
+
+    @property
+    def held(self) -> tuple[Claim, ...]:
+        """The claims that have been granted and not been given back."""
+        return tuple(self._held.values())
+
+    @property
+    def line(self) -> tuple[Claim, ...]:
+        """The claims that wait, those that are served first in front."""
+        return tuple(self._line)
+
+    def is_free(self, claim: Claim) -> bool:
+        """Tell whether the claim would be granted now."""
+        taken = self._used.copy()
+        for other in self._ahead(claim):
+            taken.update(other.names)
+        return self._fits(claim, taken)
+
+    def take(self, claim: Claim) -> bool:
+        """Grant the claim and return True, or keep it in line, once."""
+        if claim.request in self._held:
+            return True
+        if not self.is_free(claim):
+            self._queue(claim)
+            return False
+        self._line = [one for one in self._line if one.request != claim.request]
+        self._hold(claim)
+        return True
+
+    def keep(self, claim: Claim) -> None:
+        """Note what a request has that is under way already; what it has been granted here stays as it is."""
+        if claim.request not in self._held:
+            self._hold(claim)
+
+    def give(self, request: UUID) -> None:
+        """Take back what the request has."""
+        claim = self._held.pop(request, None)
+        if claim is not None:
+            self._used.subtract(claim.names)
+            self._tell()
+
+    def withdraw(self, request: UUID) -> None:
+        """Take the claim of the request out of the line: nobody waits for it any more."""
+        left = [one for one in self._line if one.request != request]
+        if len(left) < len(self._line):
+            self._line = left
+            self._tell()
+
+    def outranked(self) -> frozenset[UUID]:
+        """Return the tasks that have what a claim of higher priority waits for."""
+        return frozenset(
+            one.task
+            for claim in self._line
+            for one in self._held.values()
+            if one.task != claim.task and one.priority < claim.priority and self._is_short(claim, one)
+        )
+
+    def servable(self) -> frozenset[UUID]:
+        """Return the requests in line whose claims would be granted if they were made again."""
+        return frozenset(claim.request for claim in self._servable())
+
+    def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Call the listener whenever a claim in line would be granted if it were made again; return what stops that."""
+        self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener)
+
+    def __repr__(self) -> str:
+        names = sorted(name for name, used in self._used.items() if used)
+        return f"<Resources, in use: {', '.join(names) or 'none'}; {len(self._line)} in line>"
+
+    def _capacity(self, name: str) -> int:
+        return self._capacities.get(name, 1)
+
+    def _fits(self, claim: Claim, taken: Mapping[str, int]) -> bool:
+        return all(taken[name] < self._capacity(name) for name in claim.names)
+
+    def _is_short(self, claim: Claim, holder: Claim) -> bool:
+        return any(name in holder.names and self._used[name] >= self._capacity(name) for name in claim.names)
+
+    def _ahead(self, claim: Claim) -> Iterator[Claim]:
+        """Yield the claims that are served before this one, which may stand in line or not."""
+        stands = any(one == claim for one in self._line)
+        for other in self._line:
+            if other == claim or (not stands and other.priority < claim.priority):
+                return
+            if other.request != claim.request:
+                yield other
+
+    def _queue(self, claim: Claim) -> None:
+        if claim not in self._line:
+            self._line = [one for one in self._line if one.request != claim.request]
+            place = sum(other.priority >= claim.priority for other in self._line)
+            self._line.insert(place, claim)
+
+    def _hold(self, claim: Claim) -> None:
+        self._held[claim.request] = claim
+        self._used.update(claim.names)
+
+    def _tell(self) -> None:
+        """Tell everybody if there is somebody in line who could be served."""
+        if any(True for _ in self._servable()):
+            for listener in tuple(self._listeners):
+                listener()
+
+    def _servable(self) -> Iterator[Claim]:
+        taken = self._used.copy()
+        for claim in self._line:
+            if self._fits(claim, taken):
+                yield claim
+            taken.update(claim.names)
