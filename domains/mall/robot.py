@@ -26,7 +26,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 USES = {"point_at": "arm", "describe_route": "voice", "ask_understood": "voice", "say": "voice"}
 """What an action needs of the robot; those that are not here need nothing."""
-SENSED = ["route_known", "pointing", "described", "asked", "understood"]
+SENSED = ["route_known", "pointed_out", "described", "asked", "understood"]
 SAYING = 1.5
 """Seconds that it takes to say something, when nobody has planned for that."""
 STEP = 0.005
@@ -68,10 +68,7 @@ class Robot:
         """Do what a goal says, unless it is cancelled first."""
         name, told = handle.request.action, list(handle.request.arguments)
         call = f"{name}({', '.join(told)})"
-        shop = f"(pointing {told[0]})" if name == "point_at" else ""
         self.take(name, call)
-        if shop:
-            self.learn(shop)
         done = self.work((handle.request.duration or SAYING) / self.speed, handle)
         if done and name == "hear_answer":
             done = told[2].startswith("yes")
@@ -94,6 +91,7 @@ class Robot:
         """Return what is so after an action."""
         found = {
             "look_up": f"(route_known {told[0]})",
+            "point_at": f"(pointed_out {' '.join(told)})",
             "describe_route": f"(described {' '.join(told)})",
             "ask_understood": f"(asked {' '.join(told)})",
             "hear_answer": f"(understood {' '.join(told[:2])})",
@@ -102,9 +100,9 @@ class Robot:
 
     def undone(self, name: str, told: list[str], done: bool) -> tuple[str, ...]:
         """Return what is no longer so after an action: who has not understood needs it described once more."""
-        if name == "hear_answer" and not done:
-            return (f"(described {' '.join(told[:2])})", f"(asked {' '.join(told[:2])})")
-        return (f"(pointing {told[0]})",) if name == "point_at" else ()
+        if name != "hear_answer" or done:
+            return ()
+        return tuple(f"({fact} {' '.join(told[:2])})" for fact in ("pointed_out", "described", "asked"))
 
     def take(self, name: str, call: str) -> None:
         """Say that an action begins, and whether what it needs is taken already."""
@@ -123,7 +121,7 @@ class Robot:
     def learn(self, *facts: str, forget: tuple[str, ...] = ()) -> None:
         """Note and report what is so now."""
         with self.lock:
-            self.facts = (self.facts - set(forget)) | {fact for fact in facts if fact}
+            self.facts = (self.facts - set(forget)) | set(facts)
             self.sequence += 1
             self.sensed.publish(State(names=SENSED, facts=sorted(self.facts), sequence=self.sequence))
 

@@ -177,14 +177,10 @@ class _Play:
             said = len(self._heard(wish, about))
             if said != wish["turns"]:
                 self._complain(f"talk about {about} had {said} turns, not {wish['turns']}")
-        described = [
-            doing for doing in self.doings if doing.name == "describe_route" and about in doing.call and doing.outcome == "succeeded"
-        ]
-        if "shop" in wish and len(described) < 1 + replies.count("no"):
-            self._complain(f"the way to {about} was described {len(described)} times, and {replies.count('no')} times not understood")
-        for doing in described:
-            if not any(other.name == "point_at" and about in other.call and other.start < doing.start < other.end for other in self.doings):
-                self._complain(f"the way to {about} was described without pointing at it")
+        for name in ("describe_route", "point_at") if "shop" in wish else ():
+            times = sum(doing.name == name for doing in own)
+            if times < 1 + replies.count("no"):
+                self._complain(f"{about} had {times} times {name}, and was {replies.count('no')} times not understood")
         if replies and replies[-1] == "silent":
             self._complain(f"about {about} nothing was asked again after silence")
 
