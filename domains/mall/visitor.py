@@ -231,7 +231,7 @@ class Visitor:
     def traced(self, message: TraceEvent) -> None:
         """See what happens to tasks."""
         if message.kind != "fired":  # transitions are many
-        self.say("trace", message.subject, task=bytes(message.task.uuid).hex(), kind=message.kind, text=message.text)
+            self.say("trace", message.subject, task=bytes(message.task.uuid).hex(), kind=message.kind, text=message.text)
 
     def told(self, message: ExecutorStatus) -> None:
         """See how tasks are doing."""

@@ -177,6 +177,7 @@ class _Play:
             said = len(self._heard(wish, about))
             if said != wish["turns"]:
                 self._complain(f"talk about {about} had {said} turns, not {wish['turns']}")
+        own = [doing for doing in self.doings if about in doing.call and doing.outcome == "succeeded"]
         for name in ("describe_route", "point_at") if "shop" in wish else ():
             times = sum(doing.name == name for doing in own)
             if times < 1 + replies.count("no"):
