@@ -21,8 +21,9 @@ from pnm.calls import Calls, GoalFields, UnderWay
 from pnm.checks import already_true, is_assumed
 from pnm.claims import Claims
 from pnm.compiled import Engine
-from pnm.conditions import Condition, evaluate, failing, ground, names, observed
-from pnm.consultation import Consultation, Questions
+from pnm.conditions import names
+from pnm.consultation import Questions
+from pnm.decisions import CHECKS, Decision
 from pnm.errors import PnmError
 from pnm.events import (
     Answered,
@@ -66,15 +67,14 @@ from pnm.machine import (
 )
 from pnm.marking import Marking
 from pnm.observer import Observer
-from pnm.plan_graph import ActionCall, GroundAction, Loop
+from pnm.plan_graph import ActionCall, GroundAction
 from pnm.queries import Question, Unanswered
 from pnm.resources import Claim, Resources
 from pnm.results import RunResult
+from pnm.roles import Roles
 
 NEVER: Final = float("inf")
 _NONE: Final[Mapping[int, UnderWay]] = {}
-_KNOWING: Final = (Holding, Denied, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
-"""Guards whose answer may change when facts change."""
 
 
 class RunError(PnmError):
@@ -127,23 +127,9 @@ class Run:
         self.resources = Resources(machine.plan.capacities) if resources is None else resources
         self.task = id if task is None else task
         self._observer = observer or Observer()
-        compiled = machine.compiled
-        self._rules = [machine.rules[name] for name in compiled.transitions]
-        self._listening = [any(isinstance(self._rules[one].guard, _KNOWING) for one, _ in found) for found in compiled.consumers]
-        self._reported: dict[int, list[int]] = {}
-        for transition, rule in enumerate(self._rules):
-            if isinstance(rule.guard, Accepts | Ends):
-                self._reported.setdefault(rule.guard.call, []).append(transition)
-        self._records = {compiled.place_id[place] for place in machine.record_places}
-        self._resource_ids = {compiled.place_id[place] for place in machine.resource_places}
-        self._alive_ids = [compiled.place_id[place] for place in machine.alive_places]
-        self._takes = self._touching(compiled.inputs)
-        self._gives = self._touching(compiled.outputs)
-        self._restart_ids = {compiled.place_id[place] for place in machine.restart_places}
-        self._failure_ids = {compiled.place_id[place]: call for place, call in machine.failure_places.items()}
-        self._final_ids = (compiled.place_id[machine.goal_place], compiled.place_id[machine.failed_place])
+        self._roles = Roles(machine)
         # state
-        self._engine = Engine(compiled, machine.initial)
+        self._engine = Engine(machine.compiled, machine.initial)
         self._now = -NEVER
         self._began: float | None = None
         self._origin = origin
@@ -157,8 +143,8 @@ class Run:
         self._commands: list[Command] = []
         self._questions = Questions()
         self._asked = 0
-        self._deciding: int | None = None
         self._calls = Calls(id, machine.plan, knowledge, bindings or Bindings(), goal_fields, asks=asks)
+        self._decision = Decision(machine.plan, self._calls, self._questions)
         self._ledger = Ledger(machine.plan)
         self._claims = Claims(self.resources, self.task, priority)
         self._missing: dict[int, tuple[str, ...]] = {}
@@ -180,18 +166,14 @@ class Run:
             raise RunError(f"the calls {sorted(expected)} of the plan are under way; requests are taken over for {sorted(self._adopted)}")
         used = Counter(name for one in self._adopted.values() for name in one.resources)
         for name, count in used.items():
-            if count > self.machine.initial.get(f"resource {name}", count):
+            if count > self.machine.plan.capacities.get(name, 1):
                 raise RunError(f"{count} requests that are taken over have {name}")
         for call, taken in self._adopted.items():
+            if taken.resources != self._calls.resources(self.machine.plan.calls[call].action):
+                raise RunError(f"{taken.call} has {', '.join(taken.resources) or 'nothing'} for itself; the plan says otherwise")
             self._calls.adopt(call, taken)
             if taken.resources:
                 self._claims.keep(call, self._claims.claim(taken.request, taken.resources))
-
-    def _touching(self, arcs: list[list[tuple[int, int]]]) -> frozenset[int]:
-        """Return the transitions that are connected to resources."""
-        if not self._resource_ids:
-            return frozenset()
-        return frozenset(transition for transition, found in enumerate(arcs) if any(place in self._resource_ids for place, _ in found))
 
     # --- what a caller sees -------------------------------------------------------------------
 
@@ -203,12 +185,12 @@ class Run:
     @property
     def over(self) -> bool:
         """Whether the goal place or the failed place is marked."""
-        return any(self._engine.tokens[place] for place in self._final_ids)
+        return bool(self._engine.tokens[self._roles.goal] or self._engine.tokens[self._roles.failed])
 
     @property
     def ending(self) -> bool:
         """Whether nothing more is started: a failure or restart place is marked, or the run was told to stop."""
-        return self._failing or any(self._engine.tokens[place] for place in self._restart_ids)
+        return self._failing or any(self._engine.tokens[place] for place in self._roles.restarts)
 
     @property
     def stopped(self) -> bool:
@@ -223,7 +205,12 @@ class Run:
     @property
     def paused(self) -> bool:
         """Whether the run was told to pause, and nothing is under way any more."""
-        return self._pause is not None and not any(self._engine.tokens[place] for place in self._alive_ids)
+        return self._pause is not None and not any(self._engine.tokens[place] for place in self._roles.alive)
+
+    @property
+    def _passed(self) -> float:
+        """The seconds since the plan's start."""
+        return self._now - (self._origin or 0.0)
 
     @property
     def _failing(self) -> bool:
@@ -243,7 +230,7 @@ class Run:
         """Return how the run ended."""
         if not self.over:
             raise RunError(f"the run is not over: {self.marking}")
-        goal = bool(self._engine.tokens[self._final_ids[0]])
+        goal = bool(self._engine.tokens[self._roles.goal])
         return RunResult(goal, self._reason(goal), self._ledger.told(), tuple(self._ledger.failures), self._stop is not None)
 
     def under_way(self) -> tuple[UnderWay, ...]:
@@ -253,8 +240,7 @@ class Run:
     @property
     def settling(self) -> tuple[ActionCall, ...]:
         """The calls that have succeeded, and whose effects are still to be looked for: nobody can take them over."""
-        ids = self._engine.compiled.place_id
-        return tuple(self._calls.as_sent(call) for place, call in self.machine.settling_places.items() if self._engine.tokens[ids[place]])
+        return tuple(self._calls.as_sent(call) for place, call in self._roles.settling.items() if self._engine.tokens[place])
 
     def retire(self, kept: Collection[UUID] = ()) -> None:
         """Give back all resources but what these requests have: the run is not carried on."""
@@ -272,7 +258,7 @@ class Run:
             return self._stop.reason
         if self._ledger.failures:
             return str(self._ledger.failures[0])
-        expected, seen = self._explain(self.machine.plan.goal, None)
+        expected, seen = self._decision.explain(self.machine.plan.goal, None)
         return f"every call is done but the goal does not hold: expected {expected}; observed {seen}"
 
     def __repr__(self) -> str:
@@ -288,7 +274,7 @@ class Run:
             case Begin():
                 self._begin()
             case KnowledgeChanged():
-                self._agenda.extend(place for place in self._undecided if self._listening[place])
+                self._agenda.extend(place for place in self._undecided if self._roles.listening[place])
             case ResourcesChanged():
                 self._agenda.extend(self._claims.served())
             case Tick():
@@ -327,7 +313,7 @@ class Run:
             raise RunError("the run has begun already")
         self._began = self._now
         self._origin = self._now if self._origin is None else self._origin
-        self._agenda.extend(place for place, tokens in enumerate(self._engine.tokens) if tokens and place not in self._records)
+        self._agenda.extend(place for place, tokens in enumerate(self._engine.tokens) if tokens and place not in self._roles.records)
 
     def _report(self, report: Report) -> None:
         call = self._calls.open.get(report.request)
@@ -344,9 +330,9 @@ class Run:
 
     def _take(self, call: int, report: Report) -> bool:
         """Fire the transition of the call that the report opens, if there is one."""
-        self._deciding = None
-        for transition in self._reported[call]:
-            if self._engine.is_enabled(transition) and _admits(self._rules[transition], report):
+        self._decision.place = None
+        for transition in self._roles.reported[call]:
+            if self._engine.is_enabled(transition) and _admits(self._roles.rules[transition], report):
                 self._fire(transition)
                 return True
         return False
@@ -376,7 +362,7 @@ class Run:
         """Fire the first open transition that takes from the place; if there is none, note when to ask again."""
         if not self._engine.tokens[place]:
             return
-        self._deciding = place
+        self._decision.place = place
         again, waiting = NEVER, False
         for transition, _ in self._engine.compiled.consumers[place]:
             if not self._is_near(transition):
@@ -386,8 +372,8 @@ class Run:
                     waiting = True
                     break  # the rules after this one are asked when it may be asked itself
                 opens = self._opens(transition, place)
-                if opens <= self._now and (call := self._rules[transition].call) is not None:
-                    self._calls.foresee(self._rules[transition].deed, call, self._consult(call))
+                if opens <= self._now and (call := self._roles.rules[transition].call) is not None:
+                    self._calls.foresee(self._roles.rules[transition].deed, call, self._decision.consult(call))
             except Unanswered as needed:  # and so are all rules after this one
                 self._ask(place, needed.question)
                 self._leave_line(place)
@@ -397,7 +383,7 @@ class Run:
                 self._fire(transition)
                 return
             again, waiting = min(again, opens), True
-            if transition in self._takes:
+            if transition in self._roles.takes:
                 self._leave_line(place)
         if waiting:
             self._undecided[place] = None
@@ -411,18 +397,18 @@ class Run:
         """Tell whether the transition is enabled, or would be if no call had what it needs for itself."""
         if self._engine.is_enabled(transition):
             return True
-        if isinstance(self._rules[transition].guard, Adopted):
+        if isinstance(self._roles.rules[transition].guard, Adopted):
             return False
-        return transition in self._takes and self._engine.lacking(transition) <= self._resource_ids
+        return transition in self._roles.takes and self._engine.lacking(transition) <= self._roles.resources
 
     def _is_put_off(self, transition: int, place: int) -> bool:
         """Tell whether the transition must wait: for the end of a pause, or for what the call needs for itself."""
-        if isinstance(self._rules[transition].guard, Adopted):
+        if isinstance(self._roles.rules[transition].guard, Adopted):
             return False
-        if self._pause is not None and (transition in self._takes or self._rules[transition].deed is Deed.SEND):
+        if self._pause is not None and (transition in self._roles.takes or self._roles.rules[transition].deed is Deed.SEND):
             self._leave_line(place)
             return True
-        return transition in self._takes and not self._has_resources(transition, place)
+        return transition in self._roles.takes and not self._has_resources(transition, place)
 
     def _has_resources(self, transition: int, place: int) -> bool:
         """Tell whether the call can have what the transition needs for it; if not, it waits for that."""
@@ -434,9 +420,9 @@ class Run:
         return True
 
     def _claim(self, transition: int) -> Claim:
-        rule = self._rules[transition]
+        rule = self._roles.rules[transition]
         assert rule.call is not None, "only calls have resources"
-        request, action = self._calls.claiming(rule.call, rule.deed, self._consult(rule.call))
+        request, action = self._calls.claiming(rule.call, rule.deed, self._decision.consult(rule.call))
         return self._claims.claim(request, self._calls.resources(action))
 
     def _leave_line(self, place: int) -> None:
@@ -457,7 +443,7 @@ class Run:
         Raises:
             Unanswered: a question has to be asked first.
         """
-        rule = self._rules[transition]
+        rule = self._roles.rules[transition]
         match rule.guard:
             case Always():
                 return -NEVER
@@ -470,19 +456,19 @@ class Run:
             case PauseAsked():
                 return _now_if(self._pause is not None and self._pause.at_once)
             case Holding(condition):
-                return _now_if(self._holds(condition, rule))
+                return _now_if(self._decision.holds(condition, rule.call))
             case Denied(condition):
-                return self._denied(transition, self._holds(condition, rule), self.knowledge.world.lag(names(condition)))
+                return self._denied(transition, self._decision.holds(condition, rule.call), self.knowledge.world.lag(names(condition)))
             case AlreadyTrue(call):
-                consulted = self._consult(call)
+                consulted = self._decision.consult(call)
                 return _now_if(already_true(self._calls.ready(call, consulted), consulted))
             case DataMissing(call):
-                return _now_if(bool(self._calls.goal(call, self._consult(call))[1]))
+                return _now_if(bool(self._calls.goal(call, self._decision.consult(call))[1]))
             case EffectsSeen(call):
-                self._missing[call] = self._calls.unseen(call, self._consult(call))
+                self._missing[call] = self._calls.unseen(call, self._decision.consult(call))
                 return _now_if(not self._missing[call])
             case EffectsMissing(call):
-                return self._denied(transition, not self._missing[call], self._calls.lag_of_effects(call, self._consult(call)))
+                return self._denied(transition, not self._missing[call], self._calls.lag_of_effects(call, self._decision.consult(call)))
             case Adopted(call):
                 return _now_if(call in self._adopted)
             case Accepts() | Ends():
@@ -494,14 +480,6 @@ class Run:
                 return max([(self._origin or 0.0) + seconds, *(self._arrived[ids[one]] + delay for one, delay in since)])
             case _:
                 assert_never(rule.guard)
-
-    def _consult(self, call: int | None) -> Consultation:
-        answers = None if self._deciding is None else self._questions.answers_at(self._deciding)
-        return self._calls.consult(call, answers)
-
-    def _holds(self, condition: Condition, rule: Rule) -> bool:
-        consulted = self._consult(rule.call)
-        return evaluate(_grounded(condition, consulted), consulted) is True
 
     def _denied(self, transition: int, holds: bool, lag: float) -> float:
         if holds:
@@ -515,9 +493,9 @@ class Run:
     # --- firing -------------------------------------------------------------------------------
 
     def _fire(self, transition: int) -> None:
-        compiled, rule = self._engine.compiled, self._rules[transition]
-        fails = [place for place, _ in compiled.outputs[transition] if place in self._failure_ids]
-        if transition in self._takes and rule.call is not None and rule.deed is not Deed.ADOPT:
+        compiled, rule = self._engine.compiled, self._roles.rules[transition]
+        fails = [place for place, _ in compiled.outputs[transition] if place in self._roles.failures]
+        if transition in self._roles.takes and rule.call is not None and rule.deed is not Deed.ADOPT:
             self._claims.take(rule.call, self._claim(transition))
         if rule.call is not None and rule.call < len(self.machine.plan.calls):
             self._note(rule, rule.call, bool(fails))
@@ -525,28 +503,28 @@ class Run:
                 self._do(rule.deed, rule.call)
                 if self._calls.changed:
                     self._calls.changed = False
-                    self._agenda.extend(place for place in self._undecided if self._listening[place])
+                    self._agenda.extend(place for place in self._undecided if self._roles.listening[place])
         was_ending, arrived = self.ending, self._now
         if rule.deed is Deed.ADOPT and rule.call is not None:
             arrived = self._adopted.pop(rule.call).accepted
         self._engine.fire(transition)
-        if transition in self._gives and rule.call is not None:
+        if transition in self._roles.gives and rule.call is not None:
             self._claims.give(rule.call)
             self._agenda.extend(self._claims.served())
         for place in fails:
-            self._fail(self._failure_ids[place], rule)
+            self._fail(self._roles.failures[place], rule)
         for place, _ in compiled.inputs[transition]:
             self._leave(place)
         for place, _ in compiled.outputs[transition]:
             self._arrived[place] = arrived
-            if place not in self._records:
+            if place not in self._roles.records:
                 self._agenda.append(place)
         if self.ending and not was_ending:
             self._agenda.extend(self._undecided)
         self._observer.fired(compiled.transitions[transition], rule, self._now)
 
     def _do(self, deed: Deed, call: int) -> None:
-        self._calls.do(deed, call, self._ledger.results[call].attempts, self._consult(call))
+        self._calls.do(deed, call, self._ledger.results[call].attempts, self._decision.consult(call))
         if deed is Deed.BEGIN:
             self._calls.accepted[call] = self._now
         elif deed is Deed.ADOPT:
@@ -569,56 +547,25 @@ class Run:
             self._denied_since.pop(consumer, None)
 
     def _note(self, rule: Rule, call: int, fails: bool) -> None:
-        assumed = rule.deed is Deed.FINISH and is_assumed(self._calls.action(call), self._consult(call))
+        assumed = rule.deed is Deed.FINISH and is_assumed(self._calls.action(call), self._decision.consult(call))
         self._ledger.fired(rule, call, self._now, missing=self._missing.get(call, ()), assumed=assumed)
-        if rule.name in _CHECKS and not fails and (why := self._why(call, rule)):
+        if rule.name in CHECKS and not fails and (why := self._decision.why(call, rule, self._passed)):
             self._ledger.caused(call, why)
         if rule.name in _GIVEN_UP:
             self._calls.forget(call)
 
     def _fail(self, step: int, rule: Rule) -> None:
-        failure = self._ledger.failed(step, self._now, self._why(step, rule), how=rule.name, unconfirmed=rule.name in _GIVEN_UP)
+        failure = self._ledger.failed(
+            step, self._now, self._decision.why(step, rule, self._passed), how=rule.name, unconfirmed=rule.name in _GIVEN_UP
+        )
         self._observer.failed(failure, self._now)
 
-    def _why(self, step: int, rule: Rule) -> tuple[str, str, str] | None:
-        """Return the cause of a failure that a check has found, with what was expected and what was seen."""
-        match rule.guard:
-            case Denied(condition):
-                return rule.name, *self._explain(condition, rule.call)
-            case Holding(condition) if rule.name == "loop_limit":
-                rounds = next(one.limit for one in self.machine.plan.every_step if isinstance(one, Loop) and one.index == step)
-                return rule.name, f"(not {condition}) after {rounds} rounds", observed(condition, self._consult(step))
-            case Holding(condition) if rule.name in _CHECKS:
-                return rule.name, f"(not {condition})", observed(condition, self._consult(step))
-            case DataMissing():
-                missing = self._calls.goal(step, self._consult(step))[1]
-                silence = self._questions.silence_at(self._deciding)
-                why = "".join(f"; {message}" for message in (*silence, *self._consult(step).uncomputable(missing)))
-                return rule.name, f"values for {', '.join(missing)}", f"no argument, variable or constant of that name{why}"
-            case Due(seconds):
-                return rule.name, f"an end within {seconds:g} s of the plan's start", f"{self._now - (self._origin or 0.0):g} s have passed"
-            case _:
-                return None
-
-    def _explain(self, condition: Condition, call: int | None) -> tuple[str, str]:
-        consulted = self._consult(call)
-        missing = failing(_grounded(condition, consulted), consulted)
-        seen = (*(observed(part, consulted) for part in missing), *self._questions.silence_at(self._deciding))
-        return " ".join(map(str, missing)), "; ".join(seen)
-
-
-_CHECKS: Final = frozenset({"precondition_false", "data_missing", "before", "after"})
 
 _BEFORE_ACCEPTANCE: Final = frozenset({OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE, OutcomeKind.LOST})
 """Ends that do not tell whether the goal was accepted before."""
 
 _GIVEN_UP: Final = frozenset({"unheard", "unconfirmed", "unconfirmed_stop", "unconfirmed_pause"})
 """The transitions after which a request is no longer waited for."""
-
-
-def _grounded(condition: Condition, consulted: Consultation) -> Condition:
-    env = consulted.environment()
-    return ground(condition, env) if env else condition
 
 
 def _now_if(is_open: bool) -> float:

@@ -272,7 +272,7 @@ def test_a_paused_run_waits_for_no_resources() -> None:
     run.handle(Accepted(run.open_requests[0]), 1.0)
     run.handle(Ended(run.open_requests[0], CANCELED), 2.0)
     assert run.resources.held == ()
-    assert sent(run.handle(Resume(), 3.0)) == ["first"]
+    assert sent(run.handle(Resume(), 3.0)) == ["second"], "it has waited longer"
     assert len(run.resources.line) == 1
 
 
