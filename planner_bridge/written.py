@@ -129,7 +129,7 @@ def carry_out(
     with seconds.of("translate"):
         programs = {name: Program.of(plans[name]) for name in calling(plans, chosen)}
     bindings = together(plans.values())
-    site: Site = Ros2Site(bindings) if actions == "ros2" else simulated_site(plans[chosen], bindings, faults)
+    site: Site = Ros2Site(bindings, sensing=settings.sensing) if actions == "ros2" else simulated_site(plans[chosen], bindings, faults)
     choices = sources_of(plans.values())
     task = _WrittenTask(
         programs,
