@@ -10,46 +10,40 @@
 ; robot takes back that it was shown and described, and a new plan does that once more.
 
 (define (domain mall)
-  (:requirements :typing :durative-actions)
+  (:requirements :strips :typing)
   (:types visitor shop)
 
   (:predicates
-    (route_known ?shop - shop)
+    (route_known ?visitor - visitor ?shop - shop)
     (pointed_out ?visitor - visitor ?shop - shop)
     (described ?visitor - visitor ?shop - shop)
     (asked ?visitor - visitor ?shop - shop)
     (understood ?visitor - visitor ?shop - shop))
 
-  (:durative-action look_up
-    :parameters (?shop - shop)
-    :duration (= ?duration 0.5)
-    :condition ()
-    :effect (at end (route_known ?shop)))
-
-  ; Arm and voice go together as long as both are free: the plan lets them begin at the same time.
-  (:durative-action point_at
+  ; The way that is good for this visitor.
+  (:action look_up
     :parameters (?visitor - visitor ?shop - shop)
-    :duration (= ?duration 3)
-    :condition (at start (route_known ?shop))
-    :effect (at end (pointed_out ?visitor ?shop)))
+    :precondition ()
+    :effect (route_known ?visitor ?shop))
 
-  (:durative-action describe_route
+  ; Arm and voice go together when both are free: neither of the two waits for the other.
+  (:action point_at
     :parameters (?visitor - visitor ?shop - shop)
-    :duration (= ?duration 2)
-    :condition (at start (route_known ?shop))
-    :effect (at end (described ?visitor ?shop)))
+    :precondition (route_known ?visitor ?shop)
+    :effect (pointed_out ?visitor ?shop))
+
+  (:action describe_route
+    :parameters (?visitor - visitor ?shop - shop)
+    :precondition (route_known ?visitor ?shop)
+    :effect (described ?visitor ?shop))
 
   ; "Did you understand?" The answer comes in its own time.
-  (:durative-action ask_understood
+  (:action ask_understood
     :parameters (?visitor - visitor ?shop - shop)
-    :duration (= ?duration 1)
-    :condition (and
-      (at start (pointed_out ?visitor ?shop))
-      (at start (described ?visitor ?shop)))
-    :effect (at end (asked ?visitor ?shop)))
+    :precondition (and (pointed_out ?visitor ?shop) (described ?visitor ?shop))
+    :effect (asked ?visitor ?shop))
 
-  (:durative-action hear_answer
+  (:action hear_answer
     :parameters (?visitor - visitor ?shop - shop)
-    :duration (= ?duration 0.5)
-    :condition (at start (asked ?visitor ?shop))
-    :effect (at end (understood ?visitor ?shop))))
+    :precondition (asked ?visitor ?shop)
+    :effect (understood ?visitor ?shop)))

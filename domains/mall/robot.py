@@ -26,9 +26,16 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 USES = {"point_at": "arm", "describe_route": "voice", "ask_understood": "voice", "say": "voice"}
 """What an action needs of the robot; those that are not here need nothing."""
-SENSED = ["route_known", "pointed_out", "described", "asked", "understood"]
-SAYING = 1.5
-"""Seconds that it takes to say something, when nobody has planned for that."""
+EFFECTS = {
+    "look_up": "route_known",
+    "point_at": "pointed_out",
+    "describe_route": "described",
+    "ask_understood": "asked",
+    "hear_answer": "understood",
+}
+"""What is so after an action, of the visitor and the shop that it is about."""
+SECONDS = {"look_up": 0.5, "point_at": 3.0, "describe_route": 2.0, "ask_understood": 1.0, "hear_answer": 0.2, "say": 1.5}
+"""How long each action takes."""
 STEP = 0.005
 """Seconds between two looks at whether a goal is to be cancelled."""
 
@@ -60,7 +67,7 @@ class Robot:
                 result_service_qos_profile=many,
                 cancel_service_qos_profile=many,
             )
-            for name in ("look_up", "point_at", "describe_route", "ask_understood", "hear_answer", "say")
+            for name in SECONDS
         ]
         self.learn()
 
@@ -69,7 +76,7 @@ class Robot:
         name, told = handle.request.action, list(handle.request.arguments)
         call = f"{name}({', '.join(told)})"
         self.take(name, call)
-        done = self.work((handle.request.duration or SAYING) / self.speed, handle)
+        done = self.work(SECONDS[name] / self.speed, handle)
         if done and name == "hear_answer":
             done = told[2].startswith("yes")
         self.learn(*self.effects(name, told, done), forget=self.undone(name, told, done))
@@ -89,14 +96,7 @@ class Robot:
 
     def effects(self, name: str, told: list[str], done: bool) -> tuple[str, ...]:
         """Return what is so after an action."""
-        found = {
-            "look_up": f"(route_known {told[0]})",
-            "point_at": f"(pointed_out {' '.join(told)})",
-            "describe_route": f"(described {' '.join(told)})",
-            "ask_understood": f"(asked {' '.join(told)})",
-            "hear_answer": f"(understood {' '.join(told[:2])})",
-        }
-        return (found[name],) if done and name in found else ()
+        return (f"({EFFECTS[name]} {' '.join(told[:2])})",) if done and name in EFFECTS else ()
 
     def undone(self, name: str, told: list[str], done: bool) -> tuple[str, ...]:
         """Return what is no longer so after an action: who has not understood needs it described once more."""
@@ -123,7 +123,7 @@ class Robot:
         with self.lock:
             self.facts = (self.facts - set(forget)) | set(facts)
             self.sequence += 1
-            self.sensed.publish(State(names=SENSED, facts=sorted(self.facts), sequence=self.sequence))
+            self.sensed.publish(State(names=list(EFFECTS.values()), facts=sorted(self.facts), sequence=self.sequence))
 
     def welcome(self, message) -> None:
         """Forget what was told to others than whoever comes."""

@@ -6,5 +6,4 @@
     ann bob - visitor
     shop_0 shop_1 shop_2 shop_3 - shop)
   (:init)
-  (:goal (understood ann shop_0))
-  (:metric minimize (total-time)))
+  (:goal (understood ann shop_0)))

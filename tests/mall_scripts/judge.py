@@ -32,7 +32,7 @@ class Verdict:
     questions: int = 0
     answers: int = 0
     late: int = 0
-    """Answers to a question after which another one was asked."""
+    """Answers to a question after which the robot had begun to speak about something else."""
     in_vain: int = 0
     """Answers that came when the question was not open any more; it was asked again then."""
 
@@ -157,8 +157,11 @@ class _Play:
                 self.verdict.in_vain += 1
                 if not asked_again:
                     self._complain(f"{answer['value']!r} never reached {about}, and it was not asked again")
-            if any(line["event"] == "question" and line["about"] != about for line in self._between(answer, questions)):
-                self.verdict.late += 1
+            self.verdict.late += any(self._is_other(line, about) for line in self._between(answer, questions))
+
+    def _is_other(self, line: Line, about: str) -> bool:
+        """Tell whether the robot begins to speak about something else."""
+        return line["event"] == "robot" and line["did"] == "start" and about not in line["about"] and line["about"].split("(")[0] in SPOKEN
 
     def _heard(self, wish: Script, about: str) -> list[str]:
         """Return the answers that reached the task."""
