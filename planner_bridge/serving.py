@@ -55,8 +55,8 @@ class Room:
 
     options: Options
     problem: Problem | None
-    programs: Mapping[str, Program]
-    """The plans of the world, ready to be carried out."""
+    performer: Performer
+    """Of the plans of the world."""
     bindings: Bindings
     site: Ros2Site
     knowledge: KnowledgeBase
@@ -86,7 +86,17 @@ async def open_tasks(room: Room, problem: Problem) -> Opened:
     )
     goals = read_goals(options.goals, problem) if options.goals else Goals(problem)
     places, prefix = Places(options.max_tasks, options.max_queue, options.on_conflict), os.urandom(4)
-    master = TaskMaster(problem, room.knowledge, room.site, settings, goals.read, source=room.sources, room=places, prefix=prefix)
+    master = TaskMaster(
+        problem,
+        room.knowledge,
+        room.site,
+        settings,
+        goals.read,
+        source=room.sources,
+        room=places,
+        resources=room.performer.resources,
+        prefix=prefix,
+    )
     await room.site.share(prefix, master.knowledge_of, room.sources)
     maker = Maker(problem, room.knowledge, settings, goals.read, loop.time())
     return Opened(master, maker.make, UnservedWorld(), master.close)
@@ -167,14 +177,14 @@ class Serving:
 
     async def activate(self) -> None:
         """Take goals, and let tasks go on."""
-        self._plans.closed = ""
+        self._plans.resume()
         if self._tasks is not None:
             await self._tasks.activate()
         self._say(f"ready: {len(self._names)} action servers: {', '.join(self._names)}")
 
     async def deactivate(self) -> None:
         """Reject goals, and pause tasks."""
-        self._plans.closed = "the node is inactive"
+        await self._plans.pause()
         if self._tasks is not None:
             await self._tasks.deactivate()
         self._say("inactive: goals are rejected, and tasks are paused")
@@ -201,20 +211,19 @@ class Serving:
         folder = (options.world or options.domain or Path()).parent
         sources = open_sources(sources_of(plans), Surroundings(self._ros, folder), options.knowledge)
         stack.push_async_callback(sources.close)
-        return Room(options, problem, programs, bindings, site, knowledge, sources)
+        return Room(options, problem, Performer(programs, site, knowledge, sources), bindings, site, knowledge, sources)
 
     async def _offer(self, room: Room, stack: AsyncExitStack) -> None:
         from pnm.ros.goal_server import check_alone  # here, because rclpy is an extra
         from pnm.ros.plan_servers import PlanServers
         from pnm.ros.task_node import TaskNode, action_names
 
-        performer = Performer(room.programs, room.site, room.knowledge, room.sources)
-        self._plans = PlanServers(self._ros, performer, Reporter(self._terminal))
+        self._plans = PlanServers(self._ros, room.performer, Reporter(self._terminal))
         names = await self._plans.names()
         tasks = await self._ros.ask(partial(action_names, self._ros)) if room.problem else ()
         self._names = (*tasks, *names.values())
         await check_alone(self._ros, self._names)
-        await self._prepare(performer, stack)
+        await self._prepare(room.performer, stack)
         stack.push_async_callback(self._plans.close, room.options.cancel)
         await self._plans.open(names)
         self._tasks = None

@@ -26,12 +26,14 @@ from pnm.sources.people import printable
 TYPE: Final = "pnm_interfaces/action/RunPlan"
 CLOSING: Final = 20.0
 """Seconds in which plans have to end when the servers are closed: what they run has to confirm that it is cancelled."""
+_LOOK: Final = 0.05
+"""Seconds between two looks at runs that are coming to a pause."""
 
 _log = logging.getLogger(__name__)
 
 
 class PlanServers:
-    """One action server for each plan of a performer.
+    """One action server for each plan of a performer; takes goals between `resume` and `pause`.
 
     The mutable state is the servers by plan, the tasks of the goals that go on, and why no goals are taken.
 
@@ -49,8 +51,7 @@ class PlanServers:
         self._servers: dict[str, GoalServer] = {}
         self._tasks: dict[asyncio.Task[None], ServedGoal] = {}
         self._feedback = Throttle(self._loop, FEEDBACK, self._tell)
-        self.closed = ""
-        """Why no goals are taken; empty while they are."""
+        self._closed = "the node is inactive"
         self._is_closing = False
 
     def __repr__(self) -> str:
@@ -69,14 +70,32 @@ class PlanServers:
     async def open(self, names: Mapping[str, str]) -> None:
         """Bring the servers up, under these names."""
         for plan, name in names.items():
-            calls = GoalCalls(partial(self._begin, plan), self._cancel, lambda: self.closed)
+            calls = GoalCalls(partial(self._begin, plan), self._cancel, lambda: self._closed)
             self._servers[plan] = GoalServer(self._ros, TYPE, name, calls)
             await self._servers[plan].open()
+
+    async def pause(self) -> None:
+        """Take no more goals, and cancel what runs; return when that is confirmed."""
+        self._closed = "the node is inactive"
+        runs = [goal.performance.executor for goal in self._tasks.values() if goal.performance is not None]
+        for executor in runs:
+            executor.pause(at_once=True)
+        while True:
+            if all(executor.run.paused or executor.run.over for executor in runs):
+                return
+            await asyncio.sleep(_LOOK)
+
+    def resume(self) -> None:
+        """Take goals, and begin anew what was cancelled."""
+        self._closed = ""
+        for goal in self._tasks.values():
+            if goal.performance is not None:
+                goal.performance.executor.resume()
 
     async def close(self, limit: float = CLOSING) -> None:
         """Take no more goals, cancel what runs, wait until that is confirmed and told, and take the servers down."""
         self._is_closing = True
-        self.closed = "its server is being closed"
+        self._closed = "its server is being closed"
         for goal in self._tasks.values():
             if goal.performance is not None:
                 goal.performance.executor.stop(reason="whoever serves the plan is being shut down")

@@ -138,6 +138,21 @@ def test_a_node_is_led_through_its_states_by_others(plan_scene):
     assert serving.ended() == 0
 
 
+def test_plans_of_a_world_are_paused_while_the_node_is_inactive(plan_scene):
+    plan_scene.write(FILES)
+    workers = plan_scene.workers("wait").ready()
+    serving = serve(plan_scene, "--world", str(plan_scene.folder / "world.yaml")).ready()
+    client = plan_scene.client("waits", {"time": 0.5}, {"time": 1000})
+    workers.happens("end", "wait", 0.5)
+    assert change(plan_scene, "deactivate") == [True]
+    workers.happens("cancelled", "wait", 1000)
+    assert plan_scene.client("empty").hears("answered") == {"event": "answered", "goal": 0, "accepted": False}
+    assert change(plan_scene, "activate") == [True]
+    workers.until(lambda: workers.starts("wait").count(1000) == 2)
+    serving.stop()
+    assert [one["reason"] for one in client.results()] == ["goal", "cancelled"]
+
+
 def test_a_configuration_that_fails_can_be_mended(plan_scene):
     world = plan_scene.folder / "world.yaml"
     serving = serve(plan_scene, "--world", str(world), "--no-autostart")
