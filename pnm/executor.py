@@ -80,12 +80,12 @@ class Executor:
         Reports about requests that it takes over reach it, those included that have come but not been handled yet.
 
         Raises:
-            RunError: this run is over, was told to stop or is not being carried out; or something of it is under way that
+            RunError: this run is not being carried out, or was told to stop; or something of it is under way that
                 the other does not take over.
         """
-        _check_succession(self.run, run)
-        if not self._leaving:
+        if not self._leaving or not self.run.begun:
             raise RunError("the run that is to be succeeded is not being carried out")
+        _check_succession(self.run, run)
         old, self.run = self.run, run
         self._leave()
         old.retire(run.open_requests)
