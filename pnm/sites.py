@@ -161,7 +161,8 @@ class Ros2Site:
         }
         self._reports = Reports(knowledge, ignored, lag, sensing.stale, sensing.signatures)
         reports = SensedReports(self.ros, loop, self._reports.tell)
-        await asyncio.gather(reports.first(DISCOVERY), self._sensors.open())
+        await self._sensors.open()
+        await reports.first(DISCOVERY)
 
     async def share(self, mark: bytes, find: Find, source: Source) -> None:
         """Offer the two services that action servers find by the identity of their goal."""
