@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from uuid import UUID, uuid4
@@ -45,9 +44,11 @@ class Neighbours:
     async def preempt(self, conflicts: tuple[Conflict, ...], /) -> None:
         """Have those that yield pause until this task is over; return when nothing of theirs is under way."""
 
-    async def changed(self) -> None:
-        """Wait until one of them is over, or needs less than before."""
-        await asyncio.Event().wait()
+    async def turn(self) -> None:
+        """Wait for one's turn to look for a plan; who has looked in vain, until something has changed."""
+
+    def leave(self, *, in_vain: bool) -> None:
+        """Note that the search is over; once it is, no more is noted."""
 
 
 ALONE = Neighbours()

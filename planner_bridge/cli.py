@@ -30,6 +30,7 @@ from planner_bridge.cli_options import (
     tell,
     write,
 )
+from planner_bridge.cli_serve import serve
 from pnm.errors import InputError
 
 if TYPE_CHECKING:
@@ -132,7 +133,7 @@ def net(
 )
 @click.option(
     "--on-failure",
-    type=click.Choice(["drain", "cancel"]),
+    type=click.Choice(["drain", "cancel", "continue_others"]),
     help="what running actions do when one has failed; by default what a hand-written plan says, or else drain",
 )
 @as_json_option
@@ -204,21 +205,7 @@ def run(
     return 0 if result.goal_reached else 1
 
 
-@app.command()
-@click.option("--world", "file", type=FILE, required=True, help="a world of plans: a YAML file that names a domain and files with plans")
-@click.option("--name", help="which world of that file, if there are several")
-@knowledge_option
-@command
-def serve(file: Path, name: str | None, knowledge: Path | None) -> int:
-    """Offer every plan of a world as a ROS 2 action server, until interrupted."""
-    from planner_bridge.console import Terminal
-    from planner_bridge.serving import serve
-    from pnm.language.world import read_world
-
-    world = read_world(file, name)
-    tell(dict.fromkeys(warning for plan in world.plans.values() for warning in plan.warnings))
-    serve(world, file.parent, knowledge, Terminal())
-    return 0
+app.add_command(serve)
 
 
 @app.command()
@@ -286,13 +273,17 @@ def schema(output: Path | None) -> int:
 
 
 @app.command()
+@click.argument("story", type=click.Choice(["delivery", "mall"]), default="delivery")
 @command
-def demo() -> int:
-    """Show the whole story on simulated robots: plan, machine, run, failure, replan, goal."""
-    from planner_bridge.console import Terminal
-    from planner_bridge.demo import show
+def demo(story: str) -> int:
+    """Show the whole story on simulated robots: plan, machine, run, failure, replan, goal.
 
-    return show(Terminal())
+    `mall`, over ROS 2: several tasks that share a robot, with people who interrupt it and answer late.
+    """
+    from planner_bridge import demo, mall_demo
+    from planner_bridge.console import Terminal
+
+    return mall_demo.show(Terminal()) if story == "mall" else demo.show(Terminal())
 
 
 def _load(domain: Path, problem: Path) -> Problem:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from planner_bridge.course import Course, Denied, snapshot
+from pnm.calls import UnderWay
 from pnm.errors import PnmError
 from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import Moment, PlanEvent
-from pnm.run import UnderWay
 
 
 class Unforeseeable(PnmError):

@@ -10,11 +10,11 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final, cast
 
 from planner_bridge.alarms import is_foreseen, is_relevant
-from planner_bridge.circumstances import Circumstances
+from planner_bridge.circumstances import Circumstances, Conflict
 from planner_bridge.codes import code_of_failures, code_of_planning
 from planner_bridge.footprints import Footprint, footprint
 from planner_bridge.forbidding import ForbiddenCall, forbid
@@ -26,24 +26,27 @@ from planner_bridge.replanning import GiveUp, History, PlanAgain, Progress, Resu
 from planner_bridge.search import Search
 from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.supervision import Supervision
-from planner_bridge.tasks import HANDED_ON, Episode, OnChange, Settings, TaskObserver, TaskResult
+from planner_bridge.tasks import Episode, OnChange, Settings, TaskObserver, TaskResult
 from pnm.actions.base import Outcome, Report, Request
 from pnm.analysis import verify
+from pnm.calls import UnderWay
 from pnm.conditions import evaluate
 from pnm.executor import Executor
 from pnm.expressions import Fluent, Unknown, Value
 from pnm.generation import generate
 from pnm.knowledge import KnowledgeBase, Layered
+from pnm.ledger import HANDED_OVER, RUNNING
 from pnm.machine import OnFailure, PetriNetMachine, Rule
 from pnm.observer import Observer
 from pnm.plan_graph import ActionCall, PlanGraph, PlanGraphError
 from pnm.results import Failure, RunResult
-from pnm.run import Run, UnderWay
+from pnm.run import Run
 from pnm.sites import Site
 from pnm.state_space import Unsound
 from pnm.tasking import Code, OnConflict, TaskState
 from pnm.trajectory import Constraint
 
+_BEGUN: Final = frozenset({RUNNING, HANDED_OVER})
 _LOOK: Final = 0.02
 """Seconds between two looks at whether a run has come to rest."""
 
@@ -182,7 +185,7 @@ class Pursuit:
         if self.executor is None:
             return None
         calls = self.executor.run.told().calls
-        return Progress(self.executor.run.machine.plan, calls, frozenset(one.call.index for one in calls if one.outcome == "running"))
+        return Progress(self.executor.run.machine.plan, calls, frozenset(one.call.index for one in calls if one.outcome in _BEGUN))
 
     @property
     def footprint(self) -> Footprint | None:
@@ -287,8 +290,6 @@ class Pursuit:
             return await self._planned(decision.forbidden)
 
     def _note(self, way: _Way, machine: PetriNetMachine, result: RunResult) -> None:
-        calls = tuple(replace(one, outcome=HANDED_ON) if one.outcome == "running" else one for one in result.calls)
-        result = replace(result, calls=calls)
         self.history = way.history
         self.episodes.append(Episode(machine, result, way.decision))
 
@@ -313,15 +314,19 @@ class Pursuit:
             if evaluate(self.problem.goal, self.knowledge) is True and not self._waits_for_more(progress):
                 cast("Executor", self.executor).stop(cancel=False, reason="the goal holds already")
                 return None
-            if not self._obstacle(progress):
-                progress = shortened(progress, self.knowledge.world)
-                if progress == self.progress:
-                    return None
+            if not self._obstacle(progress) and shortened(progress, self.knowledge.world) == progress:
+                self._let_go_on()
+                return None
             cast("Executor", self.executor).pause(at_once=False)
         way = await self._way(execution, has_failed)
-        if way is None and not has_failed and not self.is_paused:
-            cast("Executor", self.executor).resume()
+        if way is None:
+            self._let_go_on()
         return way
+
+    def _let_go_on(self) -> None:
+        """End the pause of a run that was looked at."""
+        if self.executor and not self.is_paused:
+            self.executor.resume()
 
     async def _way(self, execution: asyncio.Future[RunResult], has_failed: bool) -> _Way | None:
         if not await self._at_rest(execution):
@@ -337,12 +342,12 @@ class Pursuit:
             return _Way(decision, history)
         self._enter(TaskState.REPLANNING, decision.why)
         try:
-            plan = await self._find(decision.forbidden, tuple(executor.run.under_way()))
+            plan, _ = await self._search(decision.forbidden, tuple(executor.run.under_way()))
         except (_Over, Unforeseeable):
             return None
         finally:
             self._enter(TaskState.RUNNING)
-        return _Way(decision, history, plan)
+        return _Way(decision, history, plan) if plan else None
 
     def _follow(self, way: _Way) -> bool:
         """Put another machine in the place of the one that goes on; tell whether its plan still works."""
@@ -356,17 +361,18 @@ class Pursuit:
             graph = plan_graph(self._now(), way.plan, [one.call for one in under_way.values()])
         if self._why_not(Progress.beginning(graph), way.history):
             return False
-        # calls that are under way come first in both graphs, in the order of their numbers
-        adopted = dict(enumerate(under_way[index] for index in sorted(under_way)))
-        executor.succeed(self._run(graph, adopted))
+        numbers = (call.index for call in graph.calls if call.under_way)  # in both kinds of graphs they come in their old order
+        adopted = dict(zip(numbers, (under_way[index] for index in sorted(under_way)), strict=True))
         self._note(way, machine, told)
+        executor.succeed(self._run(graph, adopted))
+        self._let_go_on()
         return True
 
     async def _at_rest(self, execution: asyncio.Future[RunResult]) -> bool:
         """Wait until everything that is under way can be handed over; tell whether the run is still going on then."""
         while not execution.done():
             run = cast("Executor", self.executor).run
-            if {one.call.index for one in run.told().calls if one.outcome == "running"} == {one.call.index for one in run.under_way()}:
+            if all(one.outcome != RUNNING for one in run.told().calls):
                 return True
             await asyncio.wait((execution,), timeout=_LOOK)
         return False
@@ -402,43 +408,62 @@ class Pursuit:
 
     # --- planning -------------------------------------------------------------------------------
 
-    async def _find(self, forbidden: frozenset[ForbiddenCall], under_way: tuple[UnderWay, ...] = ()) -> Plan:
+    async def _find(self, forbidden: frozenset[ForbiddenCall]) -> Plan:
         """Find a plan that can be carried out beside those of the neighbours; wait for them if there is none.
 
-        Args:
-            forbidden: what it must not use.
-            under_way: what goes on meanwhile; then nobody is waited for.
+        Raises:
+            _Over: there is none, or nobody wants it any more.
+        """
+        while True:
+            await self._until(self.circumstances.neighbours.turn())
+            try:
+                plan, conflicts = await self._find_in_turn(forbidden)
+            finally:
+                self.circumstances.neighbours.leave(in_vain=False)
+            if plan:
+                return plan
+            reason = "; ".join(map(str, conflicts))
+            if self.circumstances.on_conflict is OnConflict.REFUSE:
+                raise _Over(Code.CONFLICT, reason)
+            self._enter(TaskState.QUEUED, f"waits for {reason}")
+
+    async def _find_in_turn(self, forbidden: frozenset[ForbiddenCall]) -> tuple[Plan | None, tuple[Conflict, ...]]:
+        """Search, and search again when those have made way that yield."""
+        while True:
+            await self._may_go.wait()
+            self._origin = asyncio.get_running_loop().time()
+            self._enter(TaskState.PLANNING)
+            plan, conflicts = await self._search(forbidden)
+            if plan:
+                return plan, ()
+            if not all(one.yields for one in conflicts):
+                self.circumstances.neighbours.leave(in_vain=True)
+                return None, conflicts
+            await self._until(self.circumstances.neighbours.preempt(conflicts))
+
+    async def _search(
+        self, forbidden: frozenset[ForbiddenCall], under_way: tuple[UnderWay, ...] = ()
+    ) -> tuple[Plan | None, tuple[Conflict, ...]]:
+        """Return a plan, or with whom all plans that were found are in conflict.
 
         Raises:
             _Over: there is none, or nobody wants it any more.
             Unforeseeable: it is not known what the world will be after what is under way.
         """
-        while True:
-            await self._may_go.wait()
-            if self._stopped:
-                raise self._stopped
-            if not under_way:
-                self._origin = asyncio.get_running_loop().time()
-                self._enter(TaskState.PLANNING)
-            now = forbid(self._now(after(self.knowledge.world, under_way)), forbidden)
-            given = None if self.plans else self.given
-            found, conflicts = await self.search.find(now, [one.call for one in under_way], self.supervision.left, given)
-            if self._stopped:
-                raise self._stopped
-            if found.plan is None:
-                failures = [failure for episode in self.episodes for failure in episode.result.failures]
-                raise _Over(code_of_planning(found.status, failures), _no_plan(found, forbidden) + self._last_failure())
-            if not conflicts:
-                self._accept(found.plan)
-                return found.plan
-            reason = "; ".join(map(str, conflicts))
-            if not under_way and all(one.yields for one in conflicts):
-                await self._until(self.circumstances.neighbours.preempt(conflicts))
-                continue
-            if under_way or self.circumstances.on_conflict is OnConflict.REFUSE:
-                raise _Over(Code.CONFLICT, reason)
-            self._enter(TaskState.QUEUED, f"waits for {reason}")
-            await self._until(self.circumstances.neighbours.changed())
+        if self._stopped:
+            raise self._stopped
+        now = forbid(self._now(after(self.knowledge.world, under_way)), forbidden)
+        given = None if self.plans else self.given
+        found, conflicts = await self.search.find(now, [one.call for one in under_way], self.supervision.left, given)
+        if self._stopped:
+            raise self._stopped
+        if found.plan is None:
+            failures = [failure for episode in self.episodes for failure in episode.result.failures]
+            raise _Over(code_of_planning(found.status, failures), _no_plan(found, forbidden) + self._last_failure())
+        if conflicts:
+            return None, conflicts
+        self._accept(found.plan)
+        return found.plan, ()
 
     def _accept(self, plan: Plan) -> None:
         self.plans += 1

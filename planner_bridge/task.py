@@ -16,6 +16,7 @@ from planner_bridge.tasks import TaskObserver
 from pnm.actions.base import Outcome, Request
 from pnm.analysis import Proof
 from pnm.conditions import TRUE, Condition
+from pnm.ledger import HANDED_OVER, RUNNING, SUSPENDED
 from pnm.machine import PetriNetMachine, Rule
 from pnm.marking import Marking
 from pnm.plan_graph import ActionCall
@@ -28,7 +29,9 @@ TRACE: Final = 200
 
 _STATES: Final = {
     "waiting": StepState.WAITING,
-    "running": StepState.RUNNING,
+    RUNNING: StepState.RUNNING,
+    HANDED_OVER: StepState.RUNNING,
+    SUSPENDED: StepState.WAITING,
     "succeeded": StepState.DONE,
     "already true": StepState.DONE,
     "skipped": StepState.SKIPPED,
@@ -70,14 +73,12 @@ class Task(TaskObserver):
         order: tasks are numbered as they come in.
         listener: is told what happens.
         clock: tells the time.
-        found: is told when a plan has been found that can be carried out.
     """
 
     wanted: Wanted
     order: int
     listener: TaskListener
     clock: Callable[[], float]
-    found: Callable[[Task], None]
     goal: Condition = TRUE
     doing: Doing | None = None
     state: TaskState = TaskState.QUEUED
@@ -184,7 +185,6 @@ class Task(TaskObserver):
     def planned(self, plan: Plan) -> None:
         """Note that a plan was found."""
         self.plans += 1
-        self.found(self)
         self.note("planned", "", f"{len(plan.steps)} calls: {', '.join(map(str, plan.steps[:5]))}{', …' if len(plan.steps) > 5 else ''}")
 
     def unplanned(self, result: PlanningResult) -> None:

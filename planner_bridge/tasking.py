@@ -114,7 +114,7 @@ class TaskMaster:
     def begin(self, wanted: Wanted, /) -> None:
         """Begin a task. Whatever is wrong with it ends it, with a code and a reason."""
         self._order += 1
-        task = Task(wanted, self._order, _Everybody(self._listeners), self._loop.time, self._turnstile.gone)
+        task = Task(wanted, self._order, _Everybody(self._listeners), self._loop.time)
         waiting = sum(one.doing is None for one in self._tasks.values())
         if wanted.id in self._tasks:
             self._end(task, TaskEnding(Code.ERROR, "there is a task of this id already"))
@@ -255,7 +255,7 @@ class TaskMaster:
 
     def _end(self, task: Task, ending: TaskEnding) -> None:
         self._tasks.pop(task.id, None)
-        self._turnstile.gone(task)
+        self._turnstile.leave(task)
         self._past = [*self._past[1 - _REMEMBERED :], task]
         task.end(ending)
         self._turnstile.changed()
@@ -278,7 +278,7 @@ class TaskMaster:
         return [self._tasks[task]]
 
     async def _pause(self, task: Task, reason: str, at_once: bool) -> None:
-        self._turnstile.gone(task)
+        self._turnstile.leave(task)
         if task.doing is not None:
             await task.doing.pause(reason, at_once=at_once)
         else:
@@ -317,9 +317,10 @@ class TaskMaster:
         """Return the other tasks that are active."""
         return [one for one in self._tasks.values() if one is not task and one.is_active]
 
-    async def turn_of(self, task: Task) -> None:
-        """Wait until another task is over or paused, and it is this one's turn to look for a plan beside those that are not."""
-        await self._turnstile.wait(task)
+    @property
+    def turnstile(self) -> Turnstile[Task]:
+        """Where tasks wait for their turn to look for a plan."""
+        return self._turnstile
 
 
 class _Others(Neighbours):
@@ -342,8 +343,11 @@ class _Others(Neighbours):
         tasks = [one for one in self._master.beside(self._task) if one.id in yielding]
         await asyncio.gather(*(self._master.make_way(one, self._task.id) for one in tasks))
 
-    async def changed(self) -> None:
-        await self._master.turn_of(self._task)
+    async def turn(self) -> None:
+        await self._master.turnstile.enter(self._task)
+
+    def leave(self, *, in_vain: bool) -> None:
+        self._master.turnstile.leave(self._task, in_vain=in_vain)
 
 
 class _Everybody(TaskListener):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from planner_bridge.monitoring import ConstraintResult, PreferenceResult, Violation
 from planner_bridge.plan import Plan, PlanningResult
@@ -12,6 +12,7 @@ from planner_bridge.planning import DEFAULT_PLANNER
 from planner_bridge.replanning import Decision, GiveUp, Limits, PlanAgain, Resume
 from pnm.analysis import Proof
 from pnm.bindings import Bindings
+from pnm.ledger import HANDED_OVER
 from pnm.machine import OnFailure, PetriNetMachine
 from pnm.observer import Observer
 from pnm.results import CallResult, Failure, RunResult
@@ -20,9 +21,6 @@ from pnm.tasking import Code, TaskState
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
-
-HANDED_ON: Final = "goes on"
-"""The outcome of a call that the next machine goes on with."""
 
 
 class TaskObserver(Observer):
@@ -113,7 +111,7 @@ class TaskResult:
     @property
     def calls(self) -> tuple[CallResult, ...]:
         """What became of the calls of all episodes; of a call that was handed on, where it ended."""
-        return tuple(call for episode in self.episodes for call in episode.result.calls if call.outcome != HANDED_ON)
+        return tuple(call for episode in self.episodes for call in episode.result.calls if call.outcome != HANDED_OVER)
 
     @property
     def failures(self) -> tuple[Failure, ...]:

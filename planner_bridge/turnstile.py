@@ -1,4 +1,4 @@
-"""Lets those who wait for a change try again, one after the other."""
+"""Lets one after the other try something that they would spoil for each other, such as finding room for a plan."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ from collections.abc import Callable
 from typing import Final, Generic, TypeVar
 
 PATIENCE: Final = 5
-"""So many who try in vain one after the other; those behind them try after the next change."""
+"""So many who try again in vain, one after the other, after a change; those behind them try after the next one."""
+SLOW: Final = 1.0
+"""Seconds after which the next one is let through beside somebody who is still trying."""
 
 Who = TypeVar("Who")
 
 
 class Turnstile(Generic[Who]):
-    """A line before something that only one can try at a time, such as to find room for a plan.
+    """The line of those who are to try, and those who have tried in vain and wait for a change.
 
-    The mutable state is who waits, who has been let through and has neither come back nor gone, who is still to be let through
-    since the last change, and how many have tried in vain since somebody did not.
+    The mutable state is both, who has been let through and has not left, and how many have tried again in vain since the
+    last change.
 
     Args:
         rank: those with the lowest are let through first.
@@ -25,41 +27,47 @@ class Turnstile(Generic[Who]):
     def __init__(self, rank: Callable[[Who], tuple[int, int]]) -> None:
         self._rank = rank
         self._line: dict[Who, asyncio.Future[None]] = {}
-        self._inside: Who | None = None
-        self._left: list[Who] = []
+        self._disappointed: set[Who] = set()
+        self._inside: dict[Who, asyncio.TimerHandle] = {}
+        self._is_slow = False
         self._misses = 0
 
-    async def wait(self, who: Who) -> None:
-        """Stand in line until it is one's turn; who comes back has tried in vain."""
+    async def enter(self, who: Who) -> None:
+        """Wait for one's turn; who has left in vain waits for a change first."""
         turn: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._line[who] = turn
-        if self._inside == who:
-            self._inside = None
-            self._misses += 1
-            self._admit()
+        # everybody who comes at this moment is in line before the first is let through
+        asyncio.get_running_loop().call_soon(self._admit)
         try:
             await turn
         finally:
             self._line.pop(who, None)
 
-    def gone(self, who: Who) -> None:
-        """Note that somebody does not try any more, with success or not."""
-        if self._inside == who:
-            self._inside, self._misses = None, 0
+    def leave(self, who: Who, *, in_vain: bool = False) -> None:
+        """Note that somebody does not try any more; of who is not inside nothing is noted."""
+        if who in self._inside:
+            self._inside.pop(who).cancel()
+            self._is_slow = False
+            self._misses = self._misses + 1 if in_vain else 0
+            if in_vain:
+                self._disappointed.add(who)
             self._admit()
 
     def changed(self) -> None:
-        """Let all try again, the first in line first."""
-        self._left = sorted(self._line, key=self._rank)
+        """Let those try again who have tried in vain."""
+        self._disappointed.clear()
         self._misses = 0
-        if self._inside is None:
-            self._admit()
+        self._admit()
 
     def _admit(self) -> None:
-        while self._left and self._misses < PATIENCE:
-            who = self._left.pop(0)
-            turn = self._line.get(who)
-            if turn is not None and not turn.done():
-                self._inside = who
-                turn.set_result(None)
-                return
+        if self._inside and not self._is_slow:
+            return
+        waiting = [who for who in sorted(self._line, key=self._rank) if who not in self._disappointed and not self._line[who].done()]
+        if waiting and self._misses < PATIENCE:
+            self._is_slow = False
+            self._inside[waiting[0]] = asyncio.get_running_loop().call_later(SLOW, self._let_another_in)
+            self._line[waiting[0]].set_result(None)
+
+    def _let_another_in(self) -> None:
+        self._is_slow = True
+        self._admit()

@@ -15,6 +15,8 @@ UNCONFIRMED: Final = "canceled, unconfirmed"
 """The outcome of a call that was stopped, but whose server has not confirmed that."""
 SUSPENDED: Final = "suspended"
 """The outcome so far of a call that was cancelled for a pause and has not begun anew."""
+RUNNING: Final = "running"
+"""The outcome so far of a call whose request is out."""
 HANDED_OVER: Final = "handed over"
 """The outcome of a call that another run goes on with."""
 
@@ -94,7 +96,7 @@ class Ledger:
             self._causes.pop(call, None)
         elif rule.deed is Deed.SEND:
             started = now if result.started is None else result.started
-            self.results[call] = replace(result, outcome="running", attempts=result.attempts + 1, started=started)
+            self.results[call] = replace(result, outcome=RUNNING, attempts=result.attempts + 1, started=started)
         elif rule.name == "suspended":
             self.results[call] = replace(result, outcome=SUSPENDED)
         elif rule.name == "skip" and result.outcome == SUSPENDED:

@@ -105,7 +105,10 @@ class Resources:
         return frozenset(claim.request for claim in self._servable())
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Call the listener whenever a claim in line would be granted if it were made again; return what stops that."""
+        """Call the listener when a claim in line would be granted if it were made again, and when one comes that outranks who has it.
+
+        Returns what stops that.
+        """
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener)
 
@@ -136,6 +139,8 @@ class Resources:
             self._line = [one for one in self._line if one.request != claim.request]
             place = sum(other.priority >= claim.priority for other in self._line)
             self._line.insert(place, claim)
+            if self.outranked():
+                self._call()
 
     def _hold(self, claim: Claim) -> None:
         self._held[claim.request] = claim
@@ -144,8 +149,11 @@ class Resources:
     def _tell(self) -> None:
         """Tell everybody if there is somebody in line who could be served."""
         if any(True for _ in self._servable()):
-            for listener in tuple(self._listeners):
-                listener()
+            self._call()
+
+    def _call(self) -> None:
+        for listener in tuple(self._listeners):
+            listener()
 
     def _servable(self) -> Iterator[Claim]:
         taken = self._used.copy()

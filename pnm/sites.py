@@ -24,6 +24,8 @@ from pnm.sources.base import Source
 
 if TYPE_CHECKING:
     from pnm.ros.knowledge_services import Find, KnowledgeServices
+    from pnm.ros.node import RosThread
+    from pnm.ros.sensing import SensedReports
     from pnm.ros.sensors import Sensors
 
 DISCOVERY: Final = 10.0
@@ -111,8 +113,8 @@ class Ros2Site:
 
     Args:
         bindings: how actions are bound to servers.
-        name: of the node.
         sensing: which topics and services speak of what.
+        ros: the thread of a node that goes on when the site is closed; by default the site has one of its own.
 
     The mutable state is what `open` and `share` make.
 
@@ -120,17 +122,18 @@ class Ros2Site:
         InputError: something is sensed of which the bindings say that it is assumed.
     """
 
-    def __init__(self, bindings: Bindings, name: str = "pnm", sensing: Sensing = NO_SENSING) -> None:
+    def __init__(self, bindings: Bindings, sensing: Sensing = NO_SENSING, ros: RosThread | None = None) -> None:
         for one in sorted(sensing.names & bindings.assumed):
             raise InputError(f"there is a sensor for {one}, which is among the 'assumed' of the bindings; expected one of the two")
         self._bindings = bindings
-        self._name = name
+        self._shared = ros
         self._sensing = sensing
+        self._sensed: SensedReports | None = None
         self._reports: Reports | None = None
         self._sensors: Sensors | None = None
         self._client: Any = None
-        self._services: KnowledgeServices | None = None
-        self.ros: Any = None
+        self._services: list[KnowledgeServices] = []
+        self.ros: Any = ros
         """The thread of the node, once the site is open."""
 
     @property
@@ -150,7 +153,7 @@ class Ros2Site:
         from pnm.ros.sensors import Sensors
 
         loop = asyncio.get_running_loop()
-        self.ros = RosThread(self._name)
+        self.ros = self._shared or RosThread("pnm_run")  # `pnm` is the one that serves
         self._client = Ros2ActionClient(self.ros, self._bindings, loop)
         lag, sensing = self._bindings.lag, self._sensing
         self._sensors = Sensors(self.ros, sensing, knowledge, lag)
@@ -160,22 +163,22 @@ class Ros2Site:
             **dict.fromkeys(self._bindings.assumed, ""),
         }
         self._reports = Reports(knowledge, ignored, lag, sensing.stale, sensing.signatures)
-        reports = SensedReports(self.ros, loop, self._reports.tell)
+        self._sensed = SensedReports(self.ros, loop, self._reports.tell)
         await self._sensors.open()
-        await reports.first(DISCOVERY)
+        await self._sensed.first(DISCOVERY)
 
     async def share(self, mark: bytes, find: Find, source: Source) -> None:
         """Offer the two services that action servers find by the identity of their goal."""
         from pnm.ros.goal_ids import service_prefix
         from pnm.ros.knowledge_services import KnowledgeServices
 
-        self._services = KnowledgeServices(self.ros, asyncio.get_running_loop(), service_prefix(mark), find, source)
-        await self._services.open()
+        self._services.append(KnowledgeServices(self.ros, asyncio.get_running_loop(), service_prefix(mark), find, source))
+        await self._services[-1].open()
 
     def over(self, request: UUID, /) -> None:
         """Withdraw what a server is still asking for the request."""
-        if self._services is not None:
-            self._services.end(request)
+        for services in self._services:
+            services.end(request)
 
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Look for the servers of these actions; wait for them only while this node itself is new."""
@@ -188,9 +191,11 @@ class Ros2Site:
             self._reports.close()
         if self._sensors is not None:
             await self._sensors.close()
-        if self._services is not None:
-            await self._services.close()
+        for services in self._services:
+            await services.close()
         if self._client is not None:
             self._client.close()
-        if self.ros is not None:
+        if self._sensed is not None:
+            self._sensed.close()
+        if self.ros is not None and self._shared is None:
             await asyncio.to_thread(self.ros.close)  # what still happens on its thread may need this loop

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import random
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from uuid import UUID, uuid4
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from planner_bridge.model import Problem
 from planner_bridge.pddl import parse_problem
@@ -15,7 +19,7 @@ from planner_bridge.sites import SimulatedSite
 from planner_bridge.state import initial_knowledge
 from planner_bridge.tasking import Room, TaskMaster
 from planner_bridge.tasks import OnChange, Settings
-from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
+from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.bindings import Binding, Bindings
 from pnm.clock import run_async
 from pnm.conditions import Condition
@@ -263,7 +267,7 @@ def test_a_task_is_cancelled_only_when_the_servers_have_confirmed_it():
         await stage.sees(task, "sent")
         await stage.master.cancel(task)
         assert stage.endings[task].code is Code.CANCELLED
-        assert not stage.site.robots.busy
+        assert len(stage.seen(task, "ended")) == 1
 
     play(scene)
 
@@ -291,3 +295,275 @@ def test_what_is_not_there_cannot_be_paused_resumed_or_cancelled():
                 await deed(uuid4())
 
     play(scene)
+
+
+# --- pausing and resuming -------------------------------------------------------------------------
+
+
+def test_a_task_that_is_paused_at_a_safe_point_goes_on_where_it_was():
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a2)")
+        await stage.sees(task, "sent")
+        await stage.master.pause(task, at_once=False)
+        assert stage.state(task) is TaskState.PAUSED
+        assert [len(stage.seen(task, kind)) for kind in ("sent", "ended")] == [1, 1]
+        await asyncio.sleep(100.0)
+        assert len(stage.sent(task)) == 1
+        await stage.master.resume(task)
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert len(stage.sent(task)) == 2
+        assert len(stage.seen(task, "planned")) == 1
+
+    play(scene)
+
+
+def test_a_task_that_is_paused_at_once_begins_its_call_anew():
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a2)")
+        await stage.sees(task, "sent")
+        await stage.master.pause(task, at_once=True)
+        assert stage.state(task) is TaskState.PAUSED
+        assert "canceled" in stage.seen(task, "ended")[0].text
+        await stage.master.resume(task)
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert len(stage.sent(task)) == 3
+
+    play(scene)
+
+
+def test_a_task_whose_plan_does_not_work_any_more_after_a_pause_finds_another_way():
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a2)")
+        await stage.sees(task, "sent")
+        await stage.master.pause(task, at_once=True)
+        stage.site.robots.world.change({("at", "r0", "a0"): False, ("at", "r0", "a3"): True})
+        await stage.master.resume(task)
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert stage.sent(task)[1:] == ["move(r0, a3, a2)"]
+
+    play(scene)
+
+
+def test_a_paused_task_can_be_cancelled_and_misses_its_deadline():
+    async def scene(stage: Stage) -> None:
+        one, two = stage.want("(at r0 a2)"), stage.want("(at r1 a3)", deadline=50.0)
+        await stage.sees(one, "sent")
+        await stage.master.pause(None, at_once=False)
+        await stage.master.cancel(one)
+        assert await stage.ended_with(one, two) == [Code.CANCELLED, Code.DEADLINE_MISSED]
+
+    play(scene)
+
+
+def test_what_comes_while_all_is_paused_waits():
+    async def scene(stage: Stage) -> None:
+        await stage.master.pause(None, at_once=False)
+        task = stage.want("(at r0 a2)")
+        await asyncio.sleep(100.0)
+        assert not stage.sent(task)
+        await stage.master.resume(None)
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+
+    play(scene)
+
+
+def test_a_paused_task_keeps_nobody_waiting():
+    async def scene(stage: Stage) -> None:
+        one = stage.want("(at r0 a2)")
+        await stage.sees(one, "sent")
+        two = stage.want("(at r0 a1)")
+        await stage.sees(two, "state", "waits")
+        await stage.master.pause(one, at_once=False)
+        assert await stage.ended_with(two) == [Code.GOAL_REACHED]
+        await stage.master.resume(one)
+        assert await stage.ended_with(one) == [Code.GOAL_REACHED]
+
+    play(scene)
+
+
+# --- priorities -----------------------------------------------------------------------------------
+
+
+def test_a_higher_goal_preempts_a_lower_one_that_goes_on_by_itself():
+    async def scene(stage: Stage) -> None:
+        low = stage.want("(at r0 a2)")
+        await stage.sees(low, "sent")
+        high = stage.want("(at r0 a3)", priority=1)
+        assert await stage.ended_with(high) == [Code.GOAL_REACHED]
+        assert stage.seen(low, "state", "makes way for (at r0 a3)")
+        assert await stage.ended_with(low) == [Code.GOAL_REACHED]
+        assert stage.holds("(at r0 a2)")
+
+    play(scene)
+
+
+def test_a_higher_goal_takes_the_resource_of_a_lower_one_even_if_their_facts_have_nothing_to_do_with_each_other():
+    shared = Bindings({name: Binding(resources=("lift",), retries=0) for name in ("move", "pick", "drop")})
+
+    async def scene(stage: Stage) -> None:
+        low = stage.want("(at r0 a2)")
+        await stage.sees(low, "sent")
+        high = stage.want("(at r1 a3)", priority=1)
+        assert await stage.ended_with(high, low) == [Code.GOAL_REACHED] * 2
+        assert stage.seen(low, "conflict", "makes way")
+        assert stage.endings[high].trace[-1].time < stage.endings[low].trace[-1].time
+
+    play(scene, chosen=replace(EAGER, bindings=shared))
+
+
+def test_equal_goals_that_share_a_resource_take_turns():
+    shared = Bindings({name: Binding(resources=("lift",), retries=0) for name in ("move", "pick", "drop")})
+
+    async def scene(stage: Stage) -> None:
+        tasks = [stage.want("(at r0 a2)"), stage.want("(at r1 a3)")]
+        assert await stage.ended_with(*tasks) == [Code.GOAL_REACHED] * 2
+        assert not any(stage.seen(task, "conflict") for task in tasks)
+
+    play(scene, chosen=replace(EAGER, bindings=shared))
+
+
+def test_a_task_that_was_preempted_and_paused_goes_on_when_both_are_over():
+    async def scene(stage: Stage) -> None:
+        low = stage.want("(at r0 a2)")
+        await stage.sees(low, "sent")
+        high = stage.want("(at r0 a3)", priority=1)
+        await stage.sees(high, "sent")
+        await stage.master.pause(low, at_once=True)
+        assert await stage.ended_with(high) == [Code.GOAL_REACHED]
+        assert stage.state(low) is TaskState.PAUSED
+        await stage.master.resume(low)
+        assert await stage.ended_with(low) == [Code.GOAL_REACHED]
+
+    play(scene)
+
+
+# --- failures and changes while others go on ------------------------------------------------------
+
+
+def both(first: str, second: str) -> str:
+    return f"(and {first} {second})"
+
+
+def test_what_is_under_way_goes_on_while_another_way_is_found():
+    faults = Faults((Fault("move(r0, a0, a1)", FaultKind.ABORT), Fault("move(r1, a1, a2)", FaultKind.SLOW, times=1)))
+
+    async def scene(stage: Stage) -> None:
+        task = stage.want(both("(at r0 a1)", "(at r1 a2)"))
+        await stage.sees(task, "failed", "move(r0, a0, a1)")
+        await stage.sees(task, "sent", "move(r0, a0, a3)")
+        assert not stage.seen(task, "ended", "move(r1, a1, a2)"), "r1 is still on its way"
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert stage.sent(task).count("move(r1, a1, a2)") == 1, "and was never sent again"
+
+    play(scene, faults=faults, chosen=replace(EAGER, limits=Limits(forbid_after=1)))
+
+
+@pytest.mark.parametrize(("policy", "ends"), [(OnFailure.DRAIN, "succeeded"), (OnFailure.CANCEL, "canceled")])
+def test_other_policies_end_what_is_under_way_first(policy: OnFailure, ends: str):
+    faults = Faults((Fault("move(r0, a0, a1)", FaultKind.ABORT), Fault("move(r1, a1, a2)", FaultKind.SLOW, times=1)))
+
+    async def scene(stage: Stage) -> None:
+        task = stage.want(both("(at r0 a1)", "(at r1 a2)"))
+        await stage.sees(task, "sent", "move(r0, a0, a3)")
+        assert ends in stage.seen(task, "ended", "move(r1, a1, a2)")[0].text
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+
+    play(scene, faults=faults, chosen=replace(EAGER, on_failure=policy, limits=Limits(forbid_after=1)))
+
+
+def test_a_change_that_breaks_the_rest_of_the_plan_is_acted_on_at_once():
+    changes = (HiddenChange({("way", "a1", "a2"): False}, at=0.5),)
+
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a2)")
+        await stage.sees(task, "replanned")
+        assert stage.seen(task, "replanned")[0].time == pytest.approx(0.5, abs=0.1)
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert not stage.seen(task, "failed")
+        assert stage.sent(task) == ["move(r0, a0, a1)", *(f"move(r0, a{n}, a{m})" for n, m in ((1, 0), (0, 5), (5, 4), (4, 3), (3, 2)))]
+
+    play(scene, fleet(places=6), faults=Faults(changes=changes))
+
+
+def test_a_lazy_task_finds_out_when_a_call_fails():
+    changes = (HiddenChange({("way", "a1", "a2"): False}, at=0.5),)
+
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a2)")
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert stage.seen(task, "failed", "precondition_false")
+
+    play(scene, fleet(places=6), faults=Faults(changes=changes), chosen=replace(EAGER, on_change=OnChange.LAZY))
+
+
+def test_a_goal_that_comes_true_by_itself_is_taken():
+    changes = (HiddenChange({("in", "p0", "a0"): False, ("in", "p0", "a2"): True, ("has", "r0", "p0"): False}, at=1.5),)
+
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(in p0 a2)")
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert len(stage.sent(task)) <= 2
+
+    play(scene, fleet(robots=1), faults=Faults(changes=changes))
+
+
+def test_calls_that_have_become_needless_are_left_out():
+    changes = (HiddenChange({("at", "r0", "a0"): False, ("at", "r0", "a1"): False, ("at", "r0", "a2"): True}, at=1.5),)
+
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a3)")
+        await stage.ended_with(task)
+
+    async def far(stage: Stage) -> None:
+        task = stage.want("(at r0 a4)")
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert not stage.seen(task, "failed")
+
+    play(scene, faults=Faults(changes=changes))
+    play(far, fleet(places=8), faults=Faults(changes=changes))
+
+
+def test_a_task_that_can_do_no_more_says_what_failed():
+    faults = Faults((Fault("pick", FaultKind.ABORT, message="the gripper is stuck"),))
+
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(in p0 a2)")
+        assert await stage.ended_with(task) == [Code.ACTION_FAILED]
+        assert "the gripper is stuck" in stage.endings[task].message
+
+    play(scene, faults=faults)
+
+
+# --- many -----------------------------------------------------------------------------------------
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32))
+def test_many_goals_over_few_robots_with_failures_all_end_and_say_the_truth(seed: int):
+    rng = random.Random(seed)
+    parcels, places = 8, 5
+    kinds = [FaultKind.ABORT, FaultKind.REJECT, FaultKind.NO_EFFECT, FaultKind.SLOW]
+    faults = tuple(
+        Fault(rng.choice(["move", "pick", "drop"]), rng.choice(kinds), after=rng.randrange(20), times=1) for _ in range(rng.randrange(6))
+    )
+
+    async def scene(stage: Stage) -> None:
+        wanted = [f"(in p{n} a{rng.randrange(places)})" for n in range(parcels)]
+        tasks = []
+        for text in wanted:
+            tasks.append(stage.want(text, priority=rng.choice([0, 0, 0, 1]), on_conflict=rng.choice([None, OnConflict.QUEUE])))
+            await asyncio.sleep(rng.choice([0.0, 0.0, 0.7, 3.0]))
+            if rng.random() < 0.2:
+                chosen = rng.choice([None, *tasks])
+                if chosen is None or chosen not in stage.endings:
+                    await stage.master.pause(chosen, at_once=rng.random() < 0.5)
+                    await asyncio.sleep(rng.choice([0.0, 2.0]))
+                    await stage.master.resume(None)
+        codes = await stage.ended_with(*tasks)
+        for text, code in zip(wanted, codes, strict=True):
+            if code is Code.GOAL_REACHED:
+                assert stage.holds(text)
+            else:
+                assert code in (Code.ACTION_FAILED, Code.NO_PLAN, Code.CONDITION_LOST, Code.SERVER_UNAVAILABLE), code
+
+    play(scene, fleet(robots=3, parcels=parcels, places=places), faults=Faults(faults))

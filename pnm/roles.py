@@ -1,0 +1,74 @@
+"""What places and transitions are to whoever executes a machine, by their numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+from pnm.machine import (
+    Accepts,
+    AlreadyTrue,
+    DataMissing,
+    Deed,
+    Denied,
+    EffectsMissing,
+    EffectsSeen,
+    Ends,
+    Holding,
+    PetriNetMachine,
+    Rule,
+)
+
+_KNOWING: Final = (Holding, Denied, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
+"""Guards whose answer may change when facts change."""
+
+
+@dataclass
+class Roles:
+    """The roles of a machine's places and transitions. Nothing changes once it is made."""
+
+    machine: PetriNetMachine
+    rules: list[Rule] = field(init=False)
+    """For every transition, its rule."""
+    listening: list[bool] = field(init=False)
+    """For every place, whether what is decided there may change when facts change."""
+    reported: dict[int, list[int]] = field(init=False)
+    """For every call, the transitions that reports about its request open."""
+    records: frozenset[int] = field(init=False)
+    """Places at which nothing is decided."""
+    resources: frozenset[int] = field(init=False)
+    takes: frozenset[int] = field(init=False)
+    """Transitions that take resources; what is taken over has its own."""
+    gives: frozenset[int] = field(init=False)
+    """Transitions that give resources back."""
+    alive: tuple[int, ...] = field(init=False)
+    settling: dict[int, int] = field(init=False)
+    restarts: frozenset[int] = field(init=False)
+    failures: dict[int, int] = field(init=False)
+    goal: int = field(init=False)
+    failed: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        machine, compiled = self.machine, self.machine.compiled
+        ids = compiled.place_id
+        self.rules = [machine.rules[name] for name in compiled.transitions]
+        self.listening = [any(isinstance(self.rules[one].guard, _KNOWING) for one, _ in found) for found in compiled.consumers]
+        self.reported = {}
+        for transition, rule in enumerate(self.rules):
+            if isinstance(rule.guard, Accepts | Ends):
+                self.reported.setdefault(rule.guard.call, []).append(transition)
+        self.records = frozenset(ids[place] for place in machine.record_places)
+        self.resources = frozenset(ids[place] for place in machine.resource_places)
+        self.takes = frozenset(one for one in self._touching(compiled.inputs) if self.rules[one].deed is not Deed.ADOPT)
+        self.gives = self._touching(compiled.outputs)
+        self.alive = tuple(ids[place] for place in machine.alive_places)
+        self.settling = {ids[place]: call for place, call in machine.settling_places.items()}
+        self.restarts = frozenset(ids[place] for place in machine.restart_places)
+        self.failures = {ids[place]: call for place, call in machine.failure_places.items()}
+        self.goal, self.failed = ids[machine.goal_place], ids[machine.failed_place]
+
+    def _touching(self, arcs: list[list[tuple[int, int]]]) -> frozenset[int]:
+        """Return the transitions that are connected to resources."""
+        if not self.resources:
+            return frozenset()
+        return frozenset(transition for transition, found in enumerate(arcs) if any(place in self.resources for place, _ in found))

@@ -1,0 +1,391 @@
+"""Runs that are succeeded by others: what is under way is taken over, and nothing is lost."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from uuid import UUID
+
+import pytest
+
+from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
+from pnm.analysis import explore, verify
+from pnm.bindings import Binding, Bindings
+from pnm.calls import UnderWay
+from pnm.clock import run_async
+from pnm.conditions import Holds
+from pnm.effects import Set
+from pnm.events import Begin, Cancel, Command, Pause, Send, Stop, Tick, Wake
+from pnm.executor import Executor
+from pnm.expressions import Constant
+from pnm.generation import generate
+from pnm.knowledge import KnowledgeBase, Layered
+from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, PlanGraphError
+from pnm.resources import Resources
+from pnm.results import RunResult
+from pnm.run import Run, RunError
+from tests.machines import ordering
+from tests.robots import Log, move
+from tests.test_machine import check_proof_of_mutants
+
+CANCELED, SUCCEEDED, ABORTED = (Outcome(kind) for kind in (OutcomeKind.CANCELED, OutcomeKind.SUCCEEDED, OutcomeKind.ABORTED))
+ACT = GroundAction("act", resources=("arm",), duration=5.0)
+LAST = GroundAction("last", resources=("arm",))
+
+
+def plan(*calls: ActionCall, orders: tuple[str, ...] = ()) -> PlanGraph:
+    return PlanGraph(calls, tuple(map(ordering, orders)))
+
+
+def going(*actions: GroundAction, bindings: Bindings | None = None, world: KnowledgeBase | None = None, **options: object) -> Run:
+    """A run whose calls were all accepted at 1 s."""
+    graph = plan(*(ActionCall(index, action) for index, action in enumerate(actions)))
+    machine = generate(graph, bindings)
+    run = Run(machine, Layered(world or KnowledgeBase()), id=UUID(int=1), bindings=bindings, **options)  # type: ignore[arg-type]
+    run.handle(Begin(), 0.0)
+    for request in run.open_requests:
+        run.handle(Accepted(request), 1.0)
+    return run
+
+
+def successor(
+    old: Run,
+    *more: GroundAction,
+    taken: int | None = None,
+    orders: tuple[str, ...] = (),
+    bindings: Bindings | None = None,
+    **options: object,
+) -> Run:
+    """A run that takes over what is under way, and does more."""
+    there = old.under_way()[:taken]
+    calls = [ActionCall(number, one.call.action, under_way=True) for number, one in enumerate(there)]
+    calls += [ActionCall(number, action) for number, action in enumerate(more, len(there))]
+    machine = generate(plan(*calls, orders=orders), bindings)
+    verify(machine)
+    adopted = dict(enumerate(there))
+    options = {"resources": old.resources, **options}
+    return Run(machine, old.knowledge, id=UUID(int=2), bindings=bindings, adopted=adopted, **options)  # type: ignore[arg-type]
+
+
+def sent(commands: list[Command]) -> list[str]:
+    return [command.request.action.name for command in commands if isinstance(command, Send)]
+
+
+def cancelled(commands: list[Command]) -> list[UUID]:
+    return [command.request for command in commands if isinstance(command, Cancel)]
+
+
+# --- runs ----------------------------------------------------------------------------------
+
+
+def test_a_request_is_taken_over_and_what_waits_for_it_goes_on_after_its_end() -> None:
+    old = going(ACT)
+    (request,) = old.open_requests
+    new = successor(old, LAST)
+    assert new.open_requests == (request,)
+    assert sent(new.handle(Begin(), 2.0)) == [], "the arm is still in use"
+    assert [claim.request for claim in new.resources.held] == [request]
+    assert sent(new.handle(Ended(request, SUCCEEDED), 3.0)) == ["last"]
+    new.handle(Ended(new.open_requests[0], SUCCEEDED), 4.0)
+    result = new.result()
+    assert result.goal
+    assert [(call.outcome, call.attempts, call.started) for call in result.calls] == [("succeeded", 1, 0.0), ("succeeded", 1, 3.0)]
+    assert (new.resources.held, new.resources.line) == ((), ())
+
+
+def test_what_is_not_accepted_or_being_cancelled_is_not_under_way() -> None:
+    old = going(GroundAction("one"), GroundAction("two"))
+    assert [str(one.call) for one in old.under_way()] == ["one()#0", "two()#1"]
+    old.handle(Pause(at_once=True), 2.0)
+    assert old.under_way() == ()
+    fresh = Run(old.machine, old.knowledge, id=UUID(int=3))
+    fresh.handle(Begin(), 0.0)
+    assert fresh.under_way() == ()
+    old.handle(Ended(old.open_requests[0], CANCELED), 3.0)
+    assert old.under_way() == ()
+
+
+def test_how_far_a_run_has_come_is_told() -> None:
+    old = going(GroundAction("one"), GroundAction("two"))
+    old.handle(Ended(old.open_requests[0], SUCCEEDED), 2.0)
+    told = old.told()
+    assert [call.outcome for call in told.calls] == ["succeeded", "handed over"]
+    assert (told.goal, told.failures, told.stopped) == (False, (), False)
+
+
+def test_time_outs_count_from_the_first_acceptance() -> None:
+    limits = Bindings({"act": Binding(timeout=10.0)})
+    old = going(ACT, bindings=limits)
+    new = successor(old, bindings=limits)
+    assert new.handle(Begin(), 4.0) == [Wake(11.0)]
+    assert cancelled(new.handle(Tick(), 11.0)) == [*old.open_requests]
+    late = successor(old, bindings=limits)
+    assert cancelled(late.handle(Begin(), 12.0)) == [*old.open_requests]
+
+
+def test_a_call_taken_over_that_fails_is_tried_again_as_any_other() -> None:
+    world = KnowledgeBase({("at", "r1", "hall"): True})
+    old = going(move("r1", "hall", "lab"), world=world)
+    new = successor(old)
+    new.handle(Begin(), 2.0)
+    assert world.value(("at", "r1", "hall")) is False
+    commands = new.handle(Ended(old.open_requests[0], ABORTED), 3.0)
+    assert sent(commands) == ["move"]
+    assert world.value(("at", "r1", "hall")) is True, "what was assumed at its start is taken back"
+    assert new.open_requests != old.open_requests
+    new.handle(Accepted(new.open_requests[0]), 3.0)
+    new.handle(Ended(new.open_requests[0], SUCCEEDED), 4.0)
+    assert new.result().calls[0].attempts == 2
+    assert world.value(("at", "r1", "lab")) is True
+
+
+def test_an_end_that_comes_before_the_beginning_is_not_lost() -> None:
+    old = going(ACT)
+    new = successor(old, LAST)
+    assert new.handle(Ended(old.open_requests[0], SUCCEEDED), 2.0) == []
+    assert sent(new.handle(Begin(), 2.0)) == ["last"]
+
+
+def test_an_over_all_condition_counts_from_the_beginning() -> None:
+    world = KnowledgeBase({("ok",): True})
+    old = going(replace(ACT, invariant=Holds(("ok",))), world=world)
+    world.update({("ok",): False})
+    new = successor(old)
+    assert cancelled(new.handle(Begin(), 2.0)) == [*old.open_requests]
+    new.handle(Ended(old.open_requests[0], CANCELED), 3.0)
+    assert [failure.cause for failure in new.result().failures] == ["invariant_false"]
+
+
+def test_what_waits_for_the_start_of_a_call_taken_over_goes_on() -> None:
+    old = going(GroundAction("act", duration=5.0))
+    new = successor(old, GroundAction("next"), orders=("0s<1s",))
+    explore(new.machine)
+    assert sent(new.handle(Begin(), 2.0)) == ["next"]
+    delayed = PlanGraph(
+        (ActionCall(0, GroundAction("act", duration=5.0), under_way=True), ActionCall(1, GroundAction("next"))),
+        (Ordering(PlanEvent(0, Moment.START), PlanEvent(1, Moment.START), delay=4.0),),
+    )
+    later = Run(generate(delayed), old.knowledge, id=UUID(int=3), adopted=dict(enumerate(old.under_way())))
+    assert later.handle(Begin(), 2.0)[-1] == Wake(5.0), "4 s after its acceptance"
+
+
+def test_stopping_a_successor_cancels_what_it_has_taken_over() -> None:
+    old = going(ACT)
+    new = successor(old)
+    new.handle(Stop(), 2.0)
+    assert cancelled(new.handle(Begin(), 2.0)) == [*old.open_requests]
+    new.handle(Ended(old.open_requests[0], CANCELED), 3.0)
+    assert [call.outcome for call in new.result().calls] == ["canceled"]
+
+
+def test_a_pause_suspends_what_was_taken_over_and_it_begins_anew() -> None:
+    old = going(ACT)
+    new = successor(old)
+    new.handle(Begin(), 2.0)
+    assert cancelled(new.handle(Pause(at_once=True), 3.0)) == [*old.open_requests]
+    new.handle(Ended(old.open_requests[0], CANCELED), 4.0)
+    assert new.paused
+    assert new.resources.held == ()
+
+
+def test_a_run_without_others_keeps_what_its_predecessor_had() -> None:
+    old = going(ACT, resources=Resources())
+    new = successor(old, LAST, resources=None)
+    assert sent(new.handle(Begin(), 2.0)) == []
+    assert [claim.names for claim in new.resources.held] == [("arm",)]
+
+
+def test_what_contradicts_the_plan_is_refused() -> None:
+    old = going(ACT)
+    (there,) = old.under_way()
+    machine = generate(plan(ActionCall(0, ACT, under_way=True)))
+
+    def refused(adopted: Mapping[int, UnderWay], match: str) -> None:
+        with pytest.raises(RunError, match=match):
+            Run(machine, old.knowledge, id=UUID(int=2), adopted=adopted)
+
+    refused({}, r"the calls \[0\] of the plan are under way; requests are taken over for \[\]")
+    refused({0: there, 1: there}, r"taken over for \[0, 1\]")
+    refused({0: replace(there, resources=("leg",))}, "has leg for itself; the plan says otherwise")
+    twice = generate(plan(ActionCall(0, ACT, under_way=True), ActionCall(1, ACT, under_way=True)))
+    with pytest.raises(RunError, match="2 requests that are taken over have arm"):
+        Run(twice, old.knowledge, id=UUID(int=2), adopted={0: there, 1: there})
+    with pytest.raises(PlanGraphError, match="is under way: it cannot wait for others"):
+        plan(ActionCall(0, LAST), ActionCall(1, ACT, under_way=True), orders=("0e<1s",))
+
+
+def test_the_block_proof_accepts_no_machine_that_the_state_space_refutes() -> None:
+    check_proof_of_mutants(generate(plan(ActionCall(0, ACT, under_way=True)), Bindings({"act": Binding(retries=0)})))
+
+
+# --- executors -----------------------------------------------------------------------------
+
+
+class Server:
+    """Accepts everything at once; ends what it is told to. The mutable state is what it was asked for."""
+
+    def __init__(self) -> None:
+        self.reporters: dict[str, tuple[Request, Reporter]] = {}
+        self.cancelled: list[str] = []
+
+    def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
+        return ()
+
+    def send(self, request: Request, report: Reporter, /) -> None:
+        self.reporters[request.action.name] = request, report
+        report(Accepted(request.id))
+
+    def cancel(self, request: UUID, /) -> None:
+        self.cancelled += [name for name, (one, _) in self.reporters.items() if one.id == request]
+
+    def end(self, name: str, outcome: Outcome = SUCCEEDED) -> None:
+        request, report = self.reporters[name]
+        report(Ended(request.id, outcome))
+
+
+def carried(story: Callable[[Executor, Server], object], *actions: GroundAction, bindings: Bindings | None = None) -> RunResult:
+    """Have a run of these actions carried out, and something done to it after a second."""
+    graph = plan(*(ActionCall(index, action) for index, action in enumerate(actions)))
+    server = Server()
+    world = KnowledgeBase(sensed={"seen": 2.0})
+    executor = Executor(Run(generate(graph, bindings), Layered(world), id=UUID(int=1), bindings=bindings, observer=Log()), server)
+
+    async def main() -> RunResult:
+        task = asyncio.ensure_future(executor.execute())
+        await asyncio.sleep(1)
+        story(executor, server)
+        return await task
+
+    return run_async(main(), virtual=True)
+
+
+def test_the_result_is_that_of_the_last_run() -> None:
+    def story(executor: Executor, server: Server) -> None:
+        executor.succeed(successor(executor.run, LAST))
+        asyncio.get_running_loop().call_later(3, server.end, "act")
+        asyncio.get_running_loop().call_later(5, server.end, "last")
+
+    result = carried(story, ACT)
+    assert result.goal
+    assert [(call.call.action.name, call.outcome, call.ended) for call in result.calls] == [
+        ("act", "succeeded", pytest.approx(4.0)),
+        ("last", "succeeded", pytest.approx(6.0)),
+    ]
+
+
+def test_a_report_that_waits_in_the_inbox_reaches_the_successor() -> None:
+    def story(executor: Executor, server: Server) -> None:
+        server.end("act")
+        executor.succeed(successor(executor.run))
+
+    assert carried(story, ACT).goal
+
+
+def test_a_successor_with_nothing_to_do_ends_at_once() -> None:
+    def story(executor: Executor, server: Server) -> None:
+        executor.run.handle(Ended(executor.run.open_requests[0], SUCCEEDED), 1.0)
+        executor.succeed(successor(executor.run))
+
+    blocked = GroundAction("other", precondition=Holds(("seen",)))
+    assert carried(story, GroundAction("act"), blocked).goal
+
+
+def test_a_pause_goes_on_in_the_successor() -> None:
+    def story(executor: Executor, server: Server) -> None:
+        executor.run.handle(Pause(), 1.0)
+        executor.succeed(successor(executor.run, LAST))
+        server.end("act")
+        loop = asyncio.get_running_loop()
+        loop.call_later(5, lambda: states.append((executor.run.paused, [*server.reporters])))
+        loop.call_later(6, executor.resume)
+        loop.call_later(7, server.end, "last")
+
+    states: list[object] = []
+    assert carried(story, ACT).goal
+    assert states == [(True, ["act"])]
+
+
+def refusing(match: str, change: Callable[[Executor, Server], Run]) -> Callable[[Executor, Server], None]:
+    """Try to go on with another run; then end all that is open."""
+
+    def story(executor: Executor, server: Server) -> None:
+        old, new = executor.run, change(executor, server)
+        with pytest.raises(RunError, match=match):
+            executor.succeed(new)
+        assert executor.run is old
+        for name in server.reporters:
+            server.end(name)
+
+    return story
+
+
+def stopped(executor: Executor) -> Run:
+    new = successor(executor.run)
+    executor.run.handle(Stop(), 1.0)
+    return new
+
+
+def ended(executor: Executor) -> Run:
+    new = successor(executor.run)
+    executor.run.handle(Pause(at_once=True), 1.0)
+    executor.resume()
+    return new
+
+
+def test_nothing_that_is_under_way_is_lost() -> None:
+    act, two = GroundAction("act"), GroundAction("two")
+    carried(refusing(r"does not take over two\(\)", lambda executor, _: successor(executor.run, taken=1)), act, two)
+    carried(refusing("was told to stop", lambda executor, _: stopped(executor)), act)
+    carried(refusing(r"act\(\)#0 cannot be taken over", lambda executor, _: ended(executor)), act)
+    carried(refusing("an id of its own", lambda executor, _: executor.run), act)
+
+
+def test_a_call_whose_effects_are_looked_for_is_waited_for() -> None:
+    effects = (Set(("seen",), Constant(True)),)
+
+    def story(executor: Executor, server: Server) -> None:
+        executor.run.handle(Ended(executor.run.open_requests[0], SUCCEEDED), 1.0)
+        new = successor(executor.run)
+        with pytest.raises(RunError, match=r"the effects of act\(\)#0 are still to be looked for"):
+            executor.succeed(new)
+        executor.run.knowledge.world.update({("seen",): True})
+
+    assert carried(story, GroundAction("act", end_effects=effects)).goal
+
+
+def test_what_is_over_is_not_succeeded() -> None:
+    def story(executor: Executor, server: Server) -> None:
+        executors.append(executor)
+        server.end("act")
+
+    executors: list[Executor] = []
+    carried(story, ACT)
+    run = executors[0].run
+    with pytest.raises(RunError, match="a run that is over"):
+        executors[0].succeed(Run(run.machine, run.knowledge, id=UUID(int=2)))
+    idle = Executor(Run(run.machine, run.knowledge, id=UUID(int=3)), Server())
+    with pytest.raises(RunError, match="not being carried out"):
+        idle.succeed(Run(run.machine, run.knowledge, id=UUID(int=4)))
+
+
+def test_the_resources_of_a_run_that_is_succeeded_are_given_back_but_for_what_goes_on() -> None:
+    pool = Resources()
+    old = going(ACT, GroundAction("wheel", resources=("base",)), resources=pool)
+    waiting = Run(generate(plan(ActionCall(0, LAST))), Layered(KnowledgeBase()), id=UUID(int=9), resources=pool)
+    waiting.handle(Begin(), 1.0)
+    old.retire([old.open_requests[0]])
+    assert [claim.names for claim in pool.held] == [("arm",)]
+    waiting.retire()
+    assert pool.line == ()
+
+
+def test_changes_of_knowledge_reach_the_successor_alone() -> None:
+    def story(executor: Executor, server: Server) -> None:
+        old = executor.run
+        executor.succeed(successor(old, GroundAction("sees", precondition=Holds(("seen",)))))
+        old.knowledge.world.update({("seen",): True})
+        server.end("act")
+        asyncio.get_running_loop().call_later(1, server.end, "sees")
+
+    assert carried(story, ACT).goal
