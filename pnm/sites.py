@@ -164,7 +164,8 @@ class Ros2Site:
         }
         self._reports = Reports(knowledge, ignored, lag, sensing.stale, sensing.signatures)
         self._sensed = SensedReports(self.ros, loop, self._reports.tell)
-        await asyncio.gather(self._sensed.first(DISCOVERY), self._sensors.open())
+        await self._sensors.open()
+        await self._sensed.first(DISCOVERY)
 
     async def share(self, mark: bytes, find: Find, source: Source) -> None:
         """Offer the two services that action servers find by the identity of their goal."""

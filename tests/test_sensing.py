@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner_bridge.loading import load
@@ -27,6 +27,7 @@ from pnm.sensing import Instance, Polled, Topic, instances, read, unknown
 from pnm.sensing_file import read_sensing
 from pnm.silence import Silence
 from pnm.sites import Ros2Site
+from tests.test_yaml_damage import damaged
 
 ROOT = Path(__file__).parents[1]
 DOMAIN = parse_domain(
@@ -325,6 +326,24 @@ def test_a_sensor_says_something_of_the_same_whatever_it_hears(message):
         assert set(nothing.facts.values()) <= {UNKNOWN}
         assert sum(value is True for fluent, value in reading.facts.items() if fluent[0] == "at") <= 1
         assert bool(reading.unread) is (UNKNOWN in reading.facts.values() or None in reading.variables.values())
+
+
+def read_or_refused(text, known):
+    """Return the sensors of a text, or where it is wrong."""
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            return instances(read_sensing(written(Path(folder), text), known), objects)
+        except InputError as error:
+            return error.position
+
+
+@given(st.data(), messages, st.booleans())
+@settings(max_examples=50, deadline=None)
+def test_a_damaged_file_is_read_or_refused_with_a_place(data, message, checked):
+    found = read_or_refused(damaged(data, EVERYTHING), KNOWN if checked else None)
+    assert found is not None
+    for one in found if isinstance(found, tuple) else ():
+        read(one, look(message), objects)
 
 
 @given(values, values)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import resource
 from contextlib import contextmanager
+from math import inf, nan
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from planner_bridge.loading import load
@@ -336,6 +337,7 @@ states = st.dictionaries(
 
 
 @given(states, st.floats(0, 10))
+@example({("battery", "r1"): inf, ("battery", "R2"): nan, ("location", "r1"): "r1"}, 0.0)
 def test_the_problem_that_is_written_reads_back_equal_whatever_was_reported(reported, elapsed):
     knowledge = initial_knowledge(PROBLEM)
     knowledge.update(reported)

@@ -59,3 +59,9 @@ def test_sensors_that_are_wrong_are_refused_before_anything_starts(stage):
         run = scene.run("--sensing", written(scene.folder / "sensing.yaml", text))
         assert run.ended() == 2
         assert said in run.err[-1]
+    battery = {"topic": "/r1/battery", "type": "test_msgs/msg/Strings", "fields": {}}
+    sensor = scene.start(Program(["-m", "tests.ros.sensors", json.dumps(battery)], scene.environment))
+    sensor.until(lambda: "ready" in sensor.out)
+    run = scene.run("--sensing", written(scene.folder / "sensing.yaml", SENSING))
+    assert run.ended() == 2
+    assert "sensing.yaml:6:15: Strings has no field 'float32_value'; it has string_value" in run.err[-1]
