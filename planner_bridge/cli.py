@@ -133,7 +133,7 @@ def net(
 )
 @click.option(
     "--on-failure",
-    type=click.Choice(["drain", "cancel"]),
+    type=click.Choice(["drain", "cancel", "continue_others"]),
     help="what running actions do when one has failed; by default what a hand-written plan says, or else drain",
 )
 @as_json_option
@@ -273,13 +273,17 @@ def schema(output: Path | None) -> int:
 
 
 @app.command()
+@click.argument("story", type=click.Choice(["delivery", "mall"]), default="delivery")
 @command
-def demo() -> int:
-    """Show the whole story on simulated robots: plan, machine, run, failure, replan, goal."""
-    from planner_bridge.console import Terminal
-    from planner_bridge.demo import show
+def demo(story: str) -> int:
+    """Show the whole story on simulated robots: plan, machine, run, failure, replan, goal.
 
-    return show(Terminal())
+    `mall`, over ROS 2: several tasks that share a robot, with people who interrupt it and answer late.
+    """
+    from planner_bridge import demo, mall_demo
+    from planner_bridge.console import Terminal
+
+    return mall_demo.show(Terminal()) if story == "mall" else demo.show(Terminal())
 
 
 def _load(domain: Path, problem: Path) -> Problem:

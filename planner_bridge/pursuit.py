@@ -361,8 +361,8 @@ class Pursuit:
             graph = plan_graph(self._now(), way.plan, [one.call for one in under_way.values()])
         if self._why_not(Progress.beginning(graph), way.history):
             return False
-        # calls that are under way come first in both graphs, in the order of their numbers
-        adopted = dict(enumerate(under_way[index] for index in sorted(under_way)))
+        numbers = (call.index for call in graph.calls if call.under_way)  # in both kinds of graphs they come in their old order
+        adopted = dict(zip(numbers, (under_way[index] for index in sorted(under_way)), strict=True))
         self._note(way, machine, told)
         executor.succeed(self._run(graph, adopted))
         self._let_go_on()

@@ -1,15 +1,38 @@
-"""What the decision at a place is made from: what is known, and what was answered there; and how it is explained."""
+"""The decision at a place: what it is made from, when guards open, and how it is explained."""
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Iterator, Mapping
+from typing import Final, assert_never
+from uuid import UUID
 
-from pnm.calls import Calls
-from pnm.conditions import Condition, evaluate, failing, ground, observed
+from pnm.calls import Calls, UnderWay
+from pnm.checks import already_true
+from pnm.conditions import Condition, evaluate, failing, ground, names, observed
 from pnm.consultation import Consultation, Questions
-from pnm.machine import DataMissing, Denied, Due, Holding, Rule
-from pnm.plan_graph import Loop, PlanGraph
+from pnm.machine import (
+    Accepts,
+    Adopted,
+    After,
+    AlreadyTrue,
+    Always,
+    CancelAsked,
+    DataMissing,
+    Denied,
+    Due,
+    EffectsMissing,
+    EffectsSeen,
+    Ending,
+    Ends,
+    Failing,
+    Holding,
+    PauseAsked,
+    Rule,
+)
+from pnm.plan_graph import Loop
+from pnm.situation import Situation
 
+NEVER: Final = float("inf")
 CHECKS: Final = frozenset({"precondition_false", "data_missing", "before", "after"})
 """What happens when a check does not hold."""
 
@@ -17,14 +40,79 @@ CHECKS: Final = frozenset({"precondition_false", "data_missing", "before", "afte
 class Decision:
     """The decision that is being made.
 
-    The mutable state is `place`, where it is made; None when only what is known counts.
+    The mutable state is what the constructor sets under "state".
     """
 
-    def __init__(self, plan: PlanGraph, calls: Calls, questions: Questions) -> None:
-        self._plan = plan
+    def __init__(self, situation: Situation, calls: Calls, questions: Questions, adopted: Mapping[int, UnderWay]) -> None:
+        self._situation = situation
         self._calls = calls
         self._questions = questions
+        # state
         self.place: int | None = None
+        """Where it is made; None when only what is known counts."""
+        self.adopted = dict(adopted)
+        """Requests of another run that are still to be taken over, by call."""
+        self.arrived: dict[int, float] = {}
+        """When places were marked."""
+        self.missing: dict[int, tuple[str, ...]] = {}
+        """For every call, the effects that were not seen when they were last looked for."""
+        self._denied_since: dict[int, float] = {}
+
+    def opens(self, transition: int, place: int) -> float:
+        """Return when the guard opens as far as is known: now or earlier, at a later time, or never by itself.
+
+        Raises:
+            Unanswered: a question has to be asked first.
+        """
+        rule, situation = self._situation.roles.rules[transition], self._situation
+        match rule.guard:
+            case Always():
+                return -NEVER
+            case Ending():
+                return _now_if(situation.ending)
+            case Failing():
+                return _now_if(situation.failing)
+            case CancelAsked():
+                return _now_if(situation.cancels)
+            case PauseAsked():
+                return _now_if(situation.suspends)
+            case Holding(condition):
+                return _now_if(self.holds(condition, rule.call))
+            case Denied(condition):
+                return self._denied(transition, self.holds(condition, rule.call), self.consult(rule.call).world.lag(names(condition)))
+            case AlreadyTrue(call):
+                consulted = self.consult(call)
+                return _now_if(already_true(self._calls.ready(call, consulted), consulted))
+            case DataMissing(call):
+                return _now_if(bool(self._calls.goal(call, self.consult(call))[1]))
+            case EffectsSeen(call):
+                self.missing[call] = self._calls.unseen(call, self.consult(call))
+                return _now_if(not self.missing[call])
+            case EffectsMissing(call):
+                return self._denied(transition, not self.missing[call], self._calls.lag_of_effects(call, self.consult(call)))
+            case Adopted(call):
+                return _now_if(call in self.adopted)
+            case Accepts() | Ends():
+                return NEVER
+            case After(seconds):
+                return self.arrived[place] + seconds
+            case Due(seconds, since):
+                ids = situation.engine.compiled.place_id
+                return max([(situation.origin or 0.0) + seconds, *(self.arrived[ids[one]] + delay for one, delay in since)])
+            case _:
+                assert_never(rule.guard)
+
+    def _denied(self, transition: int, holds: bool, lag: float) -> float:
+        if holds:
+            self._denied_since.pop(transition, None)
+            return NEVER
+        return self._denied_since.setdefault(transition, self._situation.now) + lag
+
+    def left(self, place: int) -> Iterator[UUID]:
+        """Forget what the decision at the place was made from; yield the questions whose answers are no longer needed."""
+        for consumer, _ in self._situation.engine.compiled.consumers[place]:
+            self._denied_since.pop(consumer, None)
+        return self._questions.left(place)
 
     def consult(self, call: int | None) -> Consultation:
         """Return what a decision about the call is made from here."""
@@ -47,19 +135,15 @@ class Decision:
         seen = (*(observed(part, consulted) for part in missing), *self._questions.silence_at(self.place))
         return " ".join(map(str, missing)), "; ".join(seen)
 
-    def why(self, step: int, rule: Rule, passed: float) -> tuple[str, str, str] | None:
-        """Return the cause of a failure that a check has found, with what was expected and what was seen.
-
-        Args:
-            step: what has failed.
-            rule: how.
-            passed: the seconds since the plan's start.
-        """
+    def why(self, step: int, rule: Rule) -> tuple[str, str, str] | None:
+        """Return the cause of a failure that a check has found, with what was expected and what was seen."""
         match rule.guard:
             case Denied(condition):
                 return rule.name, *self.explain(condition, rule.call)
             case Holding(condition) if rule.name == "loop_limit":
-                rounds = next(one.limit for one in self._plan.every_step if isinstance(one, Loop) and one.index == step)
+                rounds = next(
+                    one.limit for one in self._situation.roles.machine.plan.every_step if isinstance(one, Loop) and one.index == step
+                )
                 return rule.name, f"(not {condition}) after {rounds} rounds", observed(condition, self.consult(step))
             case Holding(condition) if rule.name in CHECKS:
                 return rule.name, f"(not {condition})", observed(condition, self.consult(step))
@@ -69,7 +153,7 @@ class Decision:
                 why = "".join(f"; {message}" for message in (*silence, *self.consult(step).uncomputable(missing)))
                 return rule.name, f"values for {', '.join(missing)}", f"no argument, variable or constant of that name{why}"
             case Due(seconds):
-                return rule.name, f"an end within {seconds:g} s of the plan's start", f"{passed:g} s have passed"
+                return rule.name, f"an end within {seconds:g} s of the plan's start", f"{self._situation.passed:g} s have passed"
             case _:
                 return None
 
@@ -77,3 +161,7 @@ class Decision:
 def _grounded(condition: Condition, consulted: Consultation) -> Condition:
     env = consulted.environment()
     return ground(condition, env) if env else condition
+
+
+def _now_if(is_open: bool) -> float:
+    return -NEVER if is_open else NEVER

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final, TypeAlias, assert_never
 
@@ -133,20 +133,6 @@ def _close(found: object, constant: object) -> bool:
 
 def _outcomes(tests: Iterable[Test], look: Look) -> set[bool]:
     return {succeeds(one, look) for one in tests}
-
-
-def comparisons(test: Test) -> Iterator[Flag | Comparison]:
-    """Yield what the test is made of."""
-    match test:
-        case Flag() | Comparison():
-            yield test
-        case Negation(inner):
-            yield from comparisons(inner)
-        case Every(tests) | Some(tests):
-            for one in tests:
-                yield from comparisons(one)
-        case _:
-            assert_never(test)
 
 
 # --- values --------------------------------------------------------------------------------

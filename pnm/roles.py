@@ -9,6 +9,7 @@ from pnm.machine import (
     Accepts,
     AlreadyTrue,
     DataMissing,
+    Deed,
     Denied,
     EffectsMissing,
     EffectsSeen,
@@ -37,7 +38,7 @@ class Roles:
     """Places at which nothing is decided."""
     resources: frozenset[int] = field(init=False)
     takes: frozenset[int] = field(init=False)
-    """Transitions that take resources."""
+    """Transitions that take resources; what is taken over has its own."""
     gives: frozenset[int] = field(init=False)
     """Transitions that give resources back."""
     alive: tuple[int, ...] = field(init=False)
@@ -58,7 +59,8 @@ class Roles:
                 self.reported.setdefault(rule.guard.call, []).append(transition)
         self.records = frozenset(ids[place] for place in machine.record_places)
         self.resources = frozenset(ids[place] for place in machine.resource_places)
-        self.takes, self.gives = self._touching(compiled.inputs), self._touching(compiled.outputs)
+        self.takes = frozenset(one for one in self._touching(compiled.inputs) if self.rules[one].deed is not Deed.ADOPT)
+        self.gives = self._touching(compiled.outputs)
         self.alive = tuple(ids[place] for place in machine.alive_places)
         self.settling = {ids[place]: call for place, call in machine.settling_places.items()}
         self.restarts = frozenset(ids[place] for place in machine.restart_places)

@@ -18,12 +18,11 @@ from uuid import UUID
 from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Report
 from pnm.bindings import Bindings
 from pnm.calls import Calls, GoalFields, UnderWay
-from pnm.checks import already_true, is_assumed
+from pnm.checks import is_assumed
 from pnm.claims import Claims
 from pnm.compiled import Engine
-from pnm.conditions import names
 from pnm.consultation import Questions
-from pnm.decisions import CHECKS, Decision
+from pnm.decisions import CHECKS, NEVER, Decision
 from pnm.errors import PnmError
 from pnm.events import (
     Answered,
@@ -45,23 +44,8 @@ from pnm.knowledge import Layered
 from pnm.ledger import Ledger
 from pnm.machine import (
     Accepts,
-    Adopted,
-    After,
-    AlreadyTrue,
-    Always,
-    CancelAsked,
-    DataMissing,
     Deed,
-    Denied,
-    Due,
-    EffectsMissing,
-    EffectsSeen,
-    Ending,
     Ends,
-    Failing,
-    Holding,
-    OnFailure,
-    PauseAsked,
     PetriNetMachine,
     Rule,
 )
@@ -72,8 +56,8 @@ from pnm.queries import Question, Unanswered
 from pnm.resources import Claim, Resources
 from pnm.results import RunResult
 from pnm.roles import Roles
+from pnm.situation import Situation
 
-NEVER: Final = float("inf")
 _NONE: Final[Mapping[int, UnderWay]] = {}
 
 
@@ -130,13 +114,9 @@ class Run:
         self._roles = Roles(machine)
         # state
         self._engine = Engine(machine.compiled, machine.initial)
-        self._now = -NEVER
         self._began: float | None = None
-        self._origin = origin
         self._agenda: deque[int] = deque()
         self._undecided: dict[int, None] = {}
-        self._arrived: dict[int, float] = {}
-        self._denied_since: dict[int, float] = {}
         self._timers: list[tuple[float, int]] = []
         self._scheduled: dict[int, float] = {}
         self._wake = NEVER
@@ -144,31 +124,28 @@ class Run:
         self._questions = Questions()
         self._asked = 0
         self._calls = Calls(id, machine.plan, knowledge, bindings or Bindings(), goal_fields, asks=asks)
-        self._decision = Decision(machine.plan, self._calls, self._questions)
         self._ledger = Ledger(machine.plan)
+        self._situation = Situation(self._engine, self._roles, self._ledger, origin)
+        self._decision = Decision(self._situation, self._calls, self._questions, adopted)
         self._claims = Claims(self.resources, self.task, priority)
-        self._missing: dict[int, tuple[str, ...]] = {}
-        self._stop: Stop | None = None
-        self._pause: Pause | None = None
         self._early: list[Report] = []
         """Reports about requests taken over that came before the beginning."""
-        self._adopted = dict(adopted)
-        self._adopt()
+        self._adopt(adopted)
 
-    def _adopt(self) -> None:
+    def _adopt(self, adopted: Mapping[int, UnderWay]) -> None:
         """Know of the requests that are taken over, and have what they have.
 
         Raises:
             RunError: they are not those that the plan speaks of, or have more than there is.
         """
         expected = {call.index for call in self.machine.plan.calls if call.under_way}
-        if expected != self._adopted.keys():
-            raise RunError(f"the calls {sorted(expected)} of the plan are under way; requests are taken over for {sorted(self._adopted)}")
-        used = Counter(name for one in self._adopted.values() for name in one.resources)
+        if expected != adopted.keys():
+            raise RunError(f"the calls {sorted(expected)} of the plan are under way; requests are taken over for {sorted(adopted)}")
+        used = Counter(name for one in adopted.values() for name in one.resources)
         for name, count in used.items():
             if count > self.machine.plan.capacities.get(name, 1):
                 raise RunError(f"{count} requests that are taken over have {name}")
-        for call, taken in self._adopted.items():
+        for call, taken in adopted.items():
             if taken.resources != self._calls.resources(self.machine.plan.calls[call].action):
                 raise RunError(f"{taken.call} has {', '.join(taken.resources) or 'nothing'} for itself; the plan says otherwise")
             self._calls.adopt(call, taken)
@@ -185,36 +162,27 @@ class Run:
     @property
     def over(self) -> bool:
         """Whether the goal place or the failed place is marked."""
-        return bool(self._engine.tokens[self._roles.goal] or self._engine.tokens[self._roles.failed])
+        return self._situation.over
 
     @property
     def ending(self) -> bool:
         """Whether nothing more is started: a failure or restart place is marked, or the run was told to stop."""
-        return self._failing or any(self._engine.tokens[place] for place in self._roles.restarts)
+        return self._situation.ending
 
     @property
     def stopped(self) -> bool:
         """Whether the run was told to stop."""
-        return self._stop is not None
+        return self._situation.stop is not None
 
     @property
     def pausing(self) -> Pause | None:
         """What the run was told about a pause that has not ended."""
-        return self._pause
+        return self._situation.pause
 
     @property
     def paused(self) -> bool:
         """Whether the run was told to pause, and nothing is under way any more."""
-        return self._pause is not None and not any(self._engine.tokens[place] for place in self._roles.alive)
-
-    @property
-    def _passed(self) -> float:
-        """The seconds since the plan's start."""
-        return self._now - (self._origin or 0.0)
-
-    @property
-    def _failing(self) -> bool:
-        return bool(self._ledger.failures) or self._stop is not None
+        return self._situation.pause is not None and self._situation.idle
 
     @property
     def open_requests(self) -> tuple[UUID, ...]:
@@ -231,7 +199,7 @@ class Run:
         if not self.over:
             raise RunError(f"the run is not over: {self.marking}")
         goal = bool(self._engine.tokens[self._roles.goal])
-        return RunResult(goal, self._reason(goal), self._ledger.told(), tuple(self._ledger.failures), self._stop is not None)
+        return RunResult(goal, self._reason(goal), self._ledger.told(), tuple(self._ledger.failures), self._situation.stop is not None)
 
     def under_way(self) -> tuple[UnderWay, ...]:
         """Return the requests that were accepted and that nobody cancels: a successor can take them over."""
@@ -249,13 +217,15 @@ class Run:
     def told(self) -> RunResult:
         """Return how far the run has come, for one that is succeeded by another."""
         handed = {one.call.index for one in self.under_way()}
-        return RunResult(False, "another run goes on", self._ledger.told(handed), tuple(self._ledger.failures), self._stop is not None)
+        return RunResult(
+            False, "another run goes on", self._ledger.told(handed), tuple(self._ledger.failures), self._situation.stop is not None
+        )
 
     def _reason(self, goal: bool) -> str:
         if goal:
             return "the goal holds"
-        if self._stop:
-            return self._stop.reason
+        if self._situation.stop:
+            return self._situation.stop.reason
         if self._ledger.failures:
             return str(self._ledger.failures[0])
         expected, seen = self._decision.explain(self.machine.plan.goal, None)
@@ -269,7 +239,7 @@ class Run:
 
     def handle(self, event: Event, now: float) -> list[Command]:
         """Take one event in and return what is to be done about it."""
-        self._now = max(now, self._now)
+        self._situation.now = max(now, self._situation.now)
         match event:
             case Begin():
                 self._begin()
@@ -279,18 +249,18 @@ class Run:
                 self._agenda.extend(self._claims.served())
             case Tick():
                 self._wake = NEVER
-                while self._timers and self._timers[0][0] <= self._now:
+                while self._timers and self._timers[0][0] <= self._situation.now:
                     self._agenda.append(heappop(self._timers)[1])
                     self._scheduled.pop(self._agenda[-1], None)
             case Stop():
-                if self._stop is None or event.cancel:
-                    self._stop = event
+                if self._situation.stop is None or event.cancel:
+                    self._situation.stop = event
                 self._agenda.extend(self._undecided)
             case Pause(at_once):
-                self._pause = Pause(at_once or (self._pause is not None and self._pause.at_once))
+                self._situation.pause = Pause(at_once or (self._situation.pause is not None and self._situation.pause.at_once))
                 self._agenda.extend(self._undecided)
             case Resume():
-                self._pause = None
+                self._situation.pause = None
                 self._agenda.extend(self._undecided)
             case Answered(identity, value, message):
                 place = self._questions.answered(identity, value, message)
@@ -311,14 +281,14 @@ class Run:
     def _begin(self) -> None:
         if self._began is not None:
             raise RunError("the run has begun already")
-        self._began = self._now
-        self._origin = self._now if self._origin is None else self._origin
+        self._began = self._situation.now
+        self._situation.origin = self._situation.now if self._situation.origin is None else self._situation.origin
         self._agenda.extend(place for place, tokens in enumerate(self._engine.tokens) if tokens and place not in self._roles.records)
 
     def _report(self, report: Report) -> None:
         call = self._calls.open.get(report.request)
         if call is None:
-            self._observer.orphaned(report, self._now)
+            self._observer.orphaned(report, self._situation.now)
             return
         if isinstance(report, Ended):
             if report.outcome.kind not in _BEFORE_ACCEPTANCE:
@@ -326,7 +296,7 @@ class Run:
             del self._calls.open[report.request]
             self._note_outcome(call, report.outcome)
         if not self._take(call, report):
-            self._observer.orphaned(report, self._now)
+            self._observer.orphaned(report, self._situation.now)
 
     def _take(self, call: int, report: Report) -> bool:
         """Fire the transition of the call that the report opens, if there is one."""
@@ -341,7 +311,7 @@ class Run:
         if outcome.kind is OutcomeKind.SUCCEEDED:
             self._calls.store(call, outcome)
         self._ledger.answered(call, outcome)
-        self._observer.ended(self._calls.as_sent(call), outcome, self._now)
+        self._observer.ended(self._calls.as_sent(call), outcome, self._situation.now)
 
     # --- δ̂ ------------------------------------------------------------------------------------
 
@@ -363,27 +333,27 @@ class Run:
         if not self._engine.tokens[place]:
             return
         self._decision.place = place
-        again, waiting = NEVER, False
+        again, waiting, takes = NEVER, False, self._roles.takes
         for transition, _ in self._engine.compiled.consumers[place]:
-            if not self._is_near(transition):
+            if not self._engine.is_enabled(transition) and not (transition in takes and self._lacks_resources(transition)):
                 continue
             try:
-                if self._is_put_off(transition, place):
+                if (transition in takes or self._situation.pause) and self._is_put_off(transition, place):
                     waiting = True
                     break  # the rules after this one are asked when it may be asked itself
-                opens = self._opens(transition, place)
-                if opens <= self._now and (call := self._roles.rules[transition].call) is not None:
+                opens = self._decision.opens(transition, place)
+                if opens <= self._situation.now and (call := self._roles.rules[transition].call) is not None:
                     self._calls.foresee(self._roles.rules[transition].deed, call, self._decision.consult(call))
             except Unanswered as needed:  # and so are all rules after this one
                 self._ask(place, needed.question)
                 self._leave_line(place)
                 waiting = True
                 break
-            if opens <= self._now:
+            if opens <= self._situation.now:
                 self._fire(transition)
                 return
             again, waiting = min(again, opens), True
-            if transition in self._roles.takes:
+            if transition in takes:
                 self._leave_line(place)
         if waiting:
             self._undecided[place] = None
@@ -393,22 +363,17 @@ class Run:
 
     # --- resources ----------------------------------------------------------------------------
 
-    def _is_near(self, transition: int) -> bool:
-        """Tell whether the transition is enabled, or would be if no call had what it needs for itself."""
-        if self._engine.is_enabled(transition):
-            return True
-        if isinstance(self._roles.rules[transition].guard, Adopted):
-            return False
-        return transition in self._roles.takes and self._engine.lacking(transition) <= self._roles.resources
+    def _lacks_resources(self, transition: int) -> bool:
+        """Tell whether the transition would be enabled if no call had what it needs for itself."""
+        return self._engine.lacking(transition) <= self._roles.resources
 
     def _is_put_off(self, transition: int, place: int) -> bool:
         """Tell whether the transition must wait: for the end of a pause, or for what the call needs for itself."""
-        if isinstance(self._roles.rules[transition].guard, Adopted):
-            return False
-        if self._pause is not None and (transition in self._roles.takes or self._roles.rules[transition].deed is Deed.SEND):
+        takes = transition in self._roles.takes
+        if self._situation.pause and (takes or self._roles.rules[transition].deed is Deed.SEND):
             self._leave_line(place)
             return True
-        return transition in self._roles.takes and not self._has_resources(transition, place)
+        return takes and not self._has_resources(transition, place)
 
     def _has_resources(self, transition: int, place: int) -> bool:
         """Tell whether the call can have what the transition needs for it; if not, it waits for that."""
@@ -437,65 +402,12 @@ class Run:
             self._questions.ask(identity, place, question)
             self._commands.append(Ask(identity, question))
 
-    def _opens(self, transition: int, place: int) -> float:
-        """Return when the guard opens as far as is known: now or earlier, at a later time, or never by itself.
-
-        Raises:
-            Unanswered: a question has to be asked first.
-        """
-        rule = self._roles.rules[transition]
-        match rule.guard:
-            case Always():
-                return -NEVER
-            case Ending():
-                return _now_if(self.ending)
-            case Failing():
-                return _now_if(self._failing)
-            case CancelAsked():
-                return _now_if(self._cancels())
-            case PauseAsked():
-                return _now_if(self._pause is not None and self._pause.at_once)
-            case Holding(condition):
-                return _now_if(self._decision.holds(condition, rule.call))
-            case Denied(condition):
-                return self._denied(transition, self._decision.holds(condition, rule.call), self.knowledge.world.lag(names(condition)))
-            case AlreadyTrue(call):
-                consulted = self._decision.consult(call)
-                return _now_if(already_true(self._calls.ready(call, consulted), consulted))
-            case DataMissing(call):
-                return _now_if(bool(self._calls.goal(call, self._decision.consult(call))[1]))
-            case EffectsSeen(call):
-                self._missing[call] = self._calls.unseen(call, self._decision.consult(call))
-                return _now_if(not self._missing[call])
-            case EffectsMissing(call):
-                return self._denied(transition, not self._missing[call], self._calls.lag_of_effects(call, self._decision.consult(call)))
-            case Adopted(call):
-                return _now_if(call in self._adopted)
-            case Accepts() | Ends():
-                return NEVER
-            case After(seconds):
-                return self._arrived[place] + seconds
-            case Due(seconds, since):
-                ids = self._engine.compiled.place_id
-                return max([(self._origin or 0.0) + seconds, *(self._arrived[ids[one]] + delay for one, delay in since)])
-            case _:
-                assert_never(rule.guard)
-
-    def _denied(self, transition: int, holds: bool, lag: float) -> float:
-        if holds:
-            self._denied_since.pop(transition, None)
-            return NEVER
-        return self._denied_since.setdefault(transition, self._now) + lag
-
-    def _cancels(self) -> bool:
-        return (self._stop is not None and self._stop.cancel) or (self.ending and self.machine.on_failure is OnFailure.CANCEL)
-
     # --- firing -------------------------------------------------------------------------------
 
     def _fire(self, transition: int) -> None:
         compiled, rule = self._engine.compiled, self._roles.rules[transition]
         fails = [place for place, _ in compiled.outputs[transition] if place in self._roles.failures]
-        if transition in self._roles.takes and rule.call is not None and rule.deed is not Deed.ADOPT:
+        if transition in self._roles.takes and rule.call is not None:
             self._claims.take(rule.call, self._claim(transition))
         if rule.call is not None and rule.call < len(self.machine.plan.calls):
             self._note(rule, rule.call, bool(fails))
@@ -504,9 +416,9 @@ class Run:
                 if self._calls.changed:
                     self._calls.changed = False
                     self._agenda.extend(place for place in self._undecided if self._roles.listening[place])
-        was_ending, arrived = self.ending, self._now
+        was_ending, arrived = self._situation.ending, self._situation.now
         if rule.deed is Deed.ADOPT and rule.call is not None:
-            arrived = self._adopted.pop(rule.call).accepted
+            arrived = self._decision.adopted.pop(rule.call).accepted
         self._engine.fire(transition)
         if transition in self._roles.gives and rule.call is not None:
             self._claims.give(rule.call)
@@ -516,25 +428,25 @@ class Run:
         for place, _ in compiled.inputs[transition]:
             self._leave(place)
         for place, _ in compiled.outputs[transition]:
-            self._arrived[place] = arrived
+            self._decision.arrived[place] = arrived
             if place not in self._roles.records:
                 self._agenda.append(place)
-        if self.ending and not was_ending:
+        if self._situation.ending and not was_ending:
             self._agenda.extend(self._undecided)
-        self._observer.fired(compiled.transitions[transition], rule, self._now)
+        self._observer.fired(compiled.transitions[transition], rule, self._situation.now)
 
     def _do(self, deed: Deed, call: int) -> None:
         self._calls.do(deed, call, self._ledger.results[call].attempts, self._decision.consult(call))
         if deed is Deed.BEGIN:
-            self._calls.accepted[call] = self._now
+            self._calls.accepted[call] = self._situation.now
         elif deed is Deed.ADOPT:
-            self._ledger.adopted(self._calls.as_sent(call), self._adopted[call].result)
+            self._ledger.adopted(self._calls.as_sent(call), self._decision.adopted[call].result)
         elif deed is Deed.SEND:
             sent = self._calls.as_sent(call)
             self._ledger.sent(sent)
             for command in self._calls.commands:
                 if isinstance(command, Send):
-                    self._observer.sent(sent, command.request, self._now)
+                    self._observer.sent(sent, command.request, self._situation.now)
             self._commands += self._calls.commands
             self._calls.commands.clear()
 
@@ -542,23 +454,21 @@ class Run:
         """Forget what the decision at the place was made from."""
         self._undecided.pop(place, None)
         self._leave_line(place)
-        self._commands.extend(map(Withdraw, self._questions.left(place)))
-        for consumer, _ in self._engine.compiled.consumers[place]:
-            self._denied_since.pop(consumer, None)
+        self._commands.extend(map(Withdraw, self._decision.left(place)))
 
     def _note(self, rule: Rule, call: int, fails: bool) -> None:
         assumed = rule.deed is Deed.FINISH and is_assumed(self._calls.action(call), self._decision.consult(call))
-        self._ledger.fired(rule, call, self._now, missing=self._missing.get(call, ()), assumed=assumed)
-        if rule.name in CHECKS and not fails and (why := self._decision.why(call, rule, self._passed)):
+        self._ledger.fired(rule, call, self._situation.now, missing=self._decision.missing.get(call, ()), assumed=assumed)
+        if rule.name in CHECKS and not fails and (why := self._decision.why(call, rule)):
             self._ledger.caused(call, why)
         if rule.name in _GIVEN_UP:
             self._calls.forget(call)
 
     def _fail(self, step: int, rule: Rule) -> None:
         failure = self._ledger.failed(
-            step, self._now, self._decision.why(step, rule, self._passed), how=rule.name, unconfirmed=rule.name in _GIVEN_UP
+            step, self._situation.now, self._decision.why(step, rule), how=rule.name, unconfirmed=rule.name in _GIVEN_UP
         )
-        self._observer.failed(failure, self._now)
+        self._observer.failed(failure, self._situation.now)
 
 
 _BEFORE_ACCEPTANCE: Final = frozenset({OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE, OutcomeKind.LOST})
@@ -566,10 +476,6 @@ _BEFORE_ACCEPTANCE: Final = frozenset({OutcomeKind.REJECTED, OutcomeKind.UNAVAIL
 
 _GIVEN_UP: Final = frozenset({"unheard", "unconfirmed", "unconfirmed_stop", "unconfirmed_pause"})
 """The transitions after which a request is no longer waited for."""
-
-
-def _now_if(is_open: bool) -> float:
-    return -NEVER if is_open else NEVER
 
 
 def _admits(rule: Rule, report: Report) -> bool:

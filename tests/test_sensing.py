@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import re
 import tempfile
 from contextlib import suppress
 from pathlib import Path
@@ -12,7 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from planner_bridge.loading import load
 from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.state import initial_knowledge
+from pnm.bindings import Bindings
 from pnm.clock import run_async
 from pnm.errors import InputError
 from pnm.expressions import UNDEFINED, UNKNOWN
@@ -22,7 +26,9 @@ from pnm.reports import Reports
 from pnm.sensing import Instance, Polled, Topic, instances, read, unknown
 from pnm.sensing_file import read_sensing
 from pnm.silence import Silence
+from pnm.sites import Ros2Site
 
+ROOT = Path(__file__).parents[1]
 DOMAIN = parse_domain(
     """(define (domain d) (:requirements :adl :fluents :derived-predicates)
     (:types robot place - object arm - robot)
@@ -200,6 +206,11 @@ def test_two_sensors_of_the_same_are_refused(tmp_path):
         instances(read_sensing(written(tmp_path, text), KNOWN), objects)
 
 
+def test_what_is_sensed_cannot_be_assumed(everything):
+    with pytest.raises(InputError, match="there is a sensor for dark, which is among the 'assumed' of the bindings"):
+        Ros2Site(Bindings(assumed=frozenset({"dark", "spam"})), sensing=everything)
+
+
 # --- messages ------------------------------------------------------------------------------
 
 
@@ -259,6 +270,27 @@ def test_numbers_that_conditions_take_for_equal_are_equal():
     for operation, holds in {"eq": True, "ne": False, "le": True, "ge": True, "lt": False, "gt": False}.items():
         float32 = 0.800000011920929
         assert succeeds(Comparison(parse_field("x"), operation, 0.8), look({"x": float32})) is holds
+
+
+def test_the_example_of_the_documentation_says_what_it_shows(tmp_path):
+    (example,) = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs" / "sensing.md").read_text(encoding="utf-8"), re.DOTALL)
+    problem = load(ROOT / "domains" / "delivery" / "domain.pddl", ROOT / "problems" / "delivery" / "p01.pddl")
+    world = initial_knowledge(problem)
+    by_name = {one.name: one for one in instances(read_sensing(written(tmp_path, example), problem.vocabulary), world.objects)}
+    assert list(by_name) == ["/r1/zone", "/r2/zone", "/r1/battery", "/r2/battery", "/door1/get_state"]
+    for name, message in {
+        "/r1/zone": {"data": "C1"},
+        "/r2/zone": {"data": "charging"},
+        "/r1/battery": {"power_supply_status": 0, "cell_voltage": [3.5, 3.6]},
+        "/door1/get_state": {"current_state": {"id": "PRIMARY_STATE_ACTIVE"}},  # constants have names until the type is known
+    }.items():
+        reading = read(by_name[name], look(message), world.objects)
+        assert not reading.unread
+        world.update(reading.facts)
+        world.store(reading.variables)
+    held = {fluent for fluent, value in world.facts().items() if fluent[0] in ("at", "open") and fluent[1] in ("r1", "r2", "door1")}
+    assert held == {("at", "r1", "kitchen"), ("open", "door1")}
+    assert (world.value(("speed", "r1")), world.variables()) == (0.5, {"r1_cells": [3.5, 3.6]})
 
 
 # --- laws ----------------------------------------------------------------------------------

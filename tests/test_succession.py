@@ -16,7 +16,7 @@ from pnm.calls import UnderWay
 from pnm.clock import run_async
 from pnm.conditions import Holds
 from pnm.effects import Set
-from pnm.events import Begin, Cancel, Command, KnowledgeChanged, Pause, Send, Stop, Tick, Wake
+from pnm.events import Begin, Cancel, Command, Pause, Send, Stop, Tick, Wake
 from pnm.executor import Executor
 from pnm.expressions import Constant
 from pnm.generation import generate
@@ -27,6 +27,7 @@ from pnm.results import RunResult
 from pnm.run import Run, RunError
 from tests.machines import ordering
 from tests.robots import Log, move
+from tests.test_machine import check_proof_of_mutants
 
 CANCELED, SUCCEEDED, ABORTED = (Outcome(kind) for kind in (OutcomeKind.CANCELED, OutcomeKind.SUCCEEDED, OutcomeKind.ABORTED))
 ACT = GroundAction("act", resources=("arm",), duration=5.0)
@@ -214,6 +215,10 @@ def test_what_contradicts_the_plan_is_refused() -> None:
         plan(ActionCall(0, LAST), ActionCall(1, ACT, under_way=True), orders=("0e<1s",))
 
 
+def test_the_block_proof_accepts_no_machine_that_the_state_space_refutes() -> None:
+    check_proof_of_mutants(generate(plan(ActionCall(0, ACT, under_way=True)), Bindings({"act": Binding(retries=0)})))
+
+
 # --- executors -----------------------------------------------------------------------------
 
 
@@ -384,4 +389,3 @@ def test_changes_of_knowledge_reach_the_successor_alone() -> None:
         asyncio.get_running_loop().call_later(1, server.end, "sees")
 
     assert carried(story, ACT).goal
-    assert KnowledgeChanged() == KnowledgeChanged()

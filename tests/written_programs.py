@@ -174,7 +174,7 @@ def programs(draw: st.DrawFn, depth: int = 3) -> str:
         "initial_knowledge": draw(st.dictionaries(st.sampled_from(["v", "w"]), st.integers(0, 2))),
         "facts": draw(st.lists(st.sampled_from(["(powered)", "(free)", "(at r1 hall)"]), unique=True)),
         "restarts": draw(st.integers(1, 2)),
-        "on_failure": draw(st.sampled_from(["drain", "cancel"])),
+        "on_failure": draw(st.sampled_from(["drain", "cancel", "continue_others"])),
         "resources": {"arm": draw(st.integers(1, 2))},
         "goal": draw(st.one_of(st.just(True), CONDITIONS)),
         "plan": draw(_list(depth)),

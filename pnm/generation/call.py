@@ -101,7 +101,7 @@ class CallBlock(Block[ActionCall]):
 
     def place(self, name: str) -> str:
         """Make a place of this block."""
-        if self.name(name) in self._alive:
+        if name in _ALIVE or (name == "finished" and not self.awaited):
             self.builder.alive_places.add(self.name(name))
         if name in ("returned", "finished"):
             self.builder.settling_places[self.name(name)] = self.step.index

@@ -3,95 +3,148 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from typing import Any, Final, assert_never
 
 from pnm.errors import InputError
-from pnm.message_fields import Comparison, Field, Flag, Source, Unreadable, comparisons
+from pnm.message_fields import Comparison, Every, Field, Flag, Negation, Some, Source, Test, Unreadable, written
 from pnm.nearest import meant
 from pnm.ros.messages import import_type, plain
 from pnm.sensing import Choice, Fact, Number, Object, Sensor, Statement, Stored
 
 _LIST: Final = re.compile(r"(.+)\[(\d+)\]|sequence<(.+?)(?:, \d+)?>")
 _NUMBER: Final = re.compile(r"u?int\d+|float|double|octet")
+_WRITTEN: Final = re.compile(r"-?\d.*")
+_ANY: Final = re.compile(r".*")
 _TEXT: Final = re.compile(r"w?string(<\d+>)?")
 
 
-def check_fields(sensor: Sensor, message_type: Any) -> None:
-    """Refuse a sensor that looks for what messages of this type do not have.
+def fitted(sensor: Sensor, message_type: Any) -> Sensor:
+    """Return a sensor with the values of the type's constants in the place of their names.
 
     Raises:
-        InputError: a field is not there, or is of another kind than what it is used for.
+        InputError: messages of this type do not have a field, or it is of another kind than what it is used for.
     """
-    for statement in sensor.statements:
-        try:
-            _check(statement, message_type)
-        except InputError as error:
-            raise InputError(error.message, statement.position) from error
+    return replace(sensor, statements=tuple([_fitted(statement, message_type) for statement in sensor.statements]))
 
 
-def _check(statement: Statement, message_type: Any) -> None:
-    match statement:
-        case Fact(_, test):
-            for one in comparisons(test):
-                _check_test(one, kind_of(message_type, one.field))
-        case Number(_, source):
-            _check_source(source, message_type, _NUMBER, "a number")
-        case Choice(_, source) | Object(_, source):
-            _check_source(source, message_type, _TEXT, "a text")
-        case Stored(_, source):
-            kind_of(message_type, source.field)
+def _fitted(statement: Statement, message_type: Any) -> Statement:
+    try:
+        match statement:
+            case Fact(_, test):
+                return replace(statement, test=_test(test, message_type))
+            case Number(_, source):
+                return replace(statement, source=_source(source, message_type, _NUMBER, "a number"))
+            case Choice(_, source) | Object(_, source):
+                return replace(statement, source=_source(source, message_type, _TEXT, "a text"))
+            case Stored(_, source):
+                return replace(statement, source=_source(source, message_type, _ANY, "a value"))
+            case _:
+                assert_never(statement)
+    except InputError as error:
+        raise InputError(error.message, statement.position) from error
 
 
-def _check_test(test: Flag | Comparison, kind: str) -> None:
-    if isinstance(test, Flag):
-        if kind != "boolean":
-            raise InputError(f"{test.field} is a {kind}; expected a boolean, or 'when' and how it compares")
-        return
-    listed = test.operation == "contains"
-    inner = _item(kind) if listed else kind
-    if inner is None and not (_TEXT.fullmatch(kind) and isinstance(test.constant, str)):
-        raise InputError(f"{test.field} is a {kind}, which contains nothing")
-    match test.constant:
+def _test(test: Test, message_type: Any) -> Test:
+    match test:
+        case Flag(where):
+            kind = found_at(message_type, where).kind
+            if kind != "boolean":
+                raise InputError(f"{where} is a {kind}; expected a boolean, or 'when' and how it compares")
+            return test
+        case Comparison(where):
+            return _comparison(test, found_at(message_type, where))
+        case Negation(inner):
+            return Negation(_test(inner, message_type))
+        case Every(tests):
+            return Every(tuple([_test(one, message_type) for one in tests]))
+        case Some(tests):
+            return Some(tuple([_test(one, message_type) for one in tests]))
+        case _:
+            assert_never(test)
+
+
+def _comparison(test: Comparison, found: Found) -> Comparison:
+    kind, constant = found.kind, test.constant
+    if test.operation == "contains" and not (_TEXT.fullmatch(kind) and isinstance(constant, str)):
+        inner = _item(kind)
+        if inner is None:
+            raise InputError(f"{test.field} is a {kind}, which contains nothing")
+        kind = inner
+    match constant:
         case bool():
-            fits = inner == "boolean"
+            fits = kind == "boolean"
         case int() | float():
-            fits = bool(_NUMBER.fullmatch(inner or ""))
+            fits = bool(_NUMBER.fullmatch(kind))
+        case str() if _NUMBER.fullmatch(kind):
+            return replace(test, constant=found.constant(constant))
         case str():
-            fits = inner is None or bool(_TEXT.fullmatch(inner))
+            fits = bool(_TEXT.fullmatch(kind))
         case _:
             fits = True
     if not fits:
-        raise InputError(f"{test.field} is a {kind}, which cannot be compared with {test.constant!r}")
+        raise InputError(f"{test.field} is a {found.kind}, which cannot be compared with {constant!r}")
+    return test
 
 
-def _check_source(source: Source, message_type: Any, needed: re.Pattern[str], expected: str) -> None:
-    kind = kind_of(message_type, source.field)
-    if source.table is None and not needed.fullmatch(kind):
-        raise InputError(f"{source.field} is a {kind}; expected {expected}, or a table")
+def _source(source: Source, message_type: Any, needed: re.Pattern[str], expected: str) -> Source:
+    found = found_at(message_type, source.field)
+    if source.table is None:
+        if not needed.fullmatch(found.kind):
+            raise InputError(f"{source.field} is a {found.kind}; expected {expected}, or a table")
+        return source
+    if not _NUMBER.fullmatch(found.kind):
+        return source
+    keys = {key: key if _WRITTEN.fullmatch(key) else written(found.constant(key)) for key in source.table}
+    return replace(source, table={keys[key]: value for key, value in source.table.items()})
 
 
-def kind_of(message_type: Any, where: Field) -> str:
-    """Return the kind of a field, as ``get_fields_and_field_types`` writes it.
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A field of a type of messages."""
+
+    where: Field
+    kind: str
+    """As ``get_fields_and_field_types`` writes it."""
+    owner: Any
+    """The class of the messages that have it, which may be inside others."""
+
+    def constant(self, name: str) -> object:
+        """Return the value of the constant.
+
+        Raises:
+            InputError: the class has no such constant.
+        """
+        names = [one for one in dir(type(self.owner)) if one.isupper() and one[0] != "_"]
+        if name not in names:
+            hint = meant(name, names) or (f"expected a number, or one of {', '.join(names)}" if names else "expected a number")
+            raise InputError(f"{self.where} is a {self.kind}, which cannot be compared with {name!r}; {hint}")
+        return plain(getattr(self.owner, name))
+
+
+def found_at(message_type: Any, where: Field) -> Found:
+    """Return what is known of a field.
 
     Raises:
         InputError: messages of this type have no such field.
     """
-    kind, kinds, so_far = "", message_type.get_fields_and_field_types(), ""
+    kind, so_far = "", ""
+    owner, inside = message_type, message_type
     for step in where.steps:
         if isinstance(step, int):
             inner = _item(kind)
             if inner is None:
                 raise InputError(f"{so_far} is a {kind}; only a list has an item {step}")
             kind, so_far = inner, f"{so_far}[{step}]"
-        elif step in kinds:
-            kind, so_far = kinds[step], f"{so_far}.{step}".lstrip(".")
         else:
-            owner = kind or message_type.__name__
-            has = f"it has {', '.join(kinds)}" if kinds else "it has none"
-            raise InputError(f"{owner} has no field {step!r}; {' '.join(filter(None, (meant(step, kinds), has)))}")
+            kinds = {} if inside is None else inside.get_fields_and_field_types()
+            if step not in kinds:
+                has = f"it has {', '.join(kinds)}" if kinds else "it has none"
+                raise InputError(f"{kind or message_type.__name__} has no field {step!r}; {f'{meant(step, kinds)} {has}'.strip()}")
+            kind, so_far, owner = kinds[step], f"{so_far}.{step}".lstrip("."), inside
         package, slash, name = kind.rpartition("/")
-        kinds = import_type(f"{package}/msg/{name}").get_fields_and_field_types() if slash and _item(kind) is None else {}
-    return kind
+        inside = import_type(f"{package}/msg/{name}") if slash and _item(kind) is None else None
+    return Found(where, kind, owner)
 
 
 def _item(kind: str) -> str | None:

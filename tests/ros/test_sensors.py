@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable
 from contextlib import asynccontextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -16,12 +17,12 @@ from pnm.errors import InputError
 from pnm.expressions import UNKNOWN
 from pnm.knowledge import KnowledgeBase
 from pnm.message_fields import parse_field
-from pnm.ros.fields import kind_of, value_at
+from pnm.ros.fields import fitted, found_at, value_at
 from pnm.ros.messages import import_type, to_message
 from pnm.ros.sensors import Sensors
 from pnm.ros.service_client import until_true
 from pnm.rules import Rules
-from pnm.sensing import Sensing
+from pnm.sensing import Instance, Sensing, read
 from pnm.sensing_file import read_sensing
 from tests.ros.scripts import run
 from tests.test_sensing import DOMAIN, PROBLEM
@@ -285,5 +286,29 @@ def test_fields_of_messages():
     wanted = {"byte_values[-1]": 255, "float32_values[1]": 1.5, "bool_values_default": [False, True, False], "alignment_check": 0}
     assert {path: value_at(message, parse_field(path)) for path in wanted} == wanted
     assert value_at(message, parse_field("basic_types_values[2].int64_value")) == 0
-    assert kind_of(type(message), parse_field("basic_types_values[2].int64_value")) == "int64"
-    assert kind_of(type(message), parse_field("string_values")) == "string[3]"
+    assert found_at(type(message), parse_field("basic_types_values[2].int64_value")).kind == "int64"
+    assert found_at(type(message), parse_field("string_values")).kind == "string[3]"
+
+
+def test_constants_of_messages_have_names(sensing):
+    state = import_type("lifecycle_msgs/srv/GetState").Response
+    text = """sensors: [{{service: s, facts: [
+        {{number: (battery r1), field: current_state.id, table: {{PRIMARY_STATE_ACTIVE: 1, {key}: 0.5}}}},
+        {{fact: (dark), when: {{not: {{any: [{{all: [{{field: current_state.id, ne: {name}}}]}}]}}}}}}]}}]"""
+    (sensor,) = sensing(text.format(key=4, name="PRIMARY_STATE_ACTIVE")).sensors
+    look = partial(value_at, to_message(state, {"current_state": {"id": 3}}))
+    reading = read(Instance(fitted(sensor, state), {}), look, KnowledgeBase().objects)
+    assert reading.facts == {("battery", "r1"): 1.0, ("dark",): True}
+    for key, name, said in [
+        (4, "PRIMARY_STATE_ACTVE", "3:9: current_state.id is a uint8, which cannot be compared with 'PRIMARY_STATE_ACTVE'; did you mean"),
+        (
+            "active",
+            "PRIMARY_STATE_ACTIVE",
+            "2:9: current_state.id is a uint8, which cannot be compared with 'active'; expected a number, or one",
+        ),
+    ]:
+        (sensor,) = sensing(text.format(key=key, name=name)).sensors
+        with pytest.raises(InputError) as caught:
+            fitted(sensor, state)
+        assert said.split(": ", 1)[1] in str(caught.value)
+        assert f"sensing.yaml:{said[0]}:" in str(caught.value)
