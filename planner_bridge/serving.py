@@ -95,6 +95,7 @@ async def open_tasks(room: Room, problem: Problem) -> Opened:
         source=room.sources,
         room=places,
         resources=room.performer.resources,
+        performer=room.performer,
         prefix=prefix,
     )
     await room.site.share(prefix, master.knowledge_of, room.sources)

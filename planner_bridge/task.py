@@ -11,6 +11,7 @@ from uuid import UUID
 
 from planner_bridge.footprints import Footprint
 from planner_bridge.plan import Plan, PlanningResult
+from planner_bridge.recital import Recital
 from planner_bridge.replanning import PlanAgain, Resume
 from planner_bridge.tasks import TaskObserver
 from pnm.actions.base import Outcome, Request
@@ -80,6 +81,8 @@ class Task(TaskObserver):
     listener: TaskListener
     clock: Callable[[], float]
     goal: Condition = TRUE
+    recital: Recital | None = None
+    """The plan that is to be carried out, if it is not a goal that is to be pursued."""
     doing: Doing | None = None
     state: TaskState = TaskState.QUEUED
     why: str = ""

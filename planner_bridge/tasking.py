@@ -19,16 +19,18 @@ from planner_bridge.circumstances import Circumstances, Conflict, Neighbours
 from planner_bridge.footprints import Footprint, conflict
 from planner_bridge.model import Problem
 from planner_bridge.pursuit import Pursuit
+from planner_bridge.recital import Recital
 from planner_bridge.state import problem_now
 from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.task import Task
 from planner_bridge.tasks import Settings
 from planner_bridge.turnstile import Turnstile
-from pnm.conditions import Condition
+from pnm.conditions import TRUE, Condition
 from pnm.errors import InputError
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.machine import PetriNetMachine
 from pnm.marking import Marking
+from pnm.performing import Performer
 from pnm.resources import Resources
 from pnm.sites import Site
 from pnm.sources.base import Asker, Source
@@ -68,6 +70,7 @@ class TaskMaster:
         read_goal: finds out what a text means as a goal; raises InputError.
         source: who is asked and told what runs do not know.
         room: how many tasks there may be.
+        performer: carries out the plans of a world.
         prefix: the first four bytes of the identities of all runs and requests.
     """
 
@@ -82,6 +85,7 @@ class TaskMaster:
         source: Source | None = None,
         room: Room | None = None,
         resources: Resources | None = None,
+        performer: Performer | None = None,
         prefix: bytes | None = None,
     ) -> None:
         self._problem = problem
@@ -92,6 +96,7 @@ class TaskMaster:
         self._source = source
         self._room = room or Room()
         self._resources = resources or Resources()
+        self._performer = performer
         self._prefix = prefix or os.urandom(4)
         self._loop = asyncio.get_running_loop()
         self._began = self._loop.time()
@@ -123,7 +128,7 @@ class TaskMaster:
             self._end(task, TaskEnding(Code.QUEUE_FULL, f"{waiting} tasks are waiting already"))
             return
         try:
-            goal = self._read_goal(wanted.text)
+            recital, goal = (self._recital(task), TRUE) if wanted.is_plan else (None, self._read_goal(wanted.text))
         except InputError as error:
             self._end(task, TaskEnding(Code.INVALID_GOAL, str(error)))
             return
@@ -131,7 +136,7 @@ class TaskMaster:
         if wanted.deadline is not None:
             task.deadline = self._loop.call_later(wanted.deadline, self._missed, task)
         task.is_held = self._is_held
-        task.goal = goal
+        task.goal, task.recital = goal, recital
         task.enter(TaskState.QUEUED)
         self._admit()
 
@@ -219,9 +224,8 @@ class TaskMaster:
         """Begin with those that wait, as far as there is room."""
         for task in sorted(self._tasks.values(), key=lambda one: one.rank):
             if task.doing is None and not task.is_held and not self._is_full:
-                pursuit = self._pursuit(task)
-                task.doing = pursuit
-                doing = self._doing[task.id] = self._loop.create_task(self._pursue(task, pursuit))
+                task.doing = chosen = task.recital or self._pursuit(task)
+                doing = self._doing[task.id] = self._loop.create_task(self._pursue(task, chosen))
                 doing.add_done_callback(partial(self._forget, task))
 
     def _pursuit(self, task: Task) -> Pursuit:
@@ -238,11 +242,20 @@ class TaskMaster:
         )
         return Pursuit(problem, self._site, self._settings, task, Stopwatch(), Layered(self._knowledge), circumstances)
 
-    async def _pursue(self, task: Task, pursuit: Pursuit) -> None:
+    def _recital(self, task: Task) -> Recital:
+        if self._performer is None:
+            raise InputError(f"there is no plan {task.wanted.text!r}; no world of plans is loaded")
+        performance = self._performer.perform(task.wanted.text, task.wanted.parameters, task, task=task.id, priority=task.wanted.priority)
+        return Recital(self._performer, performance, task)
+
+    async def _pursue(self, task: Task, doing: Pursuit | Recital) -> None:
         ending = TaskEnding(Code.ERROR, "an error of whoever does the task; its log says more")
         try:
-            result = await pursuit.pursue()
-            ending = TaskEnding(result.code, result.reason)
+            if isinstance(doing, Recital):
+                ending = await doing.pursue()
+            else:
+                result = await doing.pursue()
+                ending = TaskEnding(result.code, result.reason)
         except InputError as error:
             ending = TaskEnding(Code.PLANNER_ERROR, str(error))
         except Exception:

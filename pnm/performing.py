@@ -129,8 +129,23 @@ class Performer:
         ]
         return await self.site.prepare(dict.fromkeys(needed))
 
-    def perform(self, name: str, parameters: Mapping[str, object] | None = None, observer: Observer | None = None) -> Performance:
+    def perform(
+        self,
+        name: str,
+        parameters: Mapping[str, object] | None = None,
+        observer: Observer | None = None,
+        *,
+        task: UUID | None = None,
+        priority: int = 0,
+    ) -> Performance:
         """Get a run of the plan ready; `execute` carries it out.
+
+        Args:
+            name: of the plan.
+            parameters: what the run knows at first.
+            observer: is told what happens.
+            task: on whose behalf resources are claimed; the run's own if None.
+            priority: how the claims stand among those of others.
 
         Raises:
             InputError: there is no such plan, or it has no such parameter.
@@ -151,6 +166,8 @@ class Performer:
             asks=self.source is not None,
             observer=observer,
             resources=self.resources,
+            task=task,
+            priority=priority,
         )
         return Performance(program, Executor(run, client, self.source, name), client)
 
