@@ -23,6 +23,8 @@ GUIDED: Final = ((), (), ("late",), ("no",), ("no", "late"), ("silent",), ("sile
 CHAT: Final = ("now", "now", "late", "silent")
 LATE: Final = 0.2
 """Seconds after which a late answer comes, whatever the robot talks about."""
+PATIENCE: Final = 1.0
+"""Seconds after which a visitor does not wait for the moment to interrupt any more."""
 
 
 def script(number: int) -> Script:
@@ -39,7 +41,7 @@ def script(number: int) -> Script:
 
 def file_of(numbers: Iterable[int]) -> str:
     """Return the text of a file for `visitor.py`."""
-    return json.dumps({"late": LATE, "scripts": [script(number) for number in numbers]}, indent=1)
+    return json.dumps({"late": LATE, "patience": PATIENCE, "scripts": [script(number) for number in numbers]}, indent=1)
 
 
 def _guide(chance: random.Random, shop: str) -> Script:
