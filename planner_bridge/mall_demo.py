@@ -33,14 +33,15 @@ LIMIT: Final = 120.0
 """Seconds that everything may take."""
 SCRIPT: Final = {
     "late": 6.0,
+    "patience": 60.0,
     "scripts": [
         {
             "name": "demo",
             "visitor": "ann",
             "requests": [
-                {"shop": "shop_0", "replies": ["late"]},
-                {"shop": "shop_1", "replies": ["no"], "on": "describe_route", "after": 0.8},
-                {"topic": "films", "turns": 2, "replies": [], "on": "question", "after": 1.0},
+                {"shop": "shop_0", "replies": ["no"]},
+                {"shop": "shop_1", "replies": ["late"], "on": "describe_route", "after": 0.8},
+                {"topic": "films", "turns": 2, "replies": [], "on": "question", "after": 0.8},
             ],
         }
     ],
@@ -93,7 +94,7 @@ async def _play(story: Story, stack: AsyncExitStack) -> None:
 
 
 async def _start(stack: AsyncExitStack, *arguments: str) -> Process:
-    own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": str(os.getpid() % 100 + 1)}
+    own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID") or str(os.getpid() % 100 + 1)}
     process = await asyncio.create_subprocess_exec(
         sys.executable, *arguments, env={**os.environ, **own}, stdin=DEVNULL, stdout=PIPE, stderr=DEVNULL
     )

@@ -160,7 +160,9 @@ class Task(TaskObserver):
     # --- what happens ---------------------------------------------------------------------------
 
     def enter(self, state: TaskState, why: str = "") -> None:
-        """Be in another state from now on."""
+        """Be in another state from now on, unless it is over: it may have come to its end while it was told to pause."""
+        if self.ending is not None:
+            return
         self.state, self.why = state, why
         self.note("state", "", f"{state.name.lower()}{f': {why}' if why else ''}")
         self.listener.changed(self.id)

@@ -2,13 +2,13 @@
 
     visitor.py SCRIPTS      a JSON file, see below
 
-    {"late": 0.3, "scripts": [{"name": "1", "visitor": "ann", "requests": [
+    {"late": 0.3, "patience": 2.0, "scripts": [{"name": "1", "visitor": "ann", "requests": [
         {"shop": "shop_0", "replies": ["no", "late"]},
         {"topic": "films", "turns": 2, "replies": ["silent"], "on": "describe_route", "after": 0.1}]}]}
 
 Scripts are played one after the other, each to the end of all its requests. A request is a goal for the node, of a higher
 priority than those before; it is sent `after` some seconds from when the robot begins to do something for the request
-before (`on`: the name of the action, or `question`). Replies are to the questions of the request, in order: `now`; `late`,
+before (`on`: the name of the action, or `question`), or when `patience` is over. Replies are to the questions of the request, in order: `now`; `late`,
 when the robot talks about something else, or after so many seconds; `no`, which is now, too; `silent`, which is never; what
 is not said is `now`. Every answer is another text, so that it can be told where it went.
 
@@ -38,8 +38,6 @@ FOUND = 60.0
 """Seconds in which the node has to be found."""
 STUCK = 60.0
 """Seconds that a script may take."""
-IMPATIENCE = 2.0
-"""Seconds after which a request is sent although the robot has not begun what it was to come after."""
 REPEATED = 0.3
 """Seconds after which an answer is given once more."""
 STATES = {value: name for name, value in vars(TaskStatus).items() if name.isupper() and isinstance(value, int)}
@@ -71,10 +69,11 @@ class Request:
 
 @dataclass
 class Visitor:
-    """Plays scripts. All fields but the first two change."""
+    """Plays scripts. All fields but the first three change."""
 
     node: Any
     late: float
+    patience: float
     requests: list[Request] = field(default_factory=list)
     waiting: list[tuple[str, Request]] = field(default_factory=list)
     """Requests to be sent once the robot does something."""
@@ -154,7 +153,7 @@ class Visitor:
         following = self.requests[request.priority + 1 : request.priority + 2]
         for one in following:
             self.waiting.append((one.wish.get("on", ""), one))
-            self.later(IMPATIENCE if one.wish.get("on") else one.wish.get("after", 0.0), lambda one=one: self.send(one))
+            self.later(self.patience if one.wish.get("on") else one.wish.get("after", 0.0), lambda one=one: self.send(one))
 
     def accepted(self, request: Request, handle: Any) -> None:
         """Note the id of the task."""
@@ -199,7 +198,7 @@ class Visitor:
             return
         reply = request.reply()
         self.say("question", request.about, question=message.id, text=message.text, reply=reply)
-        word = "no" if reply == "no" else "yes" if "shop" in request.wish else request.about
+        word = "no" if reply == "no" else "yes" if "shop" in request.wish else f"I like {request.about}"
         if reply == "late":
             self.held[message.id] = request, word
             self.later(self.late, lambda: self.answer(message.id, request, word) if message.id in self.held else None)
@@ -251,7 +250,7 @@ def main(file: str) -> None:
     """Play all scripts of a file."""
     told = json.loads(Path(file).read_text(encoding="utf-8"))
     rclpy.init()
-    visitor = Visitor(rclpy.create_node("mall_visitor"), told["late"])
+    visitor = Visitor(rclpy.create_node("mall_visitor"), told["late"], told["patience"])
     visitor.meet()
     sys.stdout.write("ready\n")
     for script in told["scripts"]:

@@ -13,8 +13,8 @@ from tests.mall_scripts.judge import Verdict, judge
 from tests.mall_scripts.scripts import file_of, script
 
 DOMAIN: Final = ROOT / "domains" / "mall"
-SPEED: Final = "40"
-"""How many times faster than real time the robot is: it speaks for 50 ms."""
+SPEED: Final = "80"
+"""How many times faster than real time the robot is: it speaks for 25 ms."""
 PATIENCE: Final = 0.6
 """Seconds that the node waits for an answer."""
 EACH: Final = 30.0

@@ -21,9 +21,10 @@ MOMENTS: Final = {
 GUIDED: Final = ((), (), ("late",), ("no",), ("no", "late"), ("silent",), ("silent", "late"))
 """How questions about the way are answered. A robot that fails twice at the same does not try that again, so once is enough."""
 CHAT: Final = ("now", "now", "late", "silent")
-GUIDES_ONLY = True
 LATE: Final = 0.2
 """Seconds after which a late answer comes, whatever the robot talks about."""
+PATIENCE: Final = 1.0
+"""Seconds after which a visitor does not wait for the moment to interrupt any more."""
 
 
 def script(number: int) -> Script:
@@ -33,14 +34,14 @@ def script(number: int) -> Script:
     wishes = [_guide(chance, shops.pop())]
     for _ in range(chance.choice((0, 1, 1, 2, 2, 3))):
         moment = chance.choice(MOMENTS["shop" if "shop" in wishes[-1] else "topic"])
-        wish = _guide(chance, shops.pop()) if (GUIDES_ONLY or chance.random() < 0.6) else _talk(chance, topics.pop())
+        wish = _guide(chance, shops.pop()) if chance.random() < 0.6 else _talk(chance, topics.pop())
         wishes.append({**wish, "on": moment, "after": round(chance.uniform(0.0, 0.08), 3)})
     return {"name": str(number), "visitor": VISITORS[number % len(VISITORS)], "requests": wishes}
 
 
 def file_of(numbers: Iterable[int]) -> str:
     """Return the text of a file for `visitor.py`."""
-    return json.dumps({"late": LATE, "scripts": [script(number) for number in numbers]}, indent=1)
+    return json.dumps({"late": LATE, "patience": PATIENCE, "scripts": [script(number) for number in numbers]}, indent=1)
 
 
 def _guide(chance: random.Random, shop: str) -> Script:
