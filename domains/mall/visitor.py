@@ -8,9 +8,9 @@
 
 Scripts are played one after the other, each to the end of all its requests. A request is a goal for the node, of a higher
 priority than those before; it is sent `after` some seconds from when the robot begins to do something for the request
-before (`on`: the name of the action, or `question`), or when `patience` is over. Replies are to the questions of the request, in order: `now`; `late`,
-when the robot talks about something else, or after so many seconds; `no`, which is now, too; `silent`, which is never; what
-is not said is `now`. Every answer is another text, so that it can be told where it went.
+before (`on`: the name of the action, or `question`), or when `patience` is over. Replies are to the questions of the
+request, in order: `now`; `late`, when the robot talks about something else, or after so many seconds; `no`, which is now,
+too; `silent`, which is never; what is not said is `now`. Every answer is another text, so that it can be told where it went.
 
 All that is seen is printed, a JSON object per line.
 """
