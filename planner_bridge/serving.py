@@ -12,31 +12,30 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 from uuid import UUID
 
+from planner_bridge.common_knowledge import common_knowledge
 from planner_bridge.console import ConsoleObserver, Terminal
-from planner_bridge.goals import Goals, read_goals
 from planner_bridge.loading import load
 from planner_bridge.making import Maker
 from planner_bridge.model import Problem
 from planner_bridge.replanning import Limits
+from planner_bridge.served_problem import ServedProblem
 from planner_bridge.serving_options import PARAMETERS, Options
+from planner_bridge.shared_world import SharedWorld, read_goals
 from planner_bridge.task_console import TaskConsole, shortened
 from planner_bridge.tasking import Room as Places
 from planner_bridge.tasking import TaskMaster
 from planner_bridge.tasks import Settings
 from planner_bridge.written import sources_of, together
 from pnm.bindings import Bindings, read_bindings
-from pnm.errors import InputError, Tolerated
-from pnm.expressions import Fluent, Value, show
+from pnm.errors import Tolerated
 from pnm.knowledge import KnowledgeBase, Layered
-from pnm.language.plan import HandWrittenPlan
 from pnm.language.world import read_world
 from pnm.parameter import ParameterValue
 from pnm.performing import Performer, Program
 from pnm.ros.served_goals import Audience, Ending, ServedGoal
-from pnm.rules import Rule, Rules
 from pnm.sensing import NO_SENSING
 from pnm.sensing_file import read_sensing
-from pnm.served_world import ServedWorld, UnservedWorld
+from pnm.served_world import ServedWorld
 from pnm.sites import Ros2Site
 from pnm.sources.base import Asker
 from pnm.sources.chain import Sources
@@ -87,13 +86,14 @@ async def open_tasks(room: Room, problem: Problem) -> Opened:
         on_failure=options.on_failure,
         on_change=options.on_change,
     )
-    goals = read_goals(options.goals, problem) if options.goals else Goals(problem)
+    began = loop.time()
+    world = SharedWorld(problem, room.knowledge, read_goals(options.goals) if options.goals else {}, elapsed=lambda: loop.time() - began)
     places = Places(options.max_tasks, options.max_queue, options.on_conflict)
     master = TaskMaster(
-        problem, room.knowledge, room.site, settings, goals.read, source=room.sources, room=places, performer=room.performer
+        problem, room.knowledge, room.site, settings, world.read_goal, source=room.sources, room=places, performer=room.performer
     )
-    maker = Maker(problem, room.knowledge, settings, goals.read, loop.time())
-    return Opened(master, maker.make, UnservedWorld(), master.knowledge_of, master.close)
+    maker = Maker(problem, room.knowledge, settings, world.read_goal, began)
+    return Opened(master, maker.make, ServedProblem(world, options.problems), master.knowledge_of, master.close)
 
 
 def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], terminal: Terminal, warn: Warn) -> None:
@@ -265,40 +265,6 @@ def _bindings(options: Options, problem: Problem | None) -> Bindings:
     beside = options.domain.parent / "bindings.yaml" if options.domain else None
     file = options.bindings or (beside if beside and beside.is_file() else None)
     return read_bindings(file, problem.vocabulary if problem else None) if file else Bindings()
-
-
-@dataclass(frozen=True, slots=True)
-class _Beginning:
-    """What one of those who share a world says of it."""
-
-    name: str
-    facts: Mapping[Fluent, Value]
-    objects: Mapping[str, tuple[str, ...]]
-    rules: Rules
-
-
-def common_knowledge(plans: Iterable[HandWrittenPlan], problem: Problem | None = None) -> KnowledgeBase:
-    """Return the world that all tasks share, which begins as the problem and the plans say.
-
-    Raises:
-        InputError: two of them say different things.
-    """
-    beginnings = [_Beginning(plan.name, plan.facts, plan.objects, plan.rules) for plan in plans]
-    if problem is not None:
-        beginnings.insert(0, _Beginning(problem.name, problem.init, problem.objects_by_type, Rules(problem.domain.rules)))
-    facts: dict[Fluent, Value] = {}
-    said: dict[Fluent, str] = {}
-    objects: dict[str, tuple[str, ...]] = {}
-    rules: dict[str, Rule] = {}
-    for one in beginnings:
-        for fluent, value in one.facts.items():
-            if facts.setdefault(fluent, value) != value:
-                raise InputError(f"{said[fluent]} and {one.name} begin with different values of {show(fluent)}: {facts[fluent]}, {value}")
-            said.setdefault(fluent, one.name)
-        for kind, names in one.objects.items():
-            objects[kind] = tuple(dict.fromkeys((*objects.get(kind, ()), *names)))
-        rules |= {str(rule): rule for rule in one.rules.rules}
-    return KnowledgeBase(facts, objects=objects, rules=Rules(tuple(rules.values())))
 
 
 class Reporter(Audience):

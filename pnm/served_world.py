@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NoReturn, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Protocol
 
-from pnm.errors import InputError
+from pnm.expressions import Fluent, Unknown, Value
 
 
 class ServedWorld(Protocol):
     """Knowledge and problem of a process. To be used on the event loop's thread; what is wrong is an `InputError`."""
 
-    async def query(self, questions: Sequence[str], /) -> tuple[tuple[str, str], ...]:
+    async def query(self, questions: Sequence[str], /) -> Sequence[tuple[str, str]]:
         """Return what is known of each question, in order; of everything that is known, when there are none.
 
         Args:
@@ -33,30 +33,5 @@ class ServedWorld(Protocol):
     async def load(self, domain: str, problem: str, /) -> None:
         """Begin anew with another domain or problem, each PDDL as a text or the path of a file; refused while there are tasks."""
 
-
-class UnservedWorld:
-    """Refuses every request."""
-
-    async def query(self, questions: Sequence[str], /) -> NoReturn:
-        """Refuse."""
-        raise _unserved()
-
-    async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> NoReturn:
-        """Refuse."""
-        raise _unserved()
-
-    async def get(self) -> NoReturn:
-        """Refuse."""
-        raise _unserved()
-
-    async def save(self, file: str, /) -> NoReturn:
-        """Refuse."""
-        raise _unserved()
-
-    async def load(self, domain: str, problem: str, /) -> NoReturn:
-        """Refuse."""
-        raise _unserved()
-
-
-def _unserved() -> InputError:
-    return InputError("this node does not tell what it knows of the world, nor takes what others know")
+    def changes(self, batch: Mapping[Fluent, Value | Unknown], /) -> Mapping[str, object]:
+        """Return what has changed, as fields of a ``pnm_interfaces/msg/KnowledgeChange``; called with every batch in order."""

@@ -8,7 +8,7 @@ A condition in PDDL is pursued for ever.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -17,6 +17,7 @@ from uuid import UUID
 from planner_bridge.model import Problem
 from planner_bridge.serving import Opened, Room
 from pnm.errors import InputError
+from pnm.expressions import Fluent, Unknown, Value, show
 from pnm.generation import generate
 from pnm.knowledge import KnowledgeBase, parse_fluent
 from pnm.machine import PetriNetMachine
@@ -181,6 +182,11 @@ class ScriptedWorld:
 
     async def load(self, domain: str, problem: str, /) -> None:
         raise InputError("problem:1:1: expected (define")
+
+    def changes(self, batch: Mapping[Fluent, Value | Unknown], /) -> Mapping[str, object]:
+        numbers = {show(fluent): value for fluent, value in batch.items() if isinstance(value, float)}
+        added = [show(fluent) for fluent, value in batch.items() if value is True]
+        return {"added": added, "fluents": [*numbers], "values": [*numbers.values()]}
 
 
 async def open_scripted(room: Room, problem: Problem) -> Opened:

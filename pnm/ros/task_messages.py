@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any, Final
 from uuid import UUID
 
 from pnm.errors import InputError
 from pnm.export.json import as_data
-from pnm.expressions import UNDEFINED, Fluent, Unknown, Value, show
-from pnm.knowledge import show_statement
 from pnm.machine import PetriNetMachine
 from pnm.marking import Marking
 from pnm.ros.knowledge_client import uuid_field
@@ -140,22 +138,3 @@ def made_fields(made: MadePlan) -> Fields:
     """Return the fields of the result of ``plan``."""
     plan = plan_fields(UUID(int=0), made.goal, 0, made.steps)
     return {"code": int(made.code), "reason": made.code.word, "message": printable(made.message), "plan": plan}
-
-
-def change_fields(changes: Mapping[Fluent, Value | Unknown], sequence: int) -> Fields:
-    """Return the fields of a ``KnowledgeChange`` but its stamp."""
-    fluents: dict[str, float] = {}
-    said: Mapping[str, list[str]] = {"added": [], "removed": [], "unknown": []}
-    for fluent, value in changes.items():
-        match value:
-            case bool():
-                said["added" if value else "removed"].append(show(fluent))
-            case str() if value == UNDEFINED:  # it has no object any more
-                said["removed"].append(show(fluent))
-            case str():
-                said["added"].append(show_statement(fluent, value))
-            case Unknown():
-                said["unknown"].append(show(fluent))
-            case _:
-                fluents[show(fluent)] = value
-    return {**said, "fluents": list(fluents), "values": list(fluents.values()), "sequence": sequence}

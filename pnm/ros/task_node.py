@@ -44,7 +44,7 @@ class TaskNode:
         self._is_stopped = False
         self._servers = TaskServers(ros, tasks, lambda: self._closed)
         self._planning = PlanningServer(ros, make, lambda: self._closed)
-        self._topics = TaskTopics(ros, tasks, knowledge, lambda: self._is_paused)
+        self._topics = TaskTopics(ros, tasks, world, knowledge, lambda: self._is_paused)
         self._services = RequestServices(ros)
 
     def __repr__(self) -> str:

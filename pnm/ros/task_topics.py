@@ -10,9 +10,10 @@ from uuid import UUID
 from pnm.expressions import Fluent, Unknown, Value
 from pnm.knowledge import KnowledgeBase
 from pnm.ros.node import RosThread
-from pnm.ros.task_messages import Fields, change_fields, marking_fields, moment_fields, net_fields, plan_fields, status_fields
+from pnm.ros.task_messages import Fields, marking_fields, moment_fields, net_fields, plan_fields, status_fields
 from pnm.ros.throttle import Throttle
 from pnm.ros.topic import Topic
+from pnm.served_world import ServedWorld
 from pnm.tasking import Moment, Status, TaskEnding, TaskListener, Tasks, TaskState
 
 PERIOD: Final = 0.1
@@ -26,12 +27,15 @@ class TaskTopics(TaskListener):
     soon, the nets as they were written, and how many changes of the knowledge were told.
 
     Args:
+        world: says what has changed.
+        knowledge: tells that something has changed.
         paused: tells whether all tasks are paused.
     """
 
-    def __init__(self, ros: RosThread, tasks: Tasks, knowledge: KnowledgeBase, paused: Callable[[], bool]) -> None:
+    def __init__(self, ros: RosThread, tasks: Tasks, world: ServedWorld, knowledge: KnowledgeBase, paused: Callable[[], bool]) -> None:
         self._ros = ros
         self._tasks = tasks
+        self._world = world
         self._knowledge = knowledge
         self._paused = paused
         self._loop = asyncio.get_running_loop()
@@ -144,7 +148,7 @@ class TaskTopics(TaskListener):
     def _known(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
         if changes:
             self._changes += 1
-            fields = change_fields(changes, self._changes)
+            fields = {**self._world.changes(changes), "sequence": self._changes}
             at = self._loop.time()
             self._change.publish(lambda: {**fields, "stamp": ahead(self._ros, self._loop) + at})
 

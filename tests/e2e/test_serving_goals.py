@@ -22,8 +22,8 @@ def robots(plan_scene_of_module: PlanScene) -> Simulation:
 @pytest.fixture(scope="module")
 def served(plan_scene_of_module: PlanScene, robots: Simulation) -> PlanScene:
     """The node that takes goals, and robots for it."""
-    plan_scene_of_module.write({"goals.yaml": "in the yard: (and (at r1 yard) (not (at r2 yard)))"})
-    options = ["--goals", str(plan_scene_of_module.folder / "goals.yaml")]
+    plan_scene_of_module.write({"goals.yaml": "goals:\n  in the yard: (and (at r1 yard) (not (at r2 yard)))"})
+    options = ["--goals", str(plan_scene_of_module.folder / "goals.yaml"), "--problems", str(plan_scene_of_module.folder)]
     serving = Serving(["-m", "planner_bridge", "serve", DOMAIN, PROBLEM, *options], plan_scene_of_module.environment)
     plan_scene_of_module.start(serving).ready()
     return plan_scene_of_module
@@ -74,3 +74,16 @@ def test_the_client_of_the_page_cancels_what_takes_too_long(served, robots, tmp_
     starts = [one["action"] for one in robots.objects() if one["event"] == "start"]
     ends = [one["action"] for one in robots.objects() if one["event"] == "end"]
     assert sorted(starts) == sorted(ends), "what was under way has confirmed that it is cancelled"
+
+
+def test_what_is_known_and_the_problem_are_asked_for(served):
+    client = served.start(Client(["tests/e2e/world_client.py"], served.environment))
+    assert client.ended() == 0, str(client)
+    told = {one["event"]: one for one in client.objects()}
+    assert told["query"]["values"] == ["true", "false", "1"]
+    assert told["update"]["success"]
+    assert "did you mean 'hall'" in told["wrong"]["message"]
+    assert "(takes_parcels yard)" in told["get"]["problem"]
+    assert (served.folder / "now.pddl").read_text() == told["get"]["problem"]
+    assert "is not in the folder" in told["outside"]["message"]
+    assert not told["load"]["success"]
