@@ -18,7 +18,9 @@ from planner_bridge.loading import load
 from planner_bridge.making import Maker
 from planner_bridge.model import Problem
 from planner_bridge.replanning import Limits
+from planner_bridge.served_problem import ServedProblem
 from planner_bridge.serving_options import PARAMETERS, Options
+from planner_bridge.shared_world import SharedWorld
 from planner_bridge.task_console import TaskConsole, shortened
 from planner_bridge.tasking import Room as Places
 from planner_bridge.tasking import TaskMaster
@@ -36,7 +38,7 @@ from pnm.ros.served_goals import Audience, Ending, ServedGoal
 from pnm.rules import Rule, Rules
 from pnm.sensing import NO_SENSING
 from pnm.sensing_file import read_sensing
-from pnm.served_world import ServedWorld, UnservedWorld
+from pnm.served_world import ServedWorld
 from pnm.sites import Ros2Site
 from pnm.sources.chain import Sources
 from pnm.sources.registry import Surroundings, open_sources
@@ -99,7 +101,13 @@ async def open_tasks(room: Room, problem: Problem) -> Opened:
     )
     await room.site.share(prefix, master.knowledge_of, room.sources)
     maker = Maker(problem, room.knowledge, settings, goals.read, loop.time())
-    return Opened(master, maker.make, UnservedWorld(), master.close)
+    began = loop.time()
+    world = SharedWorld(problem, room.knowledge, lambda: loop.time() - began)
+    return Opened(master, maker.make, ServedProblem(world, options.problems, _refuse), master.close)
+
+
+async def _refuse(problem: Problem) -> None:
+    raise InputError(f"this node cannot begin anew with {problem.name}; start it again with that problem")
 
 
 def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], terminal: Terminal, warn: Warn) -> None:

@@ -1,17 +1,16 @@
-"""The world that all tasks share, as texts: questions and their answers, changes, goals, and domain and problem as they now are.
+"""The world that all tasks share, as texts: questions and their answers, changes, and domain and problem as they now are.
 
 Everything is written as in PDDL. A text that is wrong is refused with the line and column in it, and the nearest word.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import prod
-from pathlib import Path
 from typing import Final, assert_never
 
-from planner_bridge.model import Problem
+from planner_bridge.model import Domain, Problem
 from planner_bridge.pddl import write_domain, write_problem
 from planner_bridge.pddl.conditions import condition
 from planner_bridge.pddl.forms import number_text
@@ -20,19 +19,16 @@ from planner_bridge.pddl.requirements import Requirements
 from planner_bridge.pddl.scope import Scope
 from planner_bridge.pddl.sexpr import Group, Node, parse, wrong
 from planner_bridge.pddl.words import number, operands
-from planner_bridge.problem_files import write_inside
 from planner_bridge.state import problem_now
 from pnm.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, evaluate
 from pnm.errors import InputError, Position
 from pnm.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Unknown, Value, show
-from pnm.knowledge import KnowledgeBase, show_statement
-from pnm.nearest import meant
-from pnm.yaml_files import load_yaml
+from pnm.knowledge import KnowledgeBase
 
 MAX_TEXTS: Final = 10_000
 """Questions or changes at once."""
 MAX_LENGTH: Final = 100_000
-"""Characters of one of them, or of a goal."""
+"""Characters of one of them."""
 MAX_CHOICES: Final = 1_000_000
 """Choices of objects that the quantifiers of a condition range over."""
 
@@ -49,39 +45,25 @@ class Function:
 class SharedWorld:
     """A problem, and what is known of its world; nothing here waits for anything.
 
-    The mutable state is which functions are known to have which objects for their values, for `changes`.
-
     Args:
-        problem: the domain and the objects, and the goal that is meant when none is given.
+        problem: the domain and the objects.
         knowledge: what is known.
-        goals: texts of goals by name.
         elapsed: returns how many seconds ago the problem began: facts that change by themselves do so that much earlier.
-
-    Raises:
-        InputError: a goal cannot be read.
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        knowledge: KnowledgeBase,
-        goals: Mapping[str, str] | None = None,
-        elapsed: Callable[[], float] = lambda: 0.0,
-    ) -> None:
+    def __init__(self, problem: Problem, knowledge: KnowledgeBase, elapsed: Callable[[], float] = lambda: 0.0) -> None:
         self._problem = problem
         self._knowledge = knowledge
         self._elapsed = elapsed
         derived = frozenset(rule.name for rule in problem.domain.rules)
         self._scope = Scope(Names(problem.domain, problem.objects, Requirements(problem.domain.requirements), derived=derived))
-        self._goals = {name: self._condition(text, f"goal {name}") for name, text in (goals or {}).items()}
-        self._objects = {fluent: value for fluent, value in knowledge.facts().items() if isinstance(value, str)}
 
     def __repr__(self) -> str:
         return f"<SharedWorld {self._problem.name}: {self._knowledge!r}>"
 
     # --- questions and changes -------------------------------------------------------------------
 
-    def query(self, questions: Sequence[str]) -> list[tuple[str, str]]:
+    def query(self, questions: Sequence[str]) -> tuple[tuple[str, str], ...]:
         """Return each question with its answer: ``true``, ``false``, ``unknown``, a number or an object.
 
         A question is a condition, or a function whose value is asked for; ``undefined`` is the value of one that has no
@@ -92,9 +74,9 @@ class SharedWorld:
         """
         _bounded(questions, "questions")
         if not questions:
-            return [(show(fluent), _said(value)) for fluent, value in self._knowledge.facts().items()]
+            return tuple([(show(fluent), _said(value)) for fluent, value in self._knowledge.facts().items()])
         read = [self._question(_single(text, f"questions[{index}]")) for index, text in enumerate(questions)]
-        return [(text, _said(self._answer(question))) for text, question in zip(questions, read, strict=True)]
+        return tuple([(text, _said(self._answer(question))) for text, question in zip(questions, read, strict=True)])
 
     def update(self, add: Sequence[str] = (), remove: Sequence[str] = (), forget: Sequence[str] = ()) -> int:
         """Record facts that are so, that are not so, and of which nothing is known; return how many of them are news.
@@ -119,30 +101,12 @@ class SharedWorld:
                     raise wrong(node, f"another one of the changes says something else of {show(fluent)}")
         return len(self._knowledge.update(changes))
 
-    def changes(self, batch: Mapping[Fluent, Value | Unknown]) -> dict[str, object]:
-        """Return what has changed as fields of a ``pnm_interfaces/msg/KnowledgeChange``; to be called with every batch in order."""
-        added: list[str] = []
-        removed: list[str] = []
-        unknown: list[str] = []
-        numbers: dict[str, float] = {}
-        for fluent, value in batch.items():
-            before = self._objects.pop(fluent, UNDEFINED)
-            if before not in (UNDEFINED, value) and value is not UNKNOWN:
-                removed.append(show_statement(fluent, before))
-            match value:
-                case Unknown():
-                    unknown.append(show(fluent))
-                case bool():
-                    (added if value else removed).append(show(fluent))
-                case str():
-                    if value != UNDEFINED:
-                        added.append(show_statement(fluent, value))
-                        self._objects[fluent] = value
-                case _:
-                    numbers[show(fluent)] = float(value)
-        return {"added": added, "removed": removed, "unknown": unknown, "fluents": [*numbers], "values": [*numbers.values()]}
+    # --- domain and problem ---------------------------------------------------------------
 
-    # --- domain, problem and goals ---------------------------------------------------------------
+    @property
+    def domain(self) -> Domain:
+        """The domain."""
+        return self._problem.domain
 
     def domain_text(self) -> str:
         """Return the domain as PDDL."""
@@ -152,35 +116,7 @@ class SharedWorld:
         """Return the problem that begins with the world as it is known now, as PDDL."""
         return write_problem(problem_now(self._problem, self._knowledge, self._elapsed()))
 
-    def save(self, path: str, folder: Path) -> Path:
-        """Write the problem that begins with the world as it is known now; return the whole path.
-
-        Raises:
-            InputError: the path leads out of the folder, or cannot be written; nothing was.
-        """
-        return write_inside(folder, path, self.problem_text())
-
-    def read_goal(self, text: str) -> Condition:
-        """Return the goal that is meant: a condition, the name of a goal, or nothing for the goal of the problem.
-
-        Raises:
-            InputError: there is no goal of this name, or it is no condition over the objects of the problem.
-        """
-        text = text.strip()
-        if not text:
-            return self._problem.goal
-        if text in self._goals:
-            return self._goals[text]
-        if text[0] not in "(;":
-            known = f"expected one of {', '.join(self._goals)}, or a condition" if self._goals else ""
-            hint = meant(text, self._goals) or known or "expected a condition such as (at r1 kitchen)"
-            raise InputError(f"there is no goal {text[:80]!r}; {hint}", Position("goal", 1, 1))
-        return self._condition(text, "goal")
-
     # --- reading ---------------------------------------------------------------------------------
-
-    def _condition(self, text: str, origin: str) -> Condition:
-        return self._checked(_single(text, origin))
 
     def _question(self, node: Node) -> Condition | Function:
         declared = self._scope.names.find_function(node)
@@ -246,25 +182,6 @@ class SharedWorld:
         if fluent[0] in self._scope.names.derived:
             raise wrong(node, f"{fluent[0]!r} is a derived predicate; it follows from others and cannot be set")
         return fluent
-
-
-def read_goals(path: Path) -> dict[str, str]:
-    """Read a YAML file with the texts of goals by name, under ``goals``.
-
-    Raises:
-        InputError: it is something else.
-    """
-    top = load_yaml(path)
-    top.only("goals")
-    node = top.node("goals")
-    found: dict[str, str] = {}
-    for name, where, value in node.mapped().entries() if node is not None and not node.is_null else ():
-        if not name or name[0] in "(;" or name != name.strip():
-            raise InputError(f"{name!r} cannot name a goal; expected a word", where)
-        if value.text is None:
-            raise value.wrong(f"expected a condition as a text for {name}")
-        found[name] = value.text
-    return found
 
 
 def _bounded(texts: Sequence[str], what: str) -> None:

@@ -1,7 +1,8 @@
-"""The world that all tasks share, in texts: answers, changes, goals, and problems that are saved."""
+"""The world that all tasks share, in texts: answers, changes, and problems that are saved."""
 
 from __future__ import annotations
 
+import asyncio
 import os
 import resource
 from contextlib import contextmanager
@@ -14,10 +15,10 @@ from hypothesis import strategies as st
 
 from planner_bridge.loading import load
 from planner_bridge.pddl import parse_domain, parse_problem, read_problem
-from planner_bridge.problem_files import load_texts, write_inside
-from planner_bridge.shared_world import MAX_LENGTH, MAX_TEXTS, SharedWorld, read_goals
+from planner_bridge.problem_files import write_inside
+from planner_bridge.served_problem import ServedProblem
+from planner_bridge.shared_world import MAX_LENGTH, MAX_TEXTS, SharedWorld
 from planner_bridge.state import initial_knowledge, problem_now
-from pnm.conditions import TRUE
 from pnm.errors import InputError
 from pnm.expressions import UNDEFINED, UNKNOWN, show
 from pnm.knowledge import show_statement
@@ -37,11 +38,10 @@ PROBLEM = parse_problem(
     (:init (at r1 kitchen) (charged r1) (= (battery r1) 0.5) (= (location a1) hall) (at 5 (dark))) (:goal (at r1 hall)))""",
     DOMAIN,
 )
-GOALS = {"home": "(forall (?r - robot) (at ?r dock))", "dark": "(dark)"}
 
 
 def world() -> SharedWorld:
-    return SharedWorld(PROBLEM, initial_knowledge(PROBLEM), GOALS)
+    return SharedWorld(PROBLEM, initial_knowledge(PROBLEM))
 
 
 def answers(shared: SharedWorld, *questions: str) -> list[str]:
@@ -79,7 +79,7 @@ def answers(shared: SharedWorld, *questions: str) -> list[str]:
 def test_a_question_has_an_answer(question, answer):
     shared = world()
     shared.update(forget=["(charged a1)"])
-    assert shared.query([question]) == [(question, answer)]
+    assert shared.query([question]) == ((question, answer),)
 
 
 def test_without_a_question_everything_that_is_recorded_is_told():
@@ -189,104 +189,34 @@ def test_a_change_that_is_refused_changes_nothing(kind, text, said):
     assert (knowledge.facts(), heard) == (before, [])
 
 
-def test_changes_are_told_as_texts():
-    knowledge = initial_knowledge(PROBLEM)
-    shared = SharedWorld(PROBLEM, knowledge)
-    told = []
-    knowledge.listen(lambda batch: told.append(shared.changes(batch)))
-    shared.update(
-        ["(dark)", "(= (battery r1) 3)", "(= (location a1) kitchen)", "(= (location r1) dock)"], ["(at r1 kitchen)"], ["(charged r1)"]
-    )
-    shared.update(remove=["(= (location a1) kitchen)"], forget=["(location r1)", "(battery r1)"])
-    shared.update(["(= (location r1) dock)", "(= (location a1) dock)"])
-    knowledge.store({"x": 1})
-    assert told == [
-        {
-            "added": ["(dark)", "(= (location a1) kitchen)", "(= (location r1) dock)"],
-            "removed": ["(= (location a1) hall)", "(at r1 kitchen)"],
-            "unknown": ["(charged r1)"],
-            "fluents": ["(battery r1)"],
-            "values": [3.0],
-        },
-        {"added": [], "removed": ["(= (location a1) kitchen)"], "unknown": ["(location r1)", "(battery r1)"], "fluents": [], "values": []},
-        {"added": ["(= (location r1) dock)", "(= (location a1) dock)"], "removed": [], "unknown": [], "fluents": [], "values": []},
-        {"added": [], "removed": [], "unknown": [], "fluents": [], "values": []},
-    ]
-
-
-# --- goals ---------------------------------------------------------------------------------
-
-
-def test_goals_are_conditions_or_names():
-    shared = world()
-    assert shared.read_goal(" ") == PROBLEM.goal
-    assert shared.read_goal("dark") == shared.read_goal(" (DARK) ; here") == shared.read_goal("; this\n(dark)")
-    assert str(shared.read_goal("home")) == "(forall (?r - robot) (at ?r dock))"
-    assert shared.read_goal("()") == TRUE
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("hoem", "goal:1:1: there is no goal 'hoem'; did you mean 'home'?"),
-        ("x", "goal:1:1: there is no goal 'x'; expected one of home, dark, or a condition"),
-        ("(and (dark)\n  (at r1 hal))", "goal:2:10: unknown object 'hal'; did you mean 'hall'?"),
-        ("(battery r1)", "goal:1:2: 'battery' is a function; expected a predicate"),
-        (";", "goal:1:1: the text is empty"),
-    ],
-)
-def test_a_goal_that_cannot_be_read_is_refused(text, said):
-    with pytest.raises(InputError) as caught:
-        world().read_goal(text)
-    assert str(caught.value).startswith(said)
-
-
-def test_a_named_goal_that_cannot_be_read_is_refused_at_once():
-    with pytest.raises(InputError, match=r"goal home:1:2: unknown predicate 'drak'"):
-        SharedWorld(PROBLEM, initial_knowledge(PROBLEM), {"home": "(drak)"})
-    with pytest.raises(InputError, match="there is no goal 'x'; expected a condition such as"):
-        SharedWorld(PROBLEM, initial_knowledge(PROBLEM)).read_goal("x")
-
-
-def test_goals_are_read_from_a_file(tmp_path):
-    file = tmp_path / "goals.yaml"
-    file.write_text("goals:\n  home: (dark)\n  all at home: >\n    (forall (?r - robot)\n      (at ?r dock))\n")
-    goals = read_goals(file)
-    assert goals == {"home": "(dark)", "all at home": "(forall (?r - robot)\n  (at ?r dock))\n"}
-    SharedWorld(PROBLEM, initial_knowledge(PROBLEM), goals)
-    for text, said in {
-        "goal: {}": "1:1: unknown key 'goal'; did you mean 'goals'?",
-        "goals: {(dark): (dark)}": "1:9: '(dark)' cannot name a goal; expected a word",
-        "goals: {home: 3}": "1:15: expected a condition as a text for home",
-        "goals: [home]": "1:8: expected a mapping",
-    }.items():
-        file.write_text(text)
-        with pytest.raises(InputError) as caught:
-            read_goals(file)
-        assert str(caught.value).startswith(f"{file}:{said}")
-
-
 # --- files ---------------------------------------------------------------------------------
 
 
 def test_a_problem_is_saved_as_it_is_now(tmp_path):
     knowledge = initial_knowledge(PROBLEM)
-    shared = SharedWorld(PROBLEM, knowledge, elapsed=lambda: 2.0)
+    shared = SharedWorld(PROBLEM, knowledge, lambda: 2.0)
     shared.update(["(= (battery r2) 0.1)"], ["(at r1 kitchen)"], ["(charged r1)"])
-    path = shared.save("today/p.pddl", tmp_path)
-    assert path == (tmp_path / "today" / "p.pddl").resolve()
-    saved = read_problem(path, DOMAIN)
+    begun = []
+
+    async def begin(problem):
+        begun.append(problem)
+
+    served = ServedProblem(shared, tmp_path, begin)
+    path = asyncio.run(served.save("today/p.pddl"))
+    assert path == str((tmp_path / "today" / "p.pddl").resolve())
+    assert asyncio.run(served.get()) == (shared.domain_text(), shared.problem_text())
+    saved = read_problem(Path(path), DOMAIN)
     assert saved == problem_now(PROBLEM, knowledge, 2.0)
     assert [change.time for change in saved.timed] == [3.0]
     assert saved.init == {("battery", "r1"): 0.5, ("battery", "R2"): 0.1, ("location", "a1"): "hall"}
-    assert load_texts("", "today/p.pddl", tmp_path, DOMAIN) == saved
-    assert load_texts(shared.domain_text(), shared.problem_text(), tmp_path, read_nothing()) == saved
     (tmp_path / "d.pddl").write_text(shared.domain_text())
-    assert load_texts("d.pddl", f"; saved\n{shared.problem_text()}", tmp_path, read_nothing()) == saved
-
-
-def read_nothing():
-    return parse_domain("(define (domain nothing))")
+    asyncio.run(served.load("", "today/p.pddl"))
+    asyncio.run(served.load(shared.domain_text(), shared.problem_text()))
+    asyncio.run(served.load("d.pddl", f"; saved\n{shared.problem_text()}"))
+    assert begun == [saved] * 3
+    with pytest.raises(InputError, match=r"problem:1:9: expected \(problem NAME\)"):
+        asyncio.run(served.load("", "(define (domain d))"))
+    assert len(begun) == 3
 
 
 @pytest.mark.parametrize("name", ["../p.pddl", "/etc/p.pddl", "a/../../p.pddl", "", " ", ".", "out/p.pddl", "a\0b", "x" * 5000])
@@ -294,11 +224,16 @@ def test_nothing_is_written_or_read_outside_of_the_folder(tmp_path, name):
     folder = tmp_path / "problems"
     folder.mkdir()
     (folder / "out").symlink_to(tmp_path)
+    served = ServedProblem(world(), folder, nowhere)
     with pytest.raises(InputError):
-        world().save(name, folder)
+        asyncio.run(served.save(name))
     with pytest.raises(InputError):
-        load_texts("", name, folder, DOMAIN)
+        asyncio.run(served.load("", name))
     assert [*tmp_path.rglob("*.pddl")] == []
+
+
+async def nowhere(_problem):
+    raise AssertionError("nothing was to be loaded")
 
 
 @contextmanager
@@ -341,7 +276,7 @@ states = st.dictionaries(
 def test_the_problem_that_is_written_reads_back_equal_whatever_was_reported(reported, elapsed):
     knowledge = initial_knowledge(PROBLEM)
     knowledge.update(reported)
-    shared = SharedWorld(PROBLEM, knowledge, elapsed=lambda: elapsed)
+    shared = SharedWorld(PROBLEM, knowledge, lambda: elapsed)
     domain = parse_domain(shared.domain_text())
     assert domain == DOMAIN
     assert parse_problem(shared.problem_text(), domain) == problem_now(PROBLEM, knowledge, elapsed)
