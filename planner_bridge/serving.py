@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import signal
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack
@@ -11,6 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeAlias
+from uuid import UUID
 
 from planner_bridge.console import ConsoleObserver, Terminal
 from planner_bridge.goals import Goals, read_goals
@@ -29,7 +29,7 @@ from planner_bridge.written import sources_of, together
 from pnm.bindings import Bindings, read_bindings
 from pnm.errors import InputError, Tolerated
 from pnm.expressions import Fluent, Value, show
-from pnm.knowledge import KnowledgeBase
+from pnm.knowledge import KnowledgeBase, Layered
 from pnm.language.plan import HandWrittenPlan
 from pnm.language.world import read_world
 from pnm.parameter import ParameterValue
@@ -40,6 +40,7 @@ from pnm.sensing import NO_SENSING
 from pnm.sensing_file import read_sensing
 from pnm.served_world import ServedWorld
 from pnm.sites import Ros2Site
+from pnm.sources.base import Asker
 from pnm.sources.chain import Sources
 from pnm.sources.registry import Surroundings, open_sources
 from pnm.tasking import Make, Tasks
@@ -72,6 +73,8 @@ class Opened:
     tasks: Tasks
     make: Make
     world: ServedWorld
+    knowledge_of: Callable[[UUID], tuple[Layered, Asker] | None]
+    """Finds the run whose request it is."""
     close: Callable[[], Awaitable[None]]
 
 
@@ -87,23 +90,14 @@ async def open_tasks(room: Room, problem: Problem) -> Opened:
         on_change=options.on_change,
     )
     goals = read_goals(options.goals, problem) if options.goals else Goals(problem)
-    places, prefix = Places(options.max_tasks, options.max_queue, options.on_conflict), os.urandom(4)
+    places = Places(options.max_tasks, options.max_queue, options.on_conflict)
     master = TaskMaster(
-        problem,
-        room.knowledge,
-        room.site,
-        settings,
-        goals.read,
-        source=room.sources,
-        room=places,
-        resources=room.performer.resources,
-        prefix=prefix,
+        problem, room.knowledge, room.site, settings, goals.read, source=room.sources, room=places, performer=room.performer
     )
-    await room.site.share(prefix, master.knowledge_of, room.sources)
     maker = Maker(problem, room.knowledge, settings, goals.read, loop.time())
     began = loop.time()
-    world = SharedWorld(problem, room.knowledge, lambda: loop.time() - began)
-    return Opened(master, maker.make, ServedProblem(world, options.problems, _refuse), master.close)
+    world = ServedProblem(SharedWorld(problem, room.knowledge, lambda: loop.time() - began), options.problems, _refuse)
+    return Opened(master, maker.make, world, master.knowledge_of, master.close)
 
 
 async def _refuse(problem: Problem) -> None:
@@ -231,17 +225,27 @@ class Serving:
         tasks = await self._ros.ask(partial(action_names, self._ros)) if room.problem else ()
         self._names = (*tasks, *names.values())
         await check_alone(self._ros, self._names)
+        opened = await open_tasks(room, room.problem) if room.problem else None
+        await self._share(room, opened)
         await self._prepare(room.performer, stack)
         stack.push_async_callback(self._plans.close, room.options.cancel)
         await self._plans.open(names)
         self._tasks = None
-        if room.problem:
-            opened = await open_tasks(room, room.problem)
+        if opened:
             self._tasks = TaskNode(self._ros, opened.tasks, opened.make, opened.world, room.knowledge)
             stack.push_async_callback(opened.close)
             stack.callback(opened.tasks.listen(TaskConsole(self._terminal, opened.tasks)))
             stack.push_async_callback(self._tasks.close, room.options.cancel)
             await self._tasks.open()
+
+    async def _share(self, room: Room, opened: Opened | None) -> None:
+        """Let action servers ask what whoever has sent them a goal knows."""
+
+        def find(request: UUID) -> tuple[Layered, Asker] | None:
+            found = room.performer.knowledge_of(request)
+            return opened.knowledge_of(request) if found is None and opened else found
+
+        await room.site.share(room.performer.prefix, find, room.sources)
 
     async def _prepare(self, performer: Performer, stack: AsyncExitStack) -> None:
         """Look for the action servers that the plans need, and tell later which are missing."""

@@ -165,6 +165,11 @@ class Run:
         return self._situation.over
 
     @property
+    def begun(self) -> bool:
+        """Whether the run has begun."""
+        return self._began is not None
+
+    @property
     def ending(self) -> bool:
         """Whether nothing more is started: a failure or restart place is marked, or the run was told to stop."""
         return self._situation.ending

@@ -224,6 +224,7 @@ def test_what_became_true_during_the_pause_is_not_done() -> None:
 
 def test_a_start_that_others_wait_for_is_announced_once() -> None:
     run = going(plan(2, "0s<1s"))
+    verify(run.machine)
     assert [str(call) for call in run.open_calls.values()] == ["a0()#0", "a1()#1"]
     run.handle(Pause(at_once=True), 1.0)
     for request in run.open_requests:
@@ -274,6 +275,23 @@ def test_a_paused_run_waits_for_no_resources() -> None:
     assert run.resources.held == ()
     assert sent(run.handle(Resume(), 3.0)) == ["second"], "it has waited longer"
     assert len(run.resources.line) == 1
+
+
+def test_a_call_that_goes_on_after_a_recovery_waits_for_the_end_of_the_pause() -> None:
+    recovery = Recovery(frozenset({Cause.ABORTED}), Then.CONTINUE, Flow((ActionCall(1, GroundAction("mend")),)))
+    acting = GroundAction("act", resources=("arm",), end_effects=(Set(("done",), Constant(True)),))
+    world = KnowledgeBase(sensed={"done": 2.0})
+    run = going(PlanGraph((ActionCall(0, acting, recoveries=(recovery,)),)), world=world)
+    run.handle(Ended(run.open_requests[0], Outcome(OutcomeKind.ABORTED)), 1.0)
+    run.handle(Pause(), 1.0)
+    run.handle(Ended(run.open_requests[0], SUCCEEDED), 2.0)
+    assert run.paused
+    assert run.resources.held == ()
+    run.handle(Resume(), 3.0)
+    assert [claim.names for claim in run.resources.held] == [("arm",)]
+    world.update({("done",): True})
+    run.handle(KnowledgeChanged(), 4.0)
+    assert run.result().goal
 
 
 def test_a_call_s_own_limit_counts_only_while_it_is_under_way() -> None:

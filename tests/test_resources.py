@@ -21,7 +21,7 @@ from pnm.actions.simulated import SimulatedRobots
 from pnm.actions.world import World
 from pnm.bindings import Binding, Bindings
 from pnm.clock import run_async
-from pnm.conditions import Holds
+from pnm.conditions import Computed, Holds
 from pnm.errors import InputError
 from pnm.events import Answered, Ask, Begin, Command, KnowledgeChanged, ResourcesChanged, Send, Stop, Tick
 from pnm.executor import Executor
@@ -30,6 +30,7 @@ from pnm.knowledge import KnowledgeBase, Layered
 from pnm.language.plan import read_plans
 from pnm.performing import Performer, Program
 from pnm.plan_graph import ActionCall, Cause, Flow, GroundAction, PlanGraph, Recovery, Then
+from pnm.queries import Layer, Literal, Operation, Query
 from pnm.resources import Claim, Resources
 from pnm.run import Run
 from tests.machines import ordering
@@ -226,6 +227,17 @@ def test_a_call_that_waits_for_a_fact_has_nothing_and_stands_in_nobody_s_way() -
     world.update({("ready",): True})
     assert names(run.handle(KnowledgeChanged(), 2.0)) == []
     assert names(finish(run)) == ["waits"]
+
+
+def test_whoever_cannot_use_it_yet_leaves_the_line() -> None:
+    world = KnowledgeBase(sensed={"ready": 5.0})
+    asked = Computed(Operation("eq", (Query(Literal.of("word"), Layer.GLOBAL), Literal.of(1))))
+    for condition in (Holds(("ready",)), asked):
+        waits = arm("waits", precondition=condition)
+        run, commands = begun(calls(arm("first"), waits, arm("behind")), world=world, asks=True)
+        assert names(commands) == ["first"]
+        assert len(run.resources.line) == 2
+        assert names(finish(run)) == ["behind"]
 
 
 def test_what_need_not_be_done_is_not_waited_for() -> None:

@@ -255,7 +255,9 @@ def carried(story: Callable[[Executor, Server], object], *actions: GroundAction,
         task = asyncio.ensure_future(executor.execute())
         await asyncio.sleep(1)
         story(executor, server)
-        return await task
+        result = await asyncio.wait_for(task, 1000)
+        assert asyncio.get_running_loop().time() < 500, "it ends by itself"
+        return result
 
     return run_async(main(), virtual=True)
 
@@ -283,12 +285,21 @@ def test_a_report_that_waits_in_the_inbox_reaches_the_successor() -> None:
 
 
 def test_a_successor_with_nothing_to_do_ends_at_once() -> None:
-    def story(executor: Executor, server: Server) -> None:
-        executor.run.handle(Ended(executor.run.open_requests[0], SUCCEEDED), 1.0)
+    def story(executor: Executor, _: Server) -> None:
         executor.succeed(successor(executor.run))
 
-    blocked = GroundAction("other", precondition=Holds(("seen",)))
-    assert carried(story, GroundAction("act"), blocked).goal
+    assert carried(story, GroundAction("blocked", precondition=Holds(("seen",)))).goal
+
+
+def test_nobody_stands_in_line_for_a_run_that_is_succeeded() -> None:
+    def story(executor: Executor, server: Server) -> None:
+        pool = executor.run.resources
+        assert len(pool.line) == 1
+        executor.succeed(successor(executor.run))
+        assert ([claim.names for claim in pool.held], pool.line) == ([("arm",)], ())
+        server.end("act")
+
+    assert carried(story, ACT, LAST).goal
 
 
 def test_a_pause_goes_on_in_the_successor() -> None:
@@ -354,19 +365,25 @@ def test_a_call_whose_effects_are_looked_for_is_waited_for() -> None:
     assert carried(story, GroundAction("act", end_effects=effects)).goal
 
 
-def test_what_is_over_is_not_succeeded() -> None:
-    def story(executor: Executor, server: Server) -> None:
-        executors.append(executor)
-        server.end("act")
+def test_what_is_not_being_carried_out_is_not_succeeded() -> None:
+    machine, knowledge = generate(plan(ActionCall(0, LAST))), Layered(KnowledgeBase())
+    server = Server()
+    executor = Executor(Run(machine, knowledge, id=UUID(int=1)), server)
 
-    executors: list[Executor] = []
-    carried(story, ACT)
-    run = executors[0].run
-    with pytest.raises(RunError, match="a run that is over"):
-        executors[0].succeed(Run(run.machine, run.knowledge, id=UUID(int=2)))
-    idle = Executor(Run(run.machine, run.knowledge, id=UUID(int=3)), Server())
-    with pytest.raises(RunError, match="not being carried out"):
-        idle.succeed(Run(run.machine, run.knowledge, id=UUID(int=4)))
+    def refused() -> None:
+        with pytest.raises(RunError, match="is not being carried out"):
+            executor.succeed(Run(machine, knowledge, id=UUID(int=2)))
+
+    async def main() -> None:
+        refused()
+        task = asyncio.ensure_future(executor.execute())
+        asyncio.get_running_loop().call_soon(refused)  # it listens, but has not begun
+        await asyncio.sleep(1)
+        server.end("last")
+        await task
+        refused()
+
+    run_async(main(), virtual=True)
 
 
 def test_the_resources_of_a_run_that_is_succeeded_are_given_back_but_for_what_goes_on() -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from pnm.errors import PnmError
 from pnm.ros.graph import processes
 from pnm.ros.messages import import_type, to_message
 from pnm.ros.node import RosError, RosThread
+from pnm.ros.request_services import arrived
 from pnm.ros.service_client import until_true
 
 DEPTH: Final = 1000
@@ -73,7 +75,8 @@ class GoalCalls:
 class GoalServer:
     """One action server.
 
-    The mutable state belongs to the ROS thread: the server and, by goal id, the handles and the futures of the answers.
+    The mutable state is, on the ROS thread, the server and, by goal id, the handles and the futures of the answers; on the event
+    loop's, when the last answer was given.
 
     Args:
         type_name: such as ``pnm_interfaces/action/RunPlan``.
@@ -91,6 +94,7 @@ class GoalServer:
         self._calls = calls
         self._server: Any = None
         self._open: dict[UUID, tuple[Any, Any]] = {}
+        self._answered = -math.inf
 
     def __repr__(self) -> str:
         return f"<GoalServer {self.name}, {len(self._open)} goals open>"
@@ -107,13 +111,15 @@ class GoalServer:
 
     def answer(self, goal: UUID, answer: Callable[[], Answer]) -> None:
         """End a goal; the function is called on the ROS thread."""
+        self._answered = self._loop.time()
         self._ros.call(partial(self._answer, goal, answer))
 
     async def close(self, limit: float = _FAREWELL) -> None:
-        """Take the server down, once the answers that were given are sent."""
+        """Take the server down, once the answers that were given have arrived."""
         with suppress(TimeoutError):
             async with asyncio.timeout(limit):
                 await until_true(self._ros, lambda: not self._open)
+        await arrived(self._answered)
         await self._ros.ask(self._take_down)
 
     # on the ROS thread

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from functools import partial
@@ -24,6 +25,8 @@ DEPTH: Final = 1000
 """Requests that may wait unread."""
 _FAREWELL: Final = 1.0
 """Seconds in which the last answers are sent."""
+ARRIVAL: Final = 1.0
+"""Seconds in which an answer arrives: whoever is destroyed before takes along what has not."""
 
 Fields: TypeAlias = Mapping[str, object]
 Work: TypeAlias = Callable[[Any], Awaitable[Fields]]
@@ -35,8 +38,8 @@ _log = logging.getLogger(__name__)
 class RequestServices:
     """Some services, opened and closed together. Their responses have the fields ``success`` and ``message``.
 
-    The mutable state is, on the event loop's thread, the requests at work; on the ROS thread, the services and the number of
-    requests that are not answered yet.
+    The mutable state is, on the event loop's thread, the requests at work, and when the last one was answered; on the ROS thread,
+    the services and the number of requests that are not answered yet.
     """
 
     def __init__(self, ros: RosThread) -> None:
@@ -45,6 +48,7 @@ class RequestServices:
         self._work: set[asyncio.Task[Fields]] = set()
         self._services: list[Any] = []
         self._unanswered = 0
+        self._answered = -math.inf
 
     def __repr__(self) -> str:
         return f"<RequestServices {len(self._services)} services, {len(self._work)} requests at work>"
@@ -69,6 +73,7 @@ class RequestServices:
         with suppress(TimeoutError):
             async with asyncio.timeout(_FAREWELL):
                 await until_true(self._ros, lambda: not self._unanswered)
+        await arrived(self._answered)
         await self._ros.ask(self._take_down)
 
     def _begin(self, work: Work, request: Any, reply: Callable[[Fields], object]) -> None:
@@ -78,6 +83,7 @@ class RequestServices:
 
     def _done(self, reply: Callable[[Fields], object], task: asyncio.Task[Fields]) -> None:
         self._work.discard(task)
+        self._answered = self._loop.time()
         reply(_refusal("the node is shut down, or cleaned up") if task.cancelled() else task.result())
 
     # on the ROS thread
@@ -110,6 +116,11 @@ class RequestServices:
         for service in self._services:
             self._ros.node.destroy_service(service)
         self._services.clear()
+
+
+async def arrived(answered: float) -> None:
+    """Wait until an answer that was given at this time, on the clock of the event loop, has arrived."""
+    await asyncio.sleep(answered + ARRIVAL - asyncio.get_running_loop().time())
 
 
 async def _answer(work: Work, request: Any) -> Fields:

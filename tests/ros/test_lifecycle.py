@@ -14,6 +14,7 @@ import pytest
 
 from pnm.errors import InputError
 from pnm.parameter import Parameter
+from pnm.ros import request_services
 from pnm.ros.lifecycle import Lifecycle
 from pnm.ros.node import RosError, RosThread
 from pnm.ros.parameters import declare
@@ -82,7 +83,9 @@ async def scene() -> AsyncIterator[Scene]:
         await one.lifecycle.open()
         await one.state()  # the first answer may get lost, so a transition is not the first that is asked for
         yield one
-        await one.lifecycle.close()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(request_services, "ARRIVAL", 0.0)  # nobody waits for an answer any more
+            await one.lifecycle.close()
     finally:
         await one.client.close()
         for thread in (ros, other):

@@ -13,6 +13,7 @@ from uuid import UUID, uuid4
 import pytest
 
 from pnm.knowledge import KnowledgeBase
+from pnm.ros import request_services
 from pnm.ros.node import RosThread
 from pnm.ros.task_messages import TRACE
 from pnm.ros.task_node import TaskNode
@@ -59,7 +60,9 @@ async def scene(two: tuple[RosThread, RosThread], *, is_active: bool = True, max
     try:
         yield one
     finally:
-        await node.close(5.0)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(request_services, "ARRIVAL", 0.0)  # nobody waits for an answer any more
+            await node.close(5.0)
         await one.client.close()
         assert not tasks.listeners
 
