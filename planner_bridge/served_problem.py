@@ -1,43 +1,88 @@
-"""The world that all tasks share, for the services of the node: `pnm.served_world.ServedWorld` of a problem."""
+"""The problem of a node, as its services tell of it: `pnm.served_world.ServedWorld`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from planner_bridge.making import Maker
+from planner_bridge.model import Problem
+from planner_bridge.problem_files import load_texts, write_inside
 from planner_bridge.shared_world import SharedWorld
-from pnm.errors import InputError
+from planner_bridge.state import initial_knowledge
+from planner_bridge.tasks import Settings
+from pnm.conditions import Condition
 from pnm.expressions import Fluent, Unknown, Value
+from pnm.knowledge import KnowledgeBase
+from pnm.tasking import MadePlan
 
 
-@dataclass(frozen=True)
 class ServedProblem:
-    """A shared world, and the folder for its files."""
+    """The problem that goals are about, until another one is loaded.
 
-    world: SharedWorld
-    folder: Path
+    The mutable state is the problem, in `_world` and `_maker`, and when it began.
+
+    Args:
+        problem: the one to begin with.
+        knowledge: what is known of its world.
+        goals: texts of goals by name.
+        settings: planner and limit for plans that nobody carries out.
+        folder: where problems are saved, and loaded from.
+    """
+
+    def __init__(self, problem: Problem, knowledge: KnowledgeBase, goals: Mapping[str, str], settings: Settings, folder: Path) -> None:
+        self._knowledge = knowledge
+        self._goals = goals
+        self._settings = settings
+        self._folder = folder
+        self.begins_anew: Callable[[Problem], None] = lambda _: None
+        """Is told of another problem before it is begun; raises an `InputError` when that cannot be."""
+        self._begin(problem)
+
+    def _begin(self, problem: Problem) -> None:
+        loop = asyncio.get_running_loop()
+        began = loop.time()
+        world = SharedWorld(problem, self._knowledge, self._goals, elapsed=lambda: loop.time() - began)
+        self._world, self._maker = world, Maker(problem, self._knowledge, self._settings, world.read_goal, began)
+
+    def read_goal(self, text: str) -> Condition:
+        """Return the goal that is meant.
+
+        Raises:
+            InputError: it is none.
+        """
+        return self._world.read_goal(text)
+
+    async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:
+        """Look for a plan that nobody carries out."""
+        return await self._maker.make(goal, planner, seconds)
 
     async def query(self, questions: Sequence[str], /) -> list[tuple[str, str]]:
         """Return what is known of each question, in order; of everything that is known, when there are none."""
-        return self.world.query(questions)
+        return self._world.query(questions)
 
     async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
         """Record all of it at once or nothing; return how many of the facts are news."""
-        return self.world.update(add, remove, forget)
+        return self._world.update(add, remove, forget)
 
     async def get(self) -> tuple[str, str]:
         """Return domain and problem in PDDL, the problem as the world is now."""
-        return self.world.domain_text(), self.world.problem_text()
+        return self._world.domain_text(), self._world.problem_text()
 
     async def save(self, file: str, /) -> str:
         """Write the problem as the world is now to a file in the folder; return its whole path."""
-        return str(self.world.save(file, self.folder))
+        return str(await asyncio.to_thread(write_inside, self._folder, file, self._world.problem_text()))
 
     async def load(self, domain: str, problem: str, /) -> None:
-        """Refuse: the problem of a node is chosen when it is configured."""
-        raise InputError("the problem of this node is chosen when it is configured; clean it up, and configure it with other files")
+        """Begin anew with another domain or problem; goals with names must make sense in it as well."""
+        loaded = await asyncio.to_thread(load_texts, domain, problem, self._folder, self._world.problem.domain)
+        SharedWorld(loaded, initial_knowledge(loaded), self._goals)
+        self.begins_anew(loaded)
+        world = initial_knowledge(loaded)
+        self._knowledge.begin_anew(world.facts(), world.objects_by_type(), world.rules)
+        self._begin(loaded)
 
     def changes(self, batch: Mapping[Fluent, Value | Unknown], /) -> Mapping[str, object]:
         """Return what has changed, as fields of a message."""
-        return self.world.changes(batch)
+        return self._world.changes(batch)

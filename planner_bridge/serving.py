@@ -15,12 +15,11 @@ from uuid import UUID
 from planner_bridge.common_knowledge import common_knowledge
 from planner_bridge.console import ConsoleObserver, Terminal
 from planner_bridge.loading import load
-from planner_bridge.making import Maker
 from planner_bridge.model import Problem
 from planner_bridge.replanning import Limits
 from planner_bridge.served_problem import ServedProblem
 from planner_bridge.serving_options import PARAMETERS, Options
-from planner_bridge.shared_world import SharedWorld, read_goals
+from planner_bridge.shared_world import read_goals
 from planner_bridge.task_console import TaskConsole, shortened
 from planner_bridge.tasking import Room as Places
 from planner_bridge.tasking import TaskMaster
@@ -77,7 +76,7 @@ class Opened:
 
 async def open_tasks(room: Room, problem: Problem) -> Opened:
     """Return who pursues the goals of a problem. This is the one place where it is made."""
-    options, loop = room.options, asyncio.get_running_loop()
+    options = room.options
     settings = Settings(
         options.planner,
         options.planner_timeout,
@@ -86,14 +85,14 @@ async def open_tasks(room: Room, problem: Problem) -> Opened:
         on_failure=options.on_failure,
         on_change=options.on_change,
     )
-    began = loop.time()
-    world = SharedWorld(problem, room.knowledge, read_goals(options.goals) if options.goals else {}, elapsed=lambda: loop.time() - began)
+    goals = read_goals(options.goals) if options.goals else {}
+    world = ServedProblem(problem, room.knowledge, goals, settings, options.problems)
     places = Places(options.max_tasks, options.max_queue, options.on_conflict)
     master = TaskMaster(
         problem, room.knowledge, room.site, settings, world.read_goal, source=room.sources, room=places, performer=room.performer
     )
-    maker = Maker(problem, room.knowledge, settings, world.read_goal, began)
-    return Opened(master, maker.make, ServedProblem(world, options.problems), master.knowledge_of, master.close)
+    world.begins_anew = master.begin_anew
+    return Opened(master, world.make, world, master.knowledge_of, master.close)
 
 
 def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], terminal: Terminal, warn: Warn) -> None:

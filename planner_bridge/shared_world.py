@@ -68,7 +68,7 @@ class SharedWorld:
         goals: Mapping[str, str] | None = None,
         elapsed: Callable[[], float] = lambda: 0.0,
     ) -> None:
-        self._problem = problem
+        self.problem = problem
         self._knowledge = knowledge
         self._elapsed = elapsed
         derived = frozenset(rule.name for rule in problem.domain.rules)
@@ -77,7 +77,7 @@ class SharedWorld:
         self._objects = {fluent: value for fluent, value in knowledge.facts().items() if isinstance(value, str)}
 
     def __repr__(self) -> str:
-        return f"<SharedWorld {self._problem.name}: {self._knowledge!r}>"
+        return f"<SharedWorld {self.problem.name}: {self._knowledge!r}>"
 
     # --- questions and changes -------------------------------------------------------------------
 
@@ -146,11 +146,11 @@ class SharedWorld:
 
     def domain_text(self) -> str:
         """Return the domain as PDDL."""
-        return write_domain(self._problem.domain)
+        return write_domain(self.problem.domain)
 
     def problem_text(self) -> str:
         """Return the problem that begins with the world as it is known now, as PDDL."""
-        return write_problem(problem_now(self._problem, self._knowledge, self._elapsed()))
+        return write_problem(problem_now(self.problem, self._knowledge, self._elapsed()))
 
     def save(self, path: str, folder: Path) -> Path:
         """Write the problem that begins with the world as it is known now; return the whole path.
@@ -168,7 +168,7 @@ class SharedWorld:
         """
         text = text.strip()
         if not text:
-            return self._problem.goal
+            return self.problem.goal
         if text in self._goals:
             return self._goals[text]
         if text[0] not in "(;":

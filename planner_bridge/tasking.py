@@ -189,6 +189,16 @@ class TaskMaster:
 
     # --- for whoever serves ---------------------------------------------------------------------
 
+    def begin_anew(self, problem: Problem) -> None:
+        """Pursue goals in the world of another problem from now on.
+
+        Raises:
+            InputError: there are tasks.
+        """
+        if self._tasks:
+            raise InputError(f"there are {len(self._tasks)} tasks; they must be over before another problem is loaded")
+        self._problem, self._began = problem, self._loop.time()
+
     def knowledge_of(self, request: UUID) -> tuple[Layered, Asker] | None:
         """Return what the run knows whose request this is, and whom it asks as; None when it is not, or no longer, open."""
         for task in self._tasks.values():

@@ -133,6 +133,27 @@ class KnowledgeBase:
                 gone[fluent] = nothing_like(value)
         return self.update({**gone, **facts})
 
+    def begin_anew(self, facts: Mapping[Fluent, Value | Unknown], objects: Mapping[str, tuple[str, ...]], rules: Rules) -> None:
+        """Forget the facts, objects and rules of one world and begin with those of another; variables and who senses what stay.
+
+        Raises:
+            InputError: a fact is given that rules derive; nothing has changed.
+        """
+        old_rules, self.rules, self._derived = self.rules, rules, rules.derived
+        try:
+            self._refuse_derived(facts)
+        except InputError:
+            self.rules, self._derived = old_rules, old_rules.derived
+            raise
+        changes = {fluent: nothing_like(value) for fluent, value in self._facts.items() if fluent not in facts and value is not UNKNOWN}
+        changes |= {fluent: value for fluent, value in facts.items() if not same(self._facts.get(fluent), value)}
+        self._facts.clear()
+        self._facts.update(facts)
+        self._objects = dict(objects)
+        self._consequences = Consequences(rules, self._facts, self.objects)
+        for listener in tuple(self._listeners):
+            listener(changes)
+
     def _refuse_derived(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
         for fluent in filter(self._derives, changes):
             raise InputError(f"{show(fluent)} follows from rules; it is neither set nor reported")
