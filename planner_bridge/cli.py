@@ -26,9 +26,11 @@ from planner_bridge.cli_options import (
     files_or_plan,
     knowledge_option,
     planning,
+    sensing_option,
     tell,
     write,
 )
+from planner_bridge.cli_serve import serve
 from pnm.errors import InputError
 
 if TYPE_CHECKING:
@@ -123,6 +125,7 @@ def net(
 @bindings_option
 @faults_option
 @knowledge_option
+@sensing_option
 @planning
 @click.option("--replans", type=click.IntRange(0), default=10, show_default=True, help="how many new machines may follow the first")
 @click.option(
@@ -146,6 +149,7 @@ def run(
     bindings: Path | None,
     faults: Path | None,
     knowledge: Path | None,
+    sensing: Path | None,
     planner: str,
     timeout: float,
     replans: int,
@@ -160,9 +164,13 @@ def run(
     from planner_bridge.stopwatch import Stopwatch
     from planner_bridge.tasks import Settings, TaskObserver
     from pnm.machine import OnFailure
+    from pnm.sensing import NO_SENSING
+    from pnm.sensing_file import read_sensing
 
     if faults and actions == "ros2":
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
+    if sensing and actions != "ros2":
+        raise InputError("--sensing tells of topics and services of ROS 2; expected --actions ros2")
     where: Where = "ros2" if actions == "ros2" else "simulated"
     limits = Limits(replans=replans, seconds=seconds)
     settings = Settings(planner, timeout, limits=limits, on_failure=OnFailure(on_failure or "drain"))
@@ -171,14 +179,15 @@ def run(
         from planner_bridge.cli_written import Files, run_written
 
         ends = None if on_failure is None else settings.on_failure
-        files = Files(bindings, faults, knowledge)
+        files = Files(bindings, faults, knowledge, sensing)
         return run_written(chosen, name, given, files, actions=where, settings=settings, on_failure=ends, as_json=as_json)
     if name or given or knowledge:
         raise InputError("--name, --set and --knowledge belong to hand-written plans; expected --plan and a file")
     stopwatch = Stopwatch()
     with stopwatch.of("parse"):
         loaded = _load(*chosen)
-        settings = replace(settings, bindings=_bindings(bindings, chosen[0], loaded))
+        sensors = read_sensing(sensing, loaded.vocabulary) if sensing else NO_SENSING
+        settings = replace(settings, bindings=_bindings(bindings, chosen[0], loaded), sensing=sensors)
     console = Terminal()
     result = achieve(
         None,
@@ -196,21 +205,7 @@ def run(
     return 0 if result.goal_reached else 1
 
 
-@app.command()
-@click.option("--world", "file", type=FILE, required=True, help="a world of plans: a YAML file that names a domain and files with plans")
-@click.option("--name", help="which world of that file, if there are several")
-@knowledge_option
-@command
-def serve(file: Path, name: str | None, knowledge: Path | None) -> int:
-    """Offer every plan of a world as a ROS 2 action server, until interrupted."""
-    from planner_bridge.console import Terminal
-    from planner_bridge.serving import serve
-    from pnm.language.world import read_world
-
-    world = read_world(file, name)
-    tell(dict.fromkeys(warning for plan in world.plans.values() for warning in plan.warnings))
-    serve(world, file.parent, knowledge, Terminal())
-    return 0
+app.add_command(serve)
 
 
 @app.command()
@@ -278,13 +273,17 @@ def schema(output: Path | None) -> int:
 
 
 @app.command()
+@click.argument("story", type=click.Choice(["delivery", "mall"]), default="delivery")
 @command
-def demo() -> int:
-    """Show the whole story on simulated robots: plan, machine, run, failure, replan, goal."""
-    from planner_bridge.console import Terminal
-    from planner_bridge.demo import show
+def demo(story: str) -> int:
+    """Show the whole story on simulated robots: plan, machine, run, failure, replan, goal.
 
-    return show(Terminal())
+    `mall`, over ROS 2: several tasks that share a robot, with people who interrupt it and answer late.
+    """
+    from planner_bridge import demo, mall_demo
+    from planner_bridge.console import Terminal
+
+    return mall_demo.show(Terminal()) if story == "mall" else demo.show(Terminal())
 
 
 def _load(domain: Path, problem: Path) -> Problem:

@@ -17,6 +17,7 @@ from pnm.errors import InputError
 from pnm.generation import generate
 from pnm.language.plan import read_plans
 from pnm.machine import OnFailure, PetriNetMachine
+from pnm.sensing_file import read_sensing
 from pnm.yaml_files import parse_value
 
 
@@ -39,6 +40,7 @@ class Files:
     bindings: Path | None
     faults: Path | None
     knowledge: Path | None
+    sensing: Path | None
 
 
 def run_written(
@@ -54,13 +56,17 @@ def run_written(
 ) -> int:
     """Carry out a hand-written plan, tell how it went, and return the exit status."""
     console = Terminal()
+    if files.bindings:
+        settings = replace(settings, bindings=read_bindings(files.bindings))
+    if files.sensing:
+        settings = replace(settings, sensing=read_sensing(files.sensing))
     result = carry_out(
         file,
         name,
         _parameters(given),
         actions=actions,
         faults=read_faults(files.faults, None) if files.faults else NO_FAULTS,
-        settings=replace(settings, bindings=read_bindings(files.bindings)) if files.bindings else settings,
+        settings=settings,
         on_failure=on_failure,
         observer=TaskObserver() if as_json else ConsoleObserver(console),
         knowledge=files.knowledge,

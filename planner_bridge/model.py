@@ -13,7 +13,7 @@ from pnm.errors import Position, Tolerated
 from pnm.expressions import Expression, Fluent, Value, Variable
 from pnm.rules import Rule
 from pnm.trajectory import Constraint
-from pnm.vocabulary import Vocabulary
+from pnm.vocabulary import Kind, Signature, Vocabulary
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +78,10 @@ class Declaration:
 
     def __str__(self) -> str:
         return f"({' '.join((self.name, *map(str, self.parameters)))})"
+
+
+def _signature(declared: Declaration, kind: Kind) -> Signature:
+    return Signature(kind, tuple(variable.types for variable in declared.parameters), declared.values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +174,11 @@ class Problem:
         """The names that files about this problem may use."""
         fluents = frozenset((*self.domain.predicates, *self.domain.functions))
         derived = frozenset(rule.name for rule in self.domain.rules)
-        return Vocabulary(self.domain.parameters, fluents, frozenset(self.objects), derived)
+        types = {name: self.domain.supertypes(name) for name in ("object", *self.domain.types)}
+        types_of = {name: types["object"].union(*map(self.domain.supertypes, kinds)) for name, kinds in self.objects.items()}
+        predicates = {name: _signature(declared, Kind.FACT) for name, declared in self.domain.predicates.items()}
+        functions = {name: _signature(one, Kind.OBJECT if one.values else Kind.NUMBER) for name, one in self.domain.functions.items()}
+        return Vocabulary(self.domain.parameters, fluents, frozenset(self.objects), derived, {**predicates, **functions}, types, types_of)
 
     @property
     def is_timed(self) -> bool:

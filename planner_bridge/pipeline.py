@@ -49,7 +49,7 @@ def achieve(
     seconds = stopwatch or Stopwatch()
     with seconds.of("parse"):
         loaded = load(domain, problem)
-    site: Site = Ros2Site(chosen.bindings) if actions == "ros2" else SimulatedSite(loaded, chosen.bindings, faults)
+    site: Site = Ros2Site(chosen.bindings, sensing=chosen.sensing) if actions == "ros2" else SimulatedSite(loaded, chosen.bindings, faults)
     task = pursue(loaded, site, chosen, observer or TaskObserver(), seconds)
     return run_async(task, virtual=actions == "simulated")
 

@@ -47,8 +47,6 @@ from pnm.tasking import Code, OnConflict, TaskState
 from pnm.trajectory import Constraint
 
 _BEGUN: Final = frozenset({RUNNING, HANDED_OVER})
-_LOOK: Final = 0.02
-"""Seconds between two looks at whether a run has come to rest."""
 
 
 class _Over(Exception):
@@ -159,7 +157,7 @@ class Pursuit:
         if self.executor:
             self.executor.pause(at_once=at_once)
         while self.is_paused and self.executor and not (self.executor.run.paused or self.executor.run.over):
-            await asyncio.sleep(_LOOK)
+            await self.executor.happens()
         if self.is_paused:
             self._enter(TaskState.PAUSED, reason)
 
@@ -361,8 +359,8 @@ class Pursuit:
             graph = plan_graph(self._now(), way.plan, [one.call for one in under_way.values()])
         if self._why_not(Progress.beginning(graph), way.history):
             return False
-        # calls that are under way come first in both graphs, in the order of their numbers
-        adopted = dict(enumerate(under_way[index] for index in sorted(under_way)))
+        numbers = (call.index for call in graph.calls if call.under_way)  # in both kinds of graphs they come in their old order
+        adopted = dict(zip(numbers, (under_way[index] for index in sorted(under_way)), strict=True))
         self._note(way, machine, told)
         executor.succeed(self._run(graph, adopted))
         self._let_go_on()
@@ -374,7 +372,7 @@ class Pursuit:
             run = cast("Executor", self.executor).run
             if all(one.outcome != RUNNING for one in run.told().calls):
                 return True
-            await asyncio.wait((execution,), timeout=_LOOK)
+            await cast("Executor", self.executor).happens()
         return False
 
     @property

@@ -1,112 +1,270 @@
-"""`pnm serve`: the plans of a world as ROS 2 action servers, until somebody ends it."""
+"""`pnm serve`: a managed node that takes goals and plans over ROS 2, until somebody ends it."""
 
 from __future__ import annotations
 
 import asyncio
-import re
 import signal
-from collections.abc import Iterable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from contextlib import AsyncExitStack
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, TypeAlias
+from uuid import UUID
 
+from planner_bridge.common_knowledge import common_knowledge
 from planner_bridge.console import ConsoleObserver, Terminal
+from planner_bridge.loading import load
+from planner_bridge.making import Maker
+from planner_bridge.model import Problem
+from planner_bridge.replanning import Limits
+from planner_bridge.served_problem import ServedProblem
+from planner_bridge.serving_options import PARAMETERS, Options
+from planner_bridge.shared_world import SharedWorld, read_goals
+from planner_bridge.task_console import TaskConsole, shortened
+from planner_bridge.tasking import Room as Places
+from planner_bridge.tasking import TaskMaster
+from planner_bridge.tasks import Settings
 from planner_bridge.written import sources_of, together
-from pnm.errors import InputError
-from pnm.expressions import Fluent, Value, show
-from pnm.knowledge import KnowledgeBase
-from pnm.language.plan import HandWrittenPlan
-from pnm.language.world import World
+from pnm.bindings import Bindings, read_bindings
+from pnm.errors import Tolerated
+from pnm.knowledge import KnowledgeBase, Layered
+from pnm.language.world import read_world
+from pnm.parameter import ParameterValue
 from pnm.performing import Performer, Program
 from pnm.ros.served_goals import Audience, Ending, ServedGoal
-from pnm.rules import Rule, Rules
+from pnm.sensing import NO_SENSING
+from pnm.sensing_file import read_sensing
+from pnm.served_world import ServedWorld
 from pnm.sites import Ros2Site
+from pnm.sources.base import Asker
+from pnm.sources.chain import Sources
 from pnm.sources.registry import Surroundings, open_sources
+from pnm.tasking import Make, Tasks
 
+Warn: TypeAlias = Callable[[Iterable[Tolerated]], None]
+
+NODE: Final = "pnm"
 _PREPARED: Final = 1.0
 """Seconds in which the action servers that are there are found; plans are offered before those come that are not there yet."""
-_SHOWN: Final = 200
-"""Characters of parameters and results that a line shows."""
 
 
-def serve(world: World, folder: Path, knowledge: Path | None, terminal: Terminal) -> None:
-    """Serve until SIGINT or SIGTERM; the second one leaves at once.
+@dataclass(frozen=True)
+class Room:
+    """What all tasks of the node share."""
+
+    options: Options
+    problem: Problem | None
+    performer: Performer
+    """Of the plans of the world."""
+    bindings: Bindings
+    site: Ros2Site
+    knowledge: KnowledgeBase
+    sources: Sources
+
+
+@dataclass(frozen=True)
+class Opened:
+    """Who pursues goals, and what else the node offers besides."""
+
+    tasks: Tasks
+    make: Make
+    world: ServedWorld
+    knowledge_of: Callable[[UUID], tuple[Layered, Asker] | None]
+    """Finds the run whose request it is."""
+    close: Callable[[], Awaitable[None]]
+
+
+async def open_tasks(room: Room, problem: Problem) -> Opened:
+    """Return who pursues the goals of a problem. This is the one place where it is made."""
+    options, loop = room.options, asyncio.get_running_loop()
+    settings = Settings(
+        options.planner,
+        options.planner_timeout,
+        bindings=room.bindings,
+        limits=Limits(replans=options.replans),
+        on_failure=options.on_failure,
+        on_change=options.on_change,
+    )
+    began = loop.time()
+    world = SharedWorld(problem, room.knowledge, read_goals(options.goals) if options.goals else {}, elapsed=lambda: loop.time() - began)
+    places = Places(options.max_tasks, options.max_queue, options.on_conflict)
+    master = TaskMaster(
+        problem, room.knowledge, room.site, settings, world.read_goal, source=room.sources, room=places, performer=room.performer
+    )
+    maker = Maker(problem, room.knowledge, settings, world.read_goal, began)
+    return Opened(master, maker.make, ServedProblem(world, options.problems), master.knowledge_of, master.close)
+
+
+def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], terminal: Terminal, warn: Warn) -> None:
+    """Serve until SIGINT or SIGTERM, or a transition that shuts the node down; the second signal leaves at once.
 
     Args:
-        world: what is served.
-        folder: what paths in its files are relative to.
-        knowledge: the file in which global knowledge is kept, in place of what the world chose.
+        given: parameters that are not as they are by default; what ROS says about them comes before.
+        arguments: for ROS 2, beginning with ``--ros-args``, or none.
         terminal: where people read along.
+        warn: is told what in the files was not as it should be.
 
     Raises:
-        InputError: a name or a type is wrong; nothing was served.
-        RosError: ROS 2 is not there, or somebody else serves these plans.
+        InputError: a parameter or a file is wrong; nothing was served.
+        RosError: ROS 2 is not there, or somebody else serves the same.
     """
-    programs = {name: Program.of(plan) for name, plan in world.plans.items()}
-    for name, program in programs.items():
-        terminal.print(f"[bold]plan[/]     {name}: proved {program.proof}", highlight=False, soft_wrap=True)
-    asyncio.run(_serve(world, programs, folder, knowledge, terminal))
+    asyncio.run(_serve(given, arguments, terminal, warn))
 
 
-async def _serve(world: World, programs: Mapping[str, Program], folder: Path, knowledge: Path | None, terminal: Terminal) -> None:
+async def _serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], terminal: Terminal, warn: Warn) -> None:
+    from pnm.ros.node import RosThread
+
     task = asyncio.current_task()
     assert task is not None
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, task.cancel)
-    plans = tuple(world.plans.values())
-    site = Ros2Site(together(plans), "pnm_" + re.sub(r"\W", "_", world.name, flags=re.ASCII))
-    shared = common_knowledge(plans)
+    ros = RosThread(NODE, args=arguments, managed=True)
     try:
-        await site.open(shared)
-        sources = open_sources(sources_of(plans), Surroundings(site.ros, folder), knowledge)
-        try:
-            await _offer(Performer(programs, site, shared, sources), site, terminal)
-        finally:
-            await sources.close()
+        await _live(ros, given, terminal, warn)
     except asyncio.CancelledError:
         task.uncancel()
     finally:
-        await site.close()
+        await asyncio.to_thread(ros.close)
 
 
-async def _offer(performer: Performer, site: Ros2Site, terminal: Terminal) -> None:
-    from pnm.ros.plan_servers import PlanServers  # here, because rclpy is an extra
+async def _live(ros: Any, given: Mapping[str, ParameterValue], terminal: Terminal, warn: Warn) -> None:
+    from pnm.ros.lifecycle import Lifecycle  # here, because rclpy is an extra
+    from pnm.ros.parameters import declare
 
-    servers = PlanServers(site.ros, performer, Reporter(terminal))
-    names = await servers.names()
-    preparing = asyncio.ensure_future(performer.prepare())
+    options = Options.of(await ros.ask(partial(declare, ros.node, PARAMETERS, given)))
+    lifecycle = Lifecycle(ros, Serving(ros, options, terminal, warn))
+    await lifecycle.open()
     try:
+        if options.autostart:
+            await lifecycle.change("configure")
+            await lifecycle.change("activate")
+        else:
+            terminal.print("unconfigured: waits for its transitions", highlight=False)
+        await lifecycle.finalized.wait()
+    finally:
+        await lifecycle.close()
+
+
+class Serving:
+    """What the node does in each state of its life cycle.
+
+    The mutable state is what is open, in the order in which it was opened; the servers of plans and of tasks; and their names.
+    """
+
+    def __init__(self, ros: Any, options: Options, terminal: Terminal, warn: Warn) -> None:
+        self._ros = ros
+        self._options = options
+        self._terminal = terminal
+        self._warn = warn
+        self._open = AsyncExitStack()
+        self._plans: Any = None
+        self._tasks: Any = None
+        self._names: tuple[str, ...] = ()
+
+    async def configure(self) -> None:
+        """Read and check all files, and bring up what rejects goals until the node is activated."""
+        async with AsyncExitStack() as stack:
+            room = await self._room(stack)
+            await self._offer(room, stack)
+            self._open = stack.pop_all()
+
+    async def activate(self) -> None:
+        """Take goals, and let tasks go on."""
+        self._plans.resume()
+        if self._tasks is not None:
+            await self._tasks.activate()
+        self._say(f"ready: {len(self._names)} action servers: {', '.join(self._names)}")
+
+    async def deactivate(self) -> None:
+        """Reject goals, and pause tasks."""
+        await self._plans.pause()
+        if self._tasks is not None:
+            await self._tasks.deactivate()
+        self._say("inactive: goals are rejected, and tasks are paused")
+
+    async def cleanup(self) -> None:
+        """Cancel tasks, and let go of everything."""
+        await self._open.aclose()
+
+    async def _room(self, stack: AsyncExitStack) -> Room:
+        options = self._options
+        world = read_world(options.world, options.world_name) if options.world else None
+        plans = tuple(world.plans.values()) if world else ()
+        problem = load(options.domain, options.problem) if options.domain and options.problem else None
+        self._warn(dict.fromkeys(warning for one in (*plans, *((problem,) if problem else ())) for warning in one.warnings))
+        programs = {plan.name: Program.of(plan) for plan in plans}
+        for name, program in programs.items():
+            self._terminal.print(f"[bold]plan[/]     {name}: proved {program.proof}", highlight=False, soft_wrap=True)
+        bindings = _bindings(options, problem).before(together(plans))
+        knowledge = common_knowledge(plans, problem)
+        sensing = read_sensing(options.sensing, problem.vocabulary if problem else None) if options.sensing else NO_SENSING
+        site = Ros2Site(bindings, sensing, self._ros)
+        stack.push_async_callback(site.close)
+        await site.open(knowledge)
+        folder = (options.world or options.domain or Path()).parent
+        sources = open_sources(sources_of(plans), Surroundings(self._ros, folder), options.knowledge)
+        stack.push_async_callback(sources.close)
+        return Room(options, problem, Performer(programs, site, knowledge, sources), bindings, site, knowledge, sources)
+
+    async def _offer(self, room: Room, stack: AsyncExitStack) -> None:
+        from pnm.ros.goal_server import check_alone  # here, because rclpy is an extra
+        from pnm.ros.plan_servers import PlanServers
+        from pnm.ros.task_node import TaskNode, action_names
+
+        self._plans = PlanServers(self._ros, room.performer, Reporter(self._terminal))
+        names = await self._plans.names()
+        tasks = await self._ros.ask(partial(action_names, self._ros)) if room.problem else ()
+        self._names = (*tasks, *names.values())
+        await check_alone(self._ros, self._names)
+        opened = await open_tasks(room, room.problem) if room.problem else None
+        await self._share(room, opened)
+        await self._prepare(room.performer, stack)
+        stack.push_async_callback(self._plans.close, room.options.cancel)
+        await self._plans.open(names)
+        self._tasks = None
+        if opened:
+            self._tasks = TaskNode(self._ros, opened.tasks, opened.make, opened.world, room.knowledge)
+            stack.push_async_callback(opened.close)
+            stack.callback(opened.tasks.listen(TaskConsole(self._terminal, opened.tasks)))
+            stack.push_async_callback(self._tasks.close, room.options.cancel)
+            await self._tasks.open()
+
+    async def _share(self, room: Room, opened: Opened | None) -> None:
+        """Let action servers ask what whoever has sent them a goal knows."""
+
+        def find(request: UUID) -> tuple[Layered, Asker] | None:
+            found = room.performer.knowledge_of(request)
+            return opened.knowledge_of(request) if found is None and opened else found
+
+        await room.site.share(room.performer.prefix, find, room.sources)
+
+    async def _prepare(self, performer: Performer, stack: AsyncExitStack) -> None:
+        """Look for the action servers that the plans need, and tell later which are missing."""
+        preparing = asyncio.ensure_future(performer.prepare())
+        stack.callback(preparing.cancel)
         await asyncio.wait((preparing,), timeout=_PREPARED)
         if preparing.done():
             preparing.result()  # raises what is wrong
-        await servers.open(names)
-        terminal.print(f"ready: {len(names)} action servers: {', '.join(names.values())}", highlight=False, soft_wrap=True, markup=False)
-        for name in await preparing:
-            terminal.print(f"[bold yellow]missing[/]  there is no action server {name} yet", highlight=False, soft_wrap=True)
-        await asyncio.Event().wait()
-    finally:
-        preparing.cancel()
-        await servers.close()
+        preparing.add_done_callback(self._miss)
+
+    def _miss(self, preparing: asyncio.Future[tuple[str, ...]]) -> None:
+        if preparing.cancelled():
+            return
+        if error := preparing.exception():
+            self._terminal.print(f"[bold red]wrong[/]    {error}", highlight=False, soft_wrap=True)
+            return
+        for name in preparing.result():
+            self._terminal.print(f"[bold yellow]missing[/]  there is no action server {name} yet", highlight=False, soft_wrap=True)
+
+    def _say(self, text: str) -> None:
+        self._terminal.print(text, highlight=False, soft_wrap=True, markup=False)
 
 
-def common_knowledge(plans: Iterable[HandWrittenPlan]) -> KnowledgeBase:
-    """Return the world that all runs share, which begins as the plans say.
-
-    Raises:
-        InputError: two plans say different things.
-    """
-    facts: dict[Fluent, Value] = {}
-    said: dict[Fluent, str] = {}
-    objects: dict[str, tuple[str, ...]] = {}
-    rules: dict[str, Rule] = {}
-    for plan in plans:
-        for fluent, value in plan.facts.items():
-            if facts.setdefault(fluent, value) != value:
-                raise InputError(f"{said[fluent]} and {plan.name} begin with different values of {show(fluent)}: {facts[fluent]}, {value}")
-            said.setdefault(fluent, plan.name)
-        for kind, names in plan.objects.items():
-            objects[kind] = tuple(dict.fromkeys((*objects.get(kind, ()), *names)))
-        rules |= {str(rule): rule for rule in plan.rules.rules}
-    return KnowledgeBase(facts, objects=objects, rules=Rules(tuple(rules.values())))
+def _bindings(options: Options, problem: Problem | None) -> Bindings:
+    beside = options.domain.parent / "bindings.yaml" if options.domain else None
+    file = options.bindings or (beside if beside and beside.is_file() else None)
+    return read_bindings(file, problem.vocabulary if problem else None) if file else Bindings()
 
 
 class Reporter(Audience):
@@ -120,16 +278,11 @@ class Reporter(Audience):
     def began(self, goal: ServedGoal) -> ConsoleObserver:
         """Print that a goal was accepted."""
         observer = self._goals[goal] = ConsoleObserver(self._terminal, f"{goal.plan} {goal.id.hex[:8]}  ", self._began)
-        observer.line(asyncio.get_running_loop().time(), "[bold]goal[/]  ", _shortened(goal.parameters or "{}"))
+        observer.line(asyncio.get_running_loop().time(), "[bold]goal[/]  ", shortened(goal.parameters or "{}"))
         return observer
 
     def ended(self, goal: ServedGoal, ending: Ending) -> None:
         """Print how a goal ended."""
         word = "[bold green]reached[/]" if ending.success else "[bold red]ended[/]  "
-        said = _shortened(", ".join(f"{name}: {value}" for name, value in ending.results.items())) if ending.success else ending.message
+        said = shortened(", ".join(f"{name}: {value}" for name, value in ending.results.items())) if ending.success else ending.message
         self._goals.pop(goal).line(asyncio.get_running_loop().time(), word, said)
-
-
-def _shortened(text: str) -> str:
-    text = " ".join(text.split())
-    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 1]}…"

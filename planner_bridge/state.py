@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import isfinite
 
 from planner_bridge.model import Problem
 from pnm.effects import TimedChange, names_written
@@ -26,20 +27,38 @@ def dynamic_names(problem: Problem) -> frozenset[str]:
 def problem_now(problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0) -> Problem:
     """Return the problem that starts from what is known, so many seconds after the original one.
 
-    What sensors report about things that the problem does not declare is left out.
+    What sensors report about things that the problem does not declare is left out, and so are numbers that are none.
     """
+    is_declared = _Declared(problem)
     known = knowledge.facts().items()
-    init = {fluent: value for fluent, value in known if not isinstance(value, Unknown) and _is_declared(problem, fluent, value)}
+    init = {fluent: value for fluent, value in known if not isinstance(value, Unknown) and is_declared(fluent, value)}
     timed = tuple(TimedChange(change.time - elapsed, change.changes) for change in problem.timed if change.time > elapsed)
     return replace(problem, init=init, timed=timed)
 
 
-def _is_declared(problem: Problem, fluent: Fluent, value: Value) -> bool:
-    if not all(argument in problem.objects for argument in fluent[1:]):
-        return False
-    if isinstance(value, bool):
-        return fluent[0] in problem.domain.predicates
-    function = problem.domain.functions.get(fluent[0])
-    if function is None or not isinstance(value, str):
-        return function is not None and not function.values
-    return any(value in problem.objects_by_type.get(kind, ()) for kind in function.values)
+class _Declared:
+    """Tells what an initial state of a problem may say. The mutable state is what was looked up so far."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self._members: dict[tuple[str, ...], frozenset[str]] = {}
+
+    def __call__(self, fluent: Fluent, value: Value) -> bool:
+        domain = self._problem.domain
+        declared = domain.predicates.get(fluent[0]) if isinstance(value, bool) else domain.functions.get(fluent[0])
+        if declared is None or len(declared.parameters) != len(fluent) - 1:
+            return False
+        if not all(name in self._of(variable.types) for name, variable in zip(fluent[1:], declared.parameters, strict=True)):
+            return False
+        match value:
+            case bool():
+                return True
+            case str():
+                return value in self._of(declared.values)
+            case _:
+                return not declared.values and isfinite(value)
+
+    def _of(self, types: tuple[str, ...]) -> frozenset[str]:
+        if types not in self._members:
+            self._members[types] = frozenset(name for kind in types for name in self._problem.objects_by_type.get(kind, ()))
+        return self._members[types]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
-from typing import Final, Protocol
+from typing import Final, Protocol, TypeAlias
 from uuid import UUID
 
 from planner_bridge.footprints import Footprint
@@ -15,7 +15,6 @@ from planner_bridge.replanning import PlanAgain, Resume
 from planner_bridge.tasks import TaskObserver
 from pnm.actions.base import Outcome, Request
 from pnm.analysis import Proof
-from pnm.conditions import TRUE, Condition
 from pnm.ledger import HANDED_OVER, RUNNING, SUSPENDED
 from pnm.machine import PetriNetMachine, Rule
 from pnm.marking import Marking
@@ -64,6 +63,10 @@ class Doing(Protocol):
         """Go on."""
 
 
+Begins: TypeAlias = Callable[[], tuple[Doing, Coroutine[None, None, TaskEnding]]]
+"""Returns who does a task, and what is to be awaited until it is over."""
+
+
 @dataclass(eq=False)
 class Task(TaskObserver):
     """A task, which listens to whoever does it. The mutable state is what has a default.
@@ -79,7 +82,8 @@ class Task(TaskObserver):
     order: int
     listener: TaskListener
     clock: Callable[[], float]
-    goal: Condition = TRUE
+    begins: Begins | None = None
+    """Begins to do it."""
     doing: Doing | None = None
     state: TaskState = TaskState.QUEUED
     why: str = ""
@@ -156,7 +160,9 @@ class Task(TaskObserver):
     # --- what happens ---------------------------------------------------------------------------
 
     def enter(self, state: TaskState, why: str = "") -> None:
-        """Be in another state from now on."""
+        """Be in another state from now on, unless it is over: it may have come to its end while it was told to pause."""
+        if self.ending is not None:
+            return
         self.state, self.why = state, why
         self.note("state", "", f"{state.name.lower()}{f': {why}' if why else ''}")
         self.listener.changed(self.id)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Coroutine, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -18,17 +18,21 @@ from uuid import UUID, uuid4
 from planner_bridge.circumstances import Circumstances, Conflict, Neighbours
 from planner_bridge.footprints import Footprint, conflict
 from planner_bridge.model import Problem
+from planner_bridge.plan import Plan
+from planner_bridge.plan_text import read_plan
 from planner_bridge.pursuit import Pursuit
+from planner_bridge.recital import Recital
 from planner_bridge.state import problem_now
 from planner_bridge.stopwatch import Stopwatch
-from planner_bridge.task import Task
-from planner_bridge.tasks import Settings
+from planner_bridge.task import Begins, Doing, Task
+from planner_bridge.tasks import OnChange, Settings
 from planner_bridge.turnstile import Turnstile
-from pnm.conditions import Condition
+from pnm.conditions import TRUE, Condition
 from pnm.errors import InputError
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.machine import PetriNetMachine
 from pnm.marking import Marking
+from pnm.performing import Performer
 from pnm.resources import Resources
 from pnm.sites import Site
 from pnm.sources.base import Asker, Source
@@ -68,7 +72,7 @@ class TaskMaster:
         read_goal: finds out what a text means as a goal; raises InputError.
         source: who is asked and told what runs do not know.
         room: how many tasks there may be.
-        prefix: the first four bytes of the identities of all runs and requests.
+        performer: carries out the plans that are loaded; what its runs have for themselves is shared with all tasks.
     """
 
     def __init__(
@@ -81,8 +85,7 @@ class TaskMaster:
         *,
         source: Source | None = None,
         room: Room | None = None,
-        resources: Resources | None = None,
-        prefix: bytes | None = None,
+        performer: Performer | None = None,
     ) -> None:
         self._problem = problem
         self._knowledge = knowledge
@@ -91,8 +94,9 @@ class TaskMaster:
         self._read_goal = read_goal
         self._source = source
         self._room = room or Room()
-        self._resources = resources or Resources()
-        self._prefix = prefix or os.urandom(4)
+        self._performer = performer
+        self._resources = performer.resources if performer else Resources()
+        self._prefix = performer.prefix if performer else os.urandom(4)
         self._loop = asyncio.get_running_loop()
         self._began = self._loop.time()
         # state
@@ -123,7 +127,7 @@ class TaskMaster:
             self._end(task, TaskEnding(Code.QUEUE_FULL, f"{waiting} tasks are waiting already"))
             return
         try:
-            goal = self._read_goal(wanted.text)
+            task.begins = self._recital(task) if wanted.is_plan else partial(self._pursuit, task, self._read_goal(wanted.text), None)
         except InputError as error:
             self._end(task, TaskEnding(Code.INVALID_GOAL, str(error)))
             return
@@ -131,7 +135,6 @@ class TaskMaster:
         if wanted.deadline is not None:
             task.deadline = self._loop.call_later(wanted.deadline, self._missed, task)
         task.is_held = self._is_held
-        task.goal = goal
         task.enter(TaskState.QUEUED)
         self._admit()
 
@@ -218,14 +221,28 @@ class TaskMaster:
     def _admit(self) -> None:
         """Begin with those that wait, as far as there is room."""
         for task in sorted(self._tasks.values(), key=lambda one: one.rank):
-            if task.doing is None and not task.is_held and not self._is_full:
-                pursuit = self._pursuit(task)
-                task.doing = pursuit
-                doing = self._doing[task.id] = self._loop.create_task(self._pursue(task, pursuit))
+            if task.begins and task.doing is None and not task.is_held and not self._is_full:
+                task.doing, performing = task.begins()
+                doing = self._doing[task.id] = self._loop.create_task(self._do(task, performing))
                 doing.add_done_callback(partial(self._forget, task))
 
-    def _pursuit(self, task: Task) -> Pursuit:
-        problem = replace(problem_now(self._problem, self._knowledge, self._loop.time() - self._began), goal=task.goal)
+    def _recital(self, task: Task) -> Begins:
+        """Return what carries out a plan: one that is loaded, or a text of calls.
+
+        Raises:
+            InputError: it is neither.
+        """
+        programs = self._performer.programs if self._performer else {}
+        if self._performer and (task.wanted.text in programs or "(" not in task.wanted.text):
+            recital = Recital(self._performer, task)
+            return lambda: (recital, recital.perform())
+        plan = read_plan(task.wanted.text, self._now())
+        return partial(self._pursuit, task, TRUE, plan)
+
+    def _now(self) -> Problem:
+        return problem_now(self._problem, self._knowledge, self._loop.time() - self._began)
+
+    def _pursuit(self, task: Task, goal: Condition, plan: Plan | None) -> tuple[Doing, Coroutine[None, None, TaskEnding]]:
         circumstances = Circumstances(
             task.id,
             task.wanted.text,
@@ -236,17 +253,20 @@ class TaskMaster:
             task.wanted.on_conflict or self._room.on_conflict,
             lambda: UUID(bytes=self._prefix + uuid4().bytes[4:]),
         )
-        return Pursuit(problem, self._site, self._settings, task, Stopwatch(), Layered(self._knowledge), circumstances)
+        settings = self._settings if plan is None else replace(self._settings, on_change=OnChange.LAZY)
+        knowledge = Layered(self._knowledge)
+        problem = replace(self._now(), goal=goal)
+        pursuit = Pursuit(problem, self._site, settings, task, Stopwatch(), knowledge, circumstances, given=plan)
+        return pursuit, _pursued(pursuit)
 
-    async def _pursue(self, task: Task, pursuit: Pursuit) -> None:
+    async def _do(self, task: Task, performing: Coroutine[None, None, TaskEnding]) -> None:
         ending = TaskEnding(Code.ERROR, "an error of whoever does the task; its log says more")
         try:
-            result = await pursuit.pursue()
-            ending = TaskEnding(result.code, result.reason)
+            ending = await performing
         except InputError as error:
             ending = TaskEnding(Code.PLANNER_ERROR, str(error))
         except Exception:
-            _log.exception("%s cannot be pursued", task.name)
+            _log.exception("%s cannot be done", task.name)
         finally:
             self._end(task, ending)
 
@@ -321,6 +341,11 @@ class TaskMaster:
     def turnstile(self) -> Turnstile[Task]:
         """Where tasks wait for their turn to look for a plan."""
         return self._turnstile
+
+
+async def _pursued(pursuit: Pursuit) -> TaskEnding:
+    result = await pursuit.pursue()
+    return TaskEnding(result.code, result.reason)
 
 
 class _Others(Neighbours):

@@ -16,6 +16,7 @@ from pnm.ledger import HANDED_OVER
 from pnm.machine import OnFailure, PetriNetMachine
 from pnm.observer import Observer
 from pnm.results import CallResult, Failure, RunResult
+from pnm.sensing import NO_SENSING, Sensing
 from pnm.tasking import Code, TaskState
 
 if TYPE_CHECKING:
@@ -71,6 +72,8 @@ class Settings:
     on_change: OnChange = OnChange.LAZY
     executor: Executor | None = None
     """Runs the planners when they race; a process for each by default."""
+    sensing: Sensing = NO_SENSING
+    """Which topics and services of ROS 2 speak of what."""
 
 
 @dataclass(frozen=True)

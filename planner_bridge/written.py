@@ -129,7 +129,7 @@ def carry_out(
     with seconds.of("translate"):
         programs = {name: Program.of(plans[name]) for name in calling(plans, chosen)}
     bindings = together(plans.values())
-    site: Site = Ros2Site(bindings) if actions == "ros2" else simulated_site(plans[chosen], bindings, faults)
+    site: Site = Ros2Site(bindings, sensing=settings.sensing) if actions == "ros2" else simulated_site(plans[chosen], bindings, faults)
     choices = sources_of(plans.values())
     task = _WrittenTask(
         programs,
@@ -183,6 +183,7 @@ class _WrittenTask:
     async def _perform(self, performer: Performer, parameters: Mapping[str, object]) -> PlanResult:
         performance = performer.perform(self.name, parameters, self.observer)
         self.observer.generated(self._program.machine, self._program.proof)
+        await self.site.share(performer.prefix, performer.knowledge_of, performer.source or Sources())
         await performer.prepare()
         began = asyncio.get_running_loop().time()
         stop_time = schedule(performer.world, self._program.plan.timed, began)

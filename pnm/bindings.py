@@ -48,7 +48,7 @@ class Binding:
     retries: int = 1
     """How often the action is tried again within one plan."""
     ask: Mapping[str, str] = field(default_factory=dict)
-    """Variables, and what a person is asked when nobody knows them."""
+    """Variables, and what a person is asked when nobody knows them; ``{shop}`` stands for the argument of parameter ``?shop``."""
     resources: tuple[str, ...] = ()
     """What the action has for itself while it runs, such as ``{robot}/base``."""
 

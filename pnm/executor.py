@@ -40,8 +40,8 @@ _log = logging.getLogger(__name__)
 class Executor:
     """One run and the client that carries out its actions, on one asyncio loop.
 
-    The mutable state is the inbox of events, the timer, which changes wait in the inbox, what is listened to, and what is
-    being asked or told outside.
+    The mutable state is the inbox of events, the timer, which changes wait in the inbox, what is listened to, what is
+    being asked or told outside, and whom to tell when something happens.
 
     Args:
         run: what is driven.
@@ -60,6 +60,7 @@ class Executor:
         self._timer: asyncio.TimerHandle | None = None
         self._leaving: list[Callable[[], None]] = []
         self._waiting: set[KnowledgeChanged | ResourcesChanged] = set()
+        self._news = asyncio.Event()
 
     def stop(self, *, cancel: bool = True, reason: str = "cancelled") -> None:
         """End the run: start nothing more; cancel what runs, or wait for it."""
@@ -93,6 +94,10 @@ class Executor:
         self._enter()
         self._handle(Begin())
         self._inbox.put_nowait(Tick())  # whoever waits for the inbox looks whether that was all
+
+    async def happens(self) -> None:
+        """Wait until something has happened to the run, or it is not carried out any more."""
+        await self._news.wait()
 
     async def execute(self) -> RunResult:
         """Run to the end and return how it ended; the run's own limits bound the time. The end is that of the last run.
@@ -136,12 +141,18 @@ class Executor:
         for talk in self._talks.values():
             talk.cancel()
         self._wake_at(None)
+        self._announce()
+
+    def _announce(self) -> None:
+        self._news.set()
+        self._news = asyncio.Event()
 
     def _handle(self, event: Event) -> None:
         if isinstance(event, KnowledgeChanged | ResourcesChanged):
             self._waiting.discard(event)
         for command in self.run.handle(event, asyncio.get_running_loop().time()):
             self._do(command)
+        self._announce()
 
     def _do(self, command: Command) -> None:
         match command:

@@ -32,7 +32,6 @@ from pnm.results import RunResult
 from pnm.run import Run
 from pnm.sites import Site
 from pnm.sources.base import Asker, Source
-from pnm.sources.chain import Sources
 
 _log = logging.getLogger(__name__)
 
@@ -120,7 +119,6 @@ class Performer:
 
         Returns the names of servers that are not there yet.
         """
-        await self.site.share(self.prefix, self.knowledge_of, self.source or Sources())
         needed = [
             call.action
             for program in self.programs.values()
@@ -129,8 +127,23 @@ class Performer:
         ]
         return await self.site.prepare(dict.fromkeys(needed))
 
-    def perform(self, name: str, parameters: Mapping[str, object] | None = None, observer: Observer | None = None) -> Performance:
+    def perform(
+        self,
+        name: str,
+        parameters: Mapping[str, object] | None = None,
+        observer: Observer | None = None,
+        *,
+        task: UUID | None = None,
+        priority: int = 0,
+    ) -> Performance:
         """Get a run of the plan ready; `execute` carries it out.
+
+        Args:
+            name: of the plan.
+            parameters: what the run knows at first.
+            observer: is told what happens.
+            task: on whose behalf resources are claimed, those of plans that it calls included; the run's own if None.
+            priority: how these claims stand among others.
 
         Raises:
             InputError: there is no such plan, or it has no such parameter.
@@ -141,7 +154,7 @@ class Performer:
         _check_parameters(program.plan, given)
         knowledge = Layered(self.world, KnowledgeBase(variables={**program.plan.variables, **given}))
         identity = UUID(bytes=self.prefix + uuid4().bytes[4:])
-        client = PlansClient(self, observer)
+        client = PlansClient(self, observer, task or identity, priority)
         run = Run(
             program.machine,
             knowledge,
@@ -151,6 +164,8 @@ class Performer:
             asks=self.source is not None,
             observer=observer,
             resources=self.resources,
+            task=task or identity,
+            priority=priority,
         )
         return Performance(program, Executor(run, client, self.source, name), client)
 
@@ -202,13 +217,17 @@ class PlansClient:
     Args:
         performer: carries out the plans.
         observer: is told what happens in them as well.
+        task: on whose behalf they are carried out.
+        priority: of their claims to resources.
 
     The mutable state is the performances by request, the requests that were cancelled, and the tasks that carry them out.
     """
 
-    def __init__(self, performer: Performer, observer: Observer | None = None) -> None:
+    def __init__(self, performer: Performer, observer: Observer | None, task: UUID, priority: int) -> None:
         self._performer = performer
         self._observer = observer
+        self._task = task
+        self._priority = priority
         self._performances: dict[UUID, Performance] = {}
         self._cancelled: set[UUID] = set()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -251,7 +270,7 @@ class PlansClient:
     async def _perform(self, request: Request, report: Callable[[Accepted | Ended], None]) -> None:
         given = {name: value for name, value in request.goal.items() if name not in ABOUT_THE_CALL}
         try:
-            performance = self._performer.perform(request.action.name, given, self._observer)
+            performance = self._performer.perform(request.action.name, given, self._observer, task=self._task, priority=self._priority)
         except InputError as error:
             report(Ended(request.id, Outcome(OutcomeKind.REJECTED, message=str(error))))
             return

@@ -6,7 +6,6 @@ A site is opened with the knowledge it shall keep up to date, and closed when th
 from __future__ import annotations
 
 import asyncio
-import logging
 from collections.abc import Callable, Iterable
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final, Protocol
@@ -16,17 +15,21 @@ from pnm.actions.base import ActionClient
 from pnm.actions.simulated import SimulatedRobots, sense
 from pnm.bindings import Bindings
 from pnm.effects import TimedChange
+from pnm.errors import InputError
 from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import GroundAction
+from pnm.reports import Reports
+from pnm.sensing import NO_SENSING, Sensing
 from pnm.sources.base import Source
 
 if TYPE_CHECKING:
     from pnm.ros.knowledge_services import Find, KnowledgeServices
+    from pnm.ros.node import RosThread
+    from pnm.ros.sensing import SensedReports
+    from pnm.ros.sensors import Sensors
 
 DISCOVERY: Final = 10.0
 """Seconds that robots may take to appear which are started together with us; later, who is missing fails by name."""
-
-_log = logging.getLogger(__name__)
 
 
 class Site(Protocol):
@@ -106,21 +109,31 @@ class RobotsSite:
 
 
 class Ros2Site:
-    """The action servers found in the ROS 2 graph, and the facts published on `knowledge/sensed`.
+    """The action servers found in the ROS 2 graph, the facts published on `knowledge/sensed`, and sensors.
 
     Args:
         bindings: how actions are bound to servers.
-        name: of the node.
+        sensing: which topics and services speak of what.
+        ros: the thread of a node that goes on when the site is closed; by default the site has one of its own.
 
     The mutable state is what `open` and `share` make.
+
+    Raises:
+        InputError: something is sensed of which the bindings say that it is assumed.
     """
 
-    def __init__(self, bindings: Bindings, name: str = "pnm") -> None:
+    def __init__(self, bindings: Bindings, sensing: Sensing = NO_SENSING, ros: RosThread | None = None) -> None:
+        for one in sorted(sensing.names & bindings.assumed):
+            raise InputError(f"there is a sensor for {one}, which is among the 'assumed' of the bindings; expected one of the two")
         self._bindings = bindings
-        self._name = name
+        self._shared = ros
+        self._sensing = sensing
+        self._sensed: SensedReports | None = None
+        self._reports: Reports | None = None
+        self._sensors: Sensors | None = None
         self._client: Any = None
-        self._services: KnowledgeServices | None = None
-        self.ros: Any = None
+        self._services: list[KnowledgeServices] = []
+        self.ros: Any = ros
         """The thread of the node, once the site is open."""
 
     @property
@@ -129,41 +142,43 @@ class Ros2Site:
         return self._client  # type: ignore[no-any-return]
 
     async def open(self, knowledge: KnowledgeBase) -> None:
-        """Join the ROS 2 graph and wait for the first report about the world, if anybody publishes one."""
+        """Join the ROS 2 graph and wait for the first report about the world, if anybody publishes one.
+
+        Raises:
+            InputError: a sensor cannot be used.
+        """
         from pnm.ros.action_client import Ros2ActionClient  # here, because rclpy is an extra
         from pnm.ros.node import RosThread
-        from pnm.ros.sensing import Facts, Sensing
+        from pnm.ros.sensing import SensedReports
+        from pnm.ros.sensors import Sensors
 
         loop = asyncio.get_running_loop()
-        self.ros = RosThread(self._name)
+        self.ros = self._shared or RosThread("pnm_run")  # `pnm` is the one that serves
         self._client = Ros2ActionClient(self.ros, self._bindings, loop)
-        lag = self._bindings.lag
-
-        ignored: set[str] = set()
-
-        def tell(names: frozenset[str], facts: Facts, _sequence: int) -> None:
-            for name in sorted(names & knowledge.rules.derived - ignored):
-                _log.warning("reports about %s are ignored: its facts follow from rules", name)
-                ignored.add(name)
-            watched = names - self._bindings.assumed
-            knowledge.sense(watched, lag=lag)
-            knowledge.replace(watched, {fluent: value for fluent, value in facts.items() if fluent[0] in watched})
-
-        self._sensing = Sensing(self.ros, loop, tell)
-        await self._sensing.first(DISCOVERY)
+        lag, sensing = self._bindings.lag, self._sensing
+        self._sensors = Sensors(self.ros, sensing, knowledge, lag)
+        ignored = {
+            **dict.fromkeys(knowledge.rules.derived, "its facts follow from rules"),
+            **dict.fromkeys(sensing.names, "there is a sensor for it"),
+            **dict.fromkeys(self._bindings.assumed, ""),
+        }
+        self._reports = Reports(knowledge, ignored, lag, sensing.stale, sensing.signatures)
+        self._sensed = SensedReports(self.ros, loop, self._reports.tell)
+        await self._sensors.open()
+        await self._sensed.first(DISCOVERY)
 
     async def share(self, mark: bytes, find: Find, source: Source) -> None:
         """Offer the two services that action servers find by the identity of their goal."""
         from pnm.ros.goal_ids import service_prefix
         from pnm.ros.knowledge_services import KnowledgeServices
 
-        self._services = KnowledgeServices(self.ros, asyncio.get_running_loop(), service_prefix(mark), find, source)
-        await self._services.open()
+        self._services.append(KnowledgeServices(self.ros, asyncio.get_running_loop(), service_prefix(mark), find, source))
+        await self._services[-1].open()
 
     def over(self, request: UUID, /) -> None:
         """Withdraw what a server is still asking for the request."""
-        if self._services is not None:
-            self._services.end(request)
+        for services in self._services:
+            services.end(request)
 
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Look for the servers of these actions; wait for them only while this node itself is new."""
@@ -172,9 +187,15 @@ class Ros2Site:
 
     async def close(self) -> None:
         """Leave the ROS 2 graph."""
-        if self._services is not None:
-            await self._services.close()
+        if self._reports is not None:
+            self._reports.close()
+        if self._sensors is not None:
+            await self._sensors.close()
+        for services in self._services:
+            await services.close()
         if self._client is not None:
             self._client.close()
-        if self.ros is not None:
+        if self._sensed is not None:
+            self._sensed.close()
+        if self.ros is not None and self._shared is None:
             await asyncio.to_thread(self.ros.close)  # what still happens on its thread may need this loop

@@ -6,10 +6,10 @@ process share the knowledge of the world and the resources of its robots.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
-from typing import Protocol
+from typing import Protocol, TypeAlias
 from uuid import UUID
 
 from pnm.machine import PetriNetMachine
@@ -156,6 +156,25 @@ class TaskEnding:
     trace: tuple[Moment, ...] = ()
     results: Mapping[str, object] = field(default_factory=dict)
     """The variables that a plan gives back."""
+
+
+@dataclass(frozen=True, slots=True)
+class MadePlan:
+    """What became of the search for a plan that nobody carries out."""
+
+    code: Code
+    """`GOAL_REACHED` when there is a plan."""
+    message: str
+    goal: str = ""
+    """What was pursued, in PDDL."""
+    steps: tuple[Step, ...] = ()
+
+
+Make: TypeAlias = Callable[[str, str, float | None], Awaitable[MadePlan]]
+"""Finds a plan for a goal from the world as it is, with a planner ("" for what is usual) in so many seconds (None likewise).
+
+What is wrong with the goal is in the result; a search that is cancelled ends the planner.
+"""
 
 
 class TaskListener:

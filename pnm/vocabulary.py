@@ -3,11 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import Enum
 
 from pnm.errors import InputError, Position
 from pnm.expressions import UNDEFINED, Fluent, Value
 from pnm.nearest import meant
+
+
+class Kind(Enum):
+    """What a fluent has for its value."""
+
+    FACT = "predicate"
+    NUMBER = "function with numbers for values"
+    OBJECT = "function with objects for values"
+
+
+@dataclass(frozen=True, slots=True)
+class Signature:
+    """How a predicate or function is used."""
+
+    kind: Kind
+    parameters: tuple[tuple[str, ...], ...] = ()
+    """For every parameter, the types of its objects."""
+    values: tuple[str, ...] = ()
+    """The types of the objects that are its values."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +41,12 @@ class Vocabulary:
     objects: frozenset[str] = frozenset()
     derived: frozenset[str] = frozenset()
     """Predicates whose facts follow from others by rules."""
+    signatures: Mapping[str, Signature] = field(default_factory=dict)
+    """How predicates and functions are used."""
+    types: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    """For every type, the type itself and all that it is a kind of."""
+    types_of: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    """For every object, all types to which it belongs."""
 
     def check_action(self, name: str, position: Position) -> None:
         """Refuse an action that is not there."""
@@ -58,6 +84,29 @@ class Vocabulary:
         self.check_set(fluent[0], position)
         for argument in (*fluent[1:], *((value,) if isinstance(value, str) and value != UNDEFINED else ())):
             _check(argument, self.objects, "object", position)
+
+    def check_type(self, name: str, position: Position) -> None:
+        """Refuse a type that is not declared."""
+        _check(name, self.types, "type", position)
+
+    def check_object(self, name: str, types: Iterable[str], position: Position) -> None:
+        """Refuse an object that is not there, or that is of none of the types."""
+        _check(name, self.objects, "object", position)
+        if self.types_of[name].isdisjoint(types):
+            raise InputError(f"{name} is a {_alternatives(self.types_of[name])}; expected a {_alternatives(types)}", position)
+
+    def check_kind(self, name: str, kind: Kind, position: Position) -> Signature:
+        """Return how a predicate or function is used, which must be of this kind and be told by somebody."""
+        known = [one for one, signature in self.signatures.items() if signature.kind is kind]
+        if name in self.signatures and name not in known:
+            raise InputError(f"{name} is a {self.signatures[name].kind.value}; expected a {kind.value}", position)
+        _check(name, known, kind.value, position)
+        self.check_set(name, position)
+        return self.signatures[name]
+
+
+def _alternatives(types: Iterable[str]) -> str:
+    return " or ".join(sorted(set(types) - {"object"})) or "object"
 
 
 def _check(name: str, known: Iterable[str], what: str, position: Position) -> None:

@@ -284,6 +284,13 @@ def test_missing_goal_data_is_looked_up_globally_then_asked_for_then_a_failure_b
     assert [(one.cause, one.expected) for one in asked.result.failures] == [("data_missing", "values for time")]
 
 
+def test_what_a_person_is_asked_names_the_arguments_of_the_call() -> None:
+    graph = plan(ActionCall(0, GroundAction("wait", ("r1", "?time"), ("robot", "time"))))
+    asking = Bindings({"wait": Binding(ask={"time": "How long shall {robot} wait, {sir}?"})})
+    asked = play(graph, known={}, bindings=asking).asked
+    assert asked[-1] == Question("time", Layer.PERSON, '"How long shall r1 wait, {sir}?"')
+
+
 def test_a_parameter_that_knowledge_fills_keeps_its_kind() -> None:
     few = Computed(Operation("lt", (Parameter("?n"), Literal.of(5))))
     graph = plan(ActionCall(0, GroundAction("count", ("?n",), ("n",), precondition=few)))

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner_bridge.serving import common_knowledge
+from planner_bridge.common_knowledge import common_knowledge
 from planner_bridge.written import simulated_site, together
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async

@@ -132,7 +132,7 @@ class Ros2ActionClient:
                 _log.debug("the event loop is closed; nobody hears of %s", what)
 
     def _keep_looking(self) -> None:
-        """Have the timer run while, and only while, a goal is under way or the type of a server is not known yet."""
+        """Have the timer run while, and only while, a goal is under way or a link has something to look after."""
         if self._timer is None:
             self._timer = self._ros.timer(LOOK, self._look)
         elif self._timer.is_canceled():
@@ -141,7 +141,7 @@ class Ros2ActionClient:
     def _look(self) -> None:
         for link in self._links.values():
             link.look()
-        if not self._goals and all(link.type is not None for link in self._links.values()):
+        if not self._goals and not any(link.is_busy for link in self._links.values()):
             self._timer.cancel()
 
     def _lose_all(self) -> None:

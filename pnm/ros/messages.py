@@ -83,10 +83,11 @@ def to_message(message_type: Any, data: Mapping[str, object]) -> Any:
 
 def to_data(message: Any) -> dict[str, object]:
     """Return the fields of a message as plain data."""
-    return {name: _data(getattr(message, name)) for name in fields(message)}
+    return {name: plain(getattr(message, name)) for name in fields(message)}
 
 
-def _data(value: Any) -> object:
+def plain(value: Any) -> object:
+    """Return what a field holds as plain data."""
     if isinstance(value, bytes):
         return value[0]
     if hasattr(value, "tolist"):
@@ -94,7 +95,7 @@ def _data(value: Any) -> object:
     if hasattr(value, "get_fields_and_field_types"):
         return to_data(value)
     if isinstance(value, list | tuple):
-        return [_data(item) for item in value]
+        return [plain(item) for item in value]
     return value
 
 

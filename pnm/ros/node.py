@@ -52,12 +52,15 @@ class RosThread:
         name: the node's name.
         namespace: the node's namespace; relative names are relative to it.
         args: arguments as a launch file gives them, such as ``["--ros-args", "-r", "__ns:=/r1"]``.
+        managed: make a node whose life cycle is managed, see `pnm.ros.lifecycle`.
 
     Raises:
         RosError: ROS 2 is not installed, or the node cannot be made.
     """
 
-    def __init__(self, name: str = "pnm", *, namespace: str = "", args: Sequence[str] = (), limit: float = 20.0) -> None:
+    def __init__(
+        self, name: str = "pnm", *, namespace: str = "", args: Sequence[str] = (), managed: bool = False, limit: float = 20.0
+    ) -> None:
         if _missing is not None:
             advice = "`pip install 'petri-net-machines[ros2]'`, or source a ROS 2 installation"
             raise RosError(f"ROS 2 is not there ({_missing}); {advice}") from _missing
@@ -67,6 +70,7 @@ class RosThread:
         self._lock = threading.Lock()
         self._closing = False
         self._guard: Any = None
+        self._managed = managed
         started: Future[None] = Future()
         self._thread = threading.Thread(target=self._run, args=(name, namespace, list(args), started), name="ros", daemon=True)
         self._thread.start()
@@ -159,7 +163,7 @@ class RosThread:
         try:
             # Signals belong to the program, which ends its runs before it closes the node.
             rclpy.init(args=args, context=context, signal_handler_options=rclpy.SignalHandlerOptions.NO)
-            self.node = rclpy.create_node(name, namespace=namespace, context=context)
+            self.node = self._make(name, namespace, context)
             self._guard = self.node.create_guard_condition(self._drain)
             executor = SingleThreadedExecutor(context=context)
             executor.add_node(self.node)
@@ -170,6 +174,13 @@ class RosThread:
         started.set_result(None)
         self._spin(executor, context)
         self._end(executor, context)
+
+    def _make(self, name: str, namespace: str, context: Any) -> Any:
+        if self._managed:
+            from pnm.ros.lifecycle import ManagedNode  # here, because it imports rclpy and this module
+
+            return ManagedNode(name, namespace=namespace, context=context)
+        return rclpy.create_node(name, namespace=namespace, context=context)
 
     def _spin(self, executor: Any, context: Any) -> None:
         while not self._closing and context.ok():

@@ -23,7 +23,7 @@ Listener = Callable[[frozenset[str], Facts, int], None]
 _log = logging.getLogger(__name__)
 
 
-class Sensing:
+class SensedReports:
     """Hands every report on ``knowledge/sensed`` to a listener, on the event loop's thread.
 
     A report is complete about the predicates and functions it names: it replaces all that was reported about

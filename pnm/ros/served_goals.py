@@ -56,8 +56,6 @@ class ServedGoal:
     restarts: int = 0
     is_cancelled: bool = False
     """Whether its client has asked for it to be cancelled."""
-    is_told: bool = True
-    """Whether the last feedback tells how things are."""
 
 
 class Audience:

@@ -4,9 +4,7 @@ Everything here runs on the ROS thread. A goal moves *queued* â†’ *unanswered* â
 most `IN_FLIGHT` goals are unanswered at a time: a server keeps the last 10 requests it has not yet
 read and silently drops older ones, for which no answer ever comes.
 
-No goal is sent to a strange process: a server answers into the void as long as it has not discovered
-who asks. So it is first asked for the result of a goal that nobody has, again and again until an answer
-gets through; the service of results is the last that a client announces, so whoever found it found all.
+No goal is sent to a strange process, nor to one that may be at work on a goal that was given up: see `pnm.ros.acquaintance`.
 """
 
 from __future__ import annotations
@@ -17,10 +15,10 @@ from collections import deque
 from functools import partial
 from time import monotonic
 from typing import Any, Final
-from uuid import UUID, uuid4
 
 from pnm.actions.base import Accepted, OutcomeKind
 from pnm.errors import InputError, PnmError
+from pnm.ros.acquaintance import Acquaintance, ros_uuid
 from pnm.ros.goals import OVER, UNKNOWN, Goal, message_in
 from pnm.ros.graph import absence, processes, server_name, types
 from pnm.ros.messages import fields, import_type, to_data, to_message
@@ -58,10 +56,7 @@ class ServerLink:
         self._queued: deque[Goal] = deque()
         self._unanswered: set[Goal] = set()
         self._accepted: set[Goal] = set()
-        self._met: frozenset[bytes] | None = None
-        """The processes that were there when an answer got through."""
-        self._greetings: list[Any] = []
-        self._greeted = -math.inf
+        self._acquaintance: Any = None
         if self.type is not None:
             self._connect()
 
@@ -73,7 +68,7 @@ class ServerLink:
         there = self._reached()
         if there:
             self._expected_until = math.inf
-            self._greet()
+            self._acquaintance.approach(processes(self._node, self.name), monotonic())
         elif self._expected_until == math.inf:
             self._expected_until = monotonic() + RETURN
         return there
@@ -102,27 +97,16 @@ class ServerLink:
             result_service_qos_profile=deep,
             cancel_service_qos_profile=deep,
         )
+        self._acquaintance = Acquaintance(self._client, self._pump)
 
-    def _is_met(self) -> bool:
-        return self._met is not None and processes(self._node, self.name) <= self._met
+    def _may_send(self) -> bool:
+        """Tell whether the server, which is ready, knows us and is done with what was given up."""
+        return bool(self._acquaintance.look(processes(self._node, self.name), monotonic()))
 
-    def _greet(self) -> None:
-        """Ask a strange server for something harmless, once in a while."""
-        now = monotonic()
-        if now - self._greeted >= AGAIN and not self._is_met():
-            from rclpy.action.client import ClientGoalHandle
-
-            self._greeted = now
-            nobody = ClientGoalHandle(self._client, _ros_uuid(uuid4()), self.type.Impl.SendGoalService.Response())
-            future = nobody.get_result_async()
-            self._greetings.append(future)
-            future.add_done_callback(partial(self._meet, processes(self._node, self.name)))
-
-    def _meet(self, present: frozenset[bytes], future: Any) -> None:
-        if not future.cancelled():
-            self._met = present
-            self._greetings.clear()
-            self._pump()
+    @property
+    def is_busy(self) -> bool:
+        """Whether something is to be looked after, goals apart: the type is not known yet, or the server shall end what was given up."""
+        return self.type is None or bool(self._acquaintance and self._acquaintance.strays)
 
     def close(self) -> None:
         """Forget all goals, without a word, and let go of the server."""
@@ -142,7 +126,7 @@ class ServerLink:
         self._pump()
 
     def _pump(self) -> None:
-        while self._queued and len(self._unanswered) < IN_FLIGHT and self.ready() and self._is_met():
+        while self._queued and len(self._unanswered) < IN_FLIGHT and self.ready() and self._may_send():
             self._dispatch(self._queued.popleft())
 
     def _dispatch(self, goal: Goal) -> None:
@@ -153,7 +137,7 @@ class ServerLink:
             return
         try:
             message = to_message(self.type.Goal, goal.data(known))
-            future = self._client.send_goal_async(message, goal_uuid=_ros_uuid(goal.request.id))
+            future = self._client.send_goal_async(message, goal_uuid=ros_uuid(goal.request.id))
         except PnmError as error:
             goal.end(OutcomeKind.REJECTED, f"goal for {self.name}: {error}")
             return
@@ -207,6 +191,8 @@ class ServerLink:
 
     def _lose(self, goal: Goal, message: str) -> None:
         self._accepted.discard(goal)
+        if not goal.restarted:
+            self._acquaintance.give_up(goal.request.id, goal.handle)
         goal.end(OutcomeKind.LOST, message)
         for future in goal.results:
             future.cancel()
@@ -251,12 +237,17 @@ class ServerLink:
                 reason = absence(self._node, self.name, self.wanted_type)
                 while self._queued:
                     self._queued.popleft().end(OutcomeKind.UNAVAILABLE, reason)
-        elif not self._is_met():
+        elif self._queued and not self._may_send():
             for goal in tuple(self._queued):
                 goal.sent = goal.sent or now
                 if now - goal.sent >= goal.accept:
                     self._queued.remove(goal)
-                    goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {_silence(goal)}")
+                    goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {self._reserve(goal)}")
+
+    def _reserve(self, goal: Goal) -> str:
+        if strays := self._acquaintance.strays:
+            return f"did not end within {goal.accept:g} s what was given up: {strays} goal{'s' * (strays > 1)}"
+        return _silence(goal)
 
     def _look_at_unanswered(self, goal: Goal, present: frozenset[bytes], now: float) -> None:
         verdict = goal.watch.look(present, False, now)
@@ -269,6 +260,8 @@ class ServerLink:
         else:
             return
         self._unanswered.discard(goal)
+        if verdict is Verdict.LOST:
+            self._acquaintance.give_up(goal.request.id, None)
         goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {reason}")
 
     def _look_at_accepted(self, present: frozenset[bytes], now: float) -> None:
@@ -295,9 +288,3 @@ class ServerLink:
 
 def _silence(goal: Goal) -> str:
     return f"did not answer within {goal.accept:g} s"
-
-
-def _ros_uuid(uuid: UUID) -> Any:
-    from unique_identifier_msgs import msg
-
-    return msg.UUID(uuid=list(uuid.bytes))

@@ -19,15 +19,21 @@ T = TypeVar("T")
 
 
 class Program:
-    """A Python program in a process of its own."""
+    """A Python program in a process of its own.
 
-    def __init__(self, arguments: Sequence[str], environment: Mapping[str, str]) -> None:
+    Args:
+        arguments: of Python.
+        environment: what is added to the environment.
+        within: what the command begins with, such as that which runs it on another host.
+    """
+
+    def __init__(self, arguments: Sequence[str], environment: Mapping[str, str], within: Sequence[str] = ()) -> None:
         self.arguments = arguments
         self.out: list[str] = []
         self.err: list[str] = []
         self._heard = threading.Condition()
         self.process = subprocess.Popen(
-            [sys.executable, *arguments],
+            [*within, sys.executable, *arguments],
             cwd=ROOT,
             env={**os.environ, **environment},
             stdin=subprocess.DEVNULL,

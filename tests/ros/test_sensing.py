@@ -14,7 +14,7 @@ from pnm.errors import InputError
 from pnm.expressions import UNDEFINED, UNKNOWN
 from pnm.knowledge import KnowledgeBase
 from pnm.ros.messages import to_message
-from pnm.ros.sensing import Sensing, read_state, write_state
+from pnm.ros.sensing import SensedReports, read_state, write_state
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FACTS = {
@@ -36,7 +36,7 @@ def test_a_report_is_handed_on_and_recorded(ros, start):
         sequences.append(sequence)
 
     async def scenario():
-        sensing = Sensing(ros, asyncio.get_running_loop(), record)
+        sensing = SensedReports(ros, asyncio.get_running_loop(), record)
         await asyncio.to_thread(start, "--report", json.dumps(report))
         async with asyncio.timeout(15.0):
             while not await sensing.first(5.0):
@@ -50,7 +50,7 @@ def test_a_report_is_handed_on_and_recorded(ros, start):
 
 def test_nobody_who_reports_is_not_waited_for(ros):
     async def scenario():
-        sensing = Sensing(ros, asyncio.get_running_loop(), lambda *_: None, topic="nobody/reports")
+        sensing = SensedReports(ros, asyncio.get_running_loop(), lambda *_: None, topic="nobody/reports")
         await ros.settled()
         since = monotonic()
         assert not await sensing.first(20.0)
@@ -64,7 +64,7 @@ def test_a_malformed_report_is_ignored_and_logged(ros, caplog):
     heard = []
 
     async def scenario():
-        sensing = Sensing(ros, asyncio.get_running_loop(), lambda *report: heard.append(report), topic="knowledge/malformed")
+        sensing = SensedReports(ros, asyncio.get_running_loop(), lambda *report: heard.append(report), topic="knowledge/malformed")
         publisher = await ros.ask(lambda: ros.node.create_publisher(State, "knowledge/malformed", LATCHED))
         await ros.ask(lambda: publisher.publish(State(names=["at"], facts=["at r1 hall"])))
         await ros.ask(lambda: publisher.publish(State(names=["at"], sequence=2)))

@@ -1,0 +1,96 @@
+"""A plan that is carried out as it is written, as a task among others."""
+
+from __future__ import annotations
+
+from planner_bridge.codes import code_of_failures
+from planner_bridge.footprints import Footprint, footprint
+from planner_bridge.task import Task
+from pnm.performing import Performance, Performer
+from pnm.results import RunResult
+from pnm.run import Run
+from pnm.tasking import Code, TaskEnding, TaskState
+
+
+class Recital:
+    """One run of a hand-written plan.
+
+    When it is paused at once, a plan that it calls is cancelled and begins anew later.
+
+    The mutable state is whether it is paused, and why it has been stopped.
+
+    Args:
+        performer: carries out the plan.
+        task: what is told how it goes.
+
+    Raises:
+        InputError: there is no such plan, or it has no such parameter.
+    """
+
+    def __init__(self, performer: Performer, task: Task) -> None:
+        wanted = task.wanted
+        self._performer = performer
+        self._task = task
+        self._performance: Performance = performer.perform(wanted.text, wanted.parameters, task, task=wanted.id, priority=wanted.priority)
+        self._is_paused = False
+        self._stopped: tuple[Code, str] | None = None
+
+    async def perform(self) -> TaskEnding:
+        """Carry the plan out and return how it ended."""
+        program = self._performance.program
+        self._task.generated(program.machine, program.proof)
+        self._task.enter(TaskState.RUNNING)
+        result = await self._performer.execute(self._performance)
+        code, reason = self._ending(result)
+        return TaskEnding(code, reason, results=self._performance.results)
+
+    @property
+    def run(self) -> Run:
+        """The run of the plan."""
+        return self._performance.executor.run
+
+    @property
+    def footprint(self) -> Footprint:
+        """What the plan needs and changes: all that it may still reach."""
+        plan = self._performance.program.plan.graph
+        over = (
+            {one.call.index for one in self.run.told().calls if one.ended is not None} if len(plan.every_step) == len(plan.calls) else set()
+        )
+        calls = [call for call in plan.calls if call.index not in over]
+        return footprint(calls, plan.goal, self._performer.world)
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether it was told to pause."""
+        return self._is_paused
+
+    def stop(self, code: Code, reason: str) -> None:
+        """End it; what is under way is cancelled, and confirms it or is given up after its limit."""
+        if self._stopped is None:
+            self._stopped = code, reason
+            self._is_paused = False
+            self._task.enter(TaskState.CANCELLING, reason)
+            self._performance.executor.stop(reason=reason)
+
+    async def pause(self, reason: str, *, at_once: bool) -> None:
+        """Start nothing more; return when nothing is under way."""
+        executor, self._is_paused = self._performance.executor, True
+        self._task.enter(TaskState.PAUSING, reason)
+        executor.pause(at_once=at_once)
+        while self._is_paused and not (executor.run.paused or executor.run.over):
+            await executor.happens()
+        if self._is_paused:
+            self._task.enter(TaskState.PAUSED, reason)
+
+    def resume(self) -> None:
+        """Go on."""
+        if self._is_paused:
+            self._is_paused = False
+            self._task.enter(TaskState.RUNNING)
+            self._performance.executor.resume()
+
+    def _ending(self, result: RunResult) -> tuple[Code, str]:
+        if result.goal:
+            return Code.GOAL_REACHED, result.reason
+        if result.stopped:
+            return self._stopped or (Code.TIMED_OUT, result.reason)
+        return code_of_failures(result.failures), result.reason

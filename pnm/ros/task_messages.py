@@ -1,0 +1,140 @@
+"""Goals for tasks, and what is told about tasks: messages to data and data to the fields of messages."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from typing import Any, Final
+from uuid import UUID
+
+from pnm.errors import InputError
+from pnm.export.json import as_data
+from pnm.machine import PetriNetMachine
+from pnm.marking import Marking
+from pnm.ros.knowledge_client import uuid_field
+from pnm.ros.served_goals import Ending, read_parameters
+from pnm.sources.people import printable
+from pnm.tasking import Code, MadePlan, Moment, OnConflict, Status, Step, StepState, TaskEnding, Wanted
+
+TRACE: Final = 200
+"""So many events at most stand in a result: the last ones."""
+_POLICIES: Final = (None, OnConflict.PLAN_AROUND, OnConflict.QUEUE, OnConflict.REFUSE)
+"""What the numbers in goals mean."""
+
+Fields = dict[str, object]
+
+
+def wanted_goal(id: UUID, request: Any) -> Wanted:
+    """Read a goal of ``achieve_goal``.
+
+    Raises:
+        InputError: what it says is no goal, whatever is known of the world.
+    """
+    if request.policy >= len(_POLICIES):
+        known = "0 (default), 1 (plan around), 2 (queue), 3 (refuse)"
+        raise InputError(f"there is no policy {request.policy}; expected one of {known}")
+    return Wanted(id, request.goal.strip(), request.priority, seconds("deadline", request.deadline), _POLICIES[request.policy])
+
+
+def wanted_plan(id: UUID, request: Any) -> Wanted:
+    """Read a goal of ``execute_plan``.
+
+    Raises:
+        InputError: it has no plan, or its parameters are none.
+    """
+    if not request.plan.strip():
+        raise InputError("the plan is empty; expected the name of a plan, or a plan with an action a line")
+    parameters = read_parameters(request.parameters)
+    deadline = seconds("deadline", request.deadline)
+    return Wanted(id, request.plan.strip(), request.priority, deadline, parameters=parameters, is_plan=True)
+
+
+def seconds(name: str, value: float) -> float | None:
+    """Read a number of seconds, of which 0 means none.
+
+    Raises:
+        InputError: it is negative, or no number.
+    """
+    if not 0 <= value < math.inf:
+        raise InputError(f"{name} is {value:g}; expected a number of seconds, or 0 for none")
+    return value or None
+
+
+def status_fields(status: Status) -> Fields:
+    """Return the fields of a ``TaskStatus``."""
+    return {
+        "id": uuid_field(status.id),
+        "goal": printable(status.goal),
+        "priority": status.priority,
+        "state": int(status.state),
+        "reason": printable(status.reason),
+        "running": [printable(call) for call in status.running],
+        "ended": status.ended,
+        "replans": status.replans,
+    }
+
+
+def plan_fields(task: UUID, goal: str, number: int, steps: Iterable[Step]) -> Fields:
+    """Return the fields of a ``Plan``."""
+    return {"task": uuid_field(task), "goal": printable(goal), "number": number, "steps": [_step_fields(step) for step in steps]}
+
+
+def _step_fields(step: Step) -> Fields:
+    return {
+        "action": step.action,
+        "arguments": list(step.arguments),
+        "start": step.start,
+        "duration": step.duration,
+        "state": int(step.state),
+        "after": list(step.after),
+    }
+
+
+def rest(steps: Iterable[Step]) -> list[str]:
+    """Return what a plan still has to do."""
+    return [printable(str(step)) for step in steps if step.state in (StepState.WAITING, StepState.RUNNING)]
+
+
+def net_fields(task: UUID, number: int, machine: PetriNetMachine) -> Fields:
+    """Return the fields of a ``Net``."""
+    return {"task": uuid_field(task), "number": number, "machine": json.dumps(as_data(machine), ensure_ascii=False)}
+
+
+def marking_fields(task: UUID, number: int, marking: Marking) -> Fields:
+    """Return the fields of a ``Marking``."""
+    return {"task": uuid_field(task), "number": number, "places": list(marking), "tokens": list(marking.values())}
+
+
+def moment_fields(moment: Moment, offset: float) -> Fields:
+    """Return the fields of a ``TraceEvent``; the offset is what the clock of the node is ahead of that of the event loop."""
+    return {
+        "stamp": moment.time + offset,
+        "task": uuid_field(moment.task),
+        "kind": moment.kind,
+        "subject": printable(moment.subject),
+        "text": printable(moment.text),
+    }
+
+
+def ending_fields(ending: TaskEnding, offset: float) -> Fields:
+    """Return the fields that the results of all tasks have."""
+    told = [moment_fields(moment, offset) for moment in ending.trace[-TRACE:]]
+    return {"code": int(ending.code), "reason": ending.code.word, "message": printable(ending.message), "trace": told}
+
+
+def goal_ending_fields(ending: TaskEnding, offset: float) -> Fields:
+    """Return the fields of the result of ``achieve_goal``."""
+    return {**ending_fields(ending, offset), "replans": ending.replans}
+
+
+def plan_ending_fields(ending: TaskEnding, offset: float) -> Fields:
+    """Return the fields of the result of ``execute_plan``."""
+    said = Ending(ending.code is Code.GOAL_REACHED, ending.code.word, ending.message, ending.results).fields()
+    return {**ending_fields(ending, offset), "message": said["message"], "results": said["results"]}
+
+
+def made_fields(made: MadePlan) -> Fields:
+    """Return the fields of the result of ``plan``."""
+    plan = plan_fields(UUID(int=0), made.goal, 0, made.steps)
+    return {"code": int(made.code), "reason": made.code.word, "message": printable(made.message), "plan": plan}

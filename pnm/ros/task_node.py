@@ -1,0 +1,157 @@
+"""Everything that a node offers about tasks: actions, services and topics, which are brought up and taken down together."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from typing import Any, Final
+from uuid import UUID
+
+from pnm.knowledge import KnowledgeBase
+from pnm.ros.graph import server_name
+from pnm.ros.node import RosThread
+from pnm.ros.planning_server import NAME as PLAN
+from pnm.ros.planning_server import PlanningServer
+from pnm.ros.request_services import Fields, RequestServices
+from pnm.ros.task_servers import NAMES, TaskServers
+from pnm.ros.task_topics import TaskTopics
+from pnm.served_world import ServedWorld
+from pnm.tasking import Make, TaskRefused, Tasks
+
+ACTIONS: Final = (*NAMES, PLAN)
+
+_log = logging.getLogger(__name__)
+
+
+class TaskNode:
+    """Offers tasks to whoever knows ROS 2. It takes goals between `activate` and `deactivate`.
+
+    The mutable state is why no goals are taken, whether somebody has paused all tasks, and whether we have.
+
+    Args:
+        tasks: what is done.
+        make: finds plans that nobody carries out.
+        world: what others may ask and tell.
+        knowledge: whose changes are told.
+    """
+
+    def __init__(self, ros: RosThread, tasks: Tasks, make: Make, world: ServedWorld, knowledge: KnowledgeBase) -> None:
+        self._ros = ros
+        self._tasks = tasks
+        self._world = world
+        self._closed = "the node is inactive"
+        self._is_paused = False
+        self._is_stopped = False
+        self._servers = TaskServers(ros, tasks, lambda: self._closed)
+        self._planning = PlanningServer(ros, make, lambda: self._closed)
+        self._topics = TaskTopics(ros, tasks, world, knowledge, lambda: self._is_paused)
+        self._services = RequestServices(ros)
+
+    def __repr__(self) -> str:
+        return f"<TaskNode {self._closed or 'active'}>"
+
+    async def open(self) -> None:
+        """Bring everything up; goals are rejected until the node is activated."""
+        # topics first: they are told of the end of a task before its client is
+        await self._topics.open()
+        await self._servers.open()
+        await self._planning.open()
+        await self._services.open(
+            {
+                "executor/pause": ("pnm_interfaces/srv/PauseTask", self._pause),
+                "executor/resume": ("pnm_interfaces/srv/ResumeTask", self._resume),
+                "executor/cancel": ("pnm_interfaces/srv/CancelTask", self._cancel),
+                "knowledge/query": ("pnm_interfaces/srv/QueryFacts", self._query),
+                "knowledge/update": ("pnm_interfaces/srv/UpdateFacts", self._update),
+                "problem/get": ("pnm_interfaces/srv/GetProblem", self._get),
+                "problem/save": ("pnm_interfaces/srv/SaveProblem", self._save),
+                "problem/load": ("pnm_interfaces/srv/LoadProblem", self._load),
+            }
+        )
+
+    async def activate(self) -> None:
+        """Take goals, and let those tasks go on that were running when the node was deactivated."""
+        self._closed = ""
+        if self._is_stopped and not self._is_paused:
+            await self._tasks.resume(None)
+        self._is_stopped = False
+        self._topics.note()
+
+    async def deactivate(self) -> None:
+        """Reject goals, and pause all tasks at once: what is under way is cancelled, and has confirmed it."""
+        self._closed = "the node is inactive"
+        self._is_stopped = True
+        await self._tasks.pause(None, at_once=True)
+
+    async def close(self, limit: float) -> None:
+        """Cancel all tasks, wait so many seconds until that is confirmed, tell everybody, and take everything down."""
+        self._closed = "the node is shut down"
+        try:
+            async with asyncio.timeout(limit):
+                await self._tasks.cancel(None)
+        except TimeoutError:
+            _log.warning("tasks have not ended within %g s; what they run is left alone", limit)
+        except TaskRefused:
+            _log.debug("there are no tasks to cancel")
+        await self._planning.close()
+        await self._servers.close()
+        await self._services.close()
+        await self._topics.close()
+
+    # the services
+
+    async def _pause(self, request: Any) -> Fields:
+        task = _id(request.task)
+        self._refuse_inactive()
+        if task is None:
+            self._is_paused = True
+        await self._tasks.pause(task, at_once=request.at_once)
+        self._topics.note()
+        return {}
+
+    async def _resume(self, request: Any) -> Fields:
+        task = _id(request.task)
+        self._refuse_inactive()
+        if task is None:
+            self._is_paused = False
+        await self._tasks.resume(task)
+        self._topics.note()
+        return {}
+
+    async def _cancel(self, request: Any) -> Fields:
+        task = _id(request.task)
+        self._servers.wish_cancelled(task)
+        await self._tasks.cancel(task)
+        return {}
+
+    async def _query(self, request: Any) -> Fields:
+        found = await self._world.query(request.questions)
+        return {"facts": [question for question, _ in found], "values": [answer for _, answer in found]}
+
+    async def _update(self, request: Any) -> Fields:
+        return {"changed": await self._world.update(request.add, request.remove, request.forget)}
+
+    async def _get(self, _request: Any) -> Fields:
+        domain, problem = await self._world.get()
+        return {"domain": domain, "problem": problem}
+
+    async def _save(self, request: Any) -> Fields:
+        return {"path": await self._world.save(request.file)}
+
+    async def _load(self, request: Any) -> Fields:
+        await self._world.load(request.domain, request.problem)
+        return {}
+
+    def _refuse_inactive(self) -> None:
+        if self._closed:
+            raise TaskRefused(f"{self._closed}: all tasks are paused until it is activated")
+
+
+def action_names(ros: RosThread) -> tuple[str, ...]:
+    """Return the full names of the actions; only on the ROS thread."""
+    return tuple(server_name(ros.node, name) for name in ACTIONS)
+
+
+def _id(message: Any) -> UUID | None:
+    found = UUID(bytes=bytes(message.uuid))
+    return found if found.int else None

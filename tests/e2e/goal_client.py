@@ -1,0 +1,85 @@
+"""A client of `achieve_goal` and of the life cycle that knows only ROS 2; prints what it hears, a JSON object per line. Run as a script.
+
+goal_client.py send GOAL...            sends the goals, all at once, and waits for their results
+goal_client.py change LABEL...         asks the node /pnm for transitions, one after the other
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import rclpy
+from lifecycle_msgs.srv import ChangeState, GetState
+from pnm_interfaces.action import AchieveGoal
+from rclpy.action import ActionClient
+from rclpy.qos import QoSProfile
+
+
+def say(event: str, **fields: Any) -> None:
+    sys.stdout.write(json.dumps({"event": event, **fields}) + "\n")
+    sys.stdout.flush()
+
+
+class Sender:
+    def __init__(self, node: Any) -> None:
+        deep = QoSProfile(depth=1000)
+        self.client = ActionClient(node, AchieveGoal, "achieve_goal", goal_service_qos_profile=deep, result_service_qos_profile=deep)
+        self.handles: list[Any] = []  # rclpy keeps them weakly
+        self.waiting = 0
+
+    def send(self, number: int, goal: str) -> None:
+        self.waiting += 1
+        sent = self.client.send_goal_async(AchieveGoal.Goal(goal=goal), lambda message: self.hear(number, message.feedback))
+        sent.add_done_callback(lambda future: self.answered(number, future.result()))
+
+    def hear(self, number: int, feedback: Any) -> None:
+        say("feedback", goal=number, state=feedback.status.state)
+
+    def answered(self, number: int, handle: Any) -> None:
+        say("answered", goal=number, accepted=handle.accepted)
+        if not handle.accepted:
+            self.waiting -= 1
+            return
+        self.handles.append(handle)
+        handle.get_result_async().add_done_callback(lambda future: self.ended(number, future.result()))
+
+    def ended(self, number: int, answer: Any) -> None:
+        say("result", goal=number, status=answer.status, reason=answer.result.reason, message=answer.result.message)
+        self.waiting -= 1
+
+
+def send(node: Any, *goals: str) -> None:
+    sender = Sender(node)
+    assert sender.client.wait_for_server(30.0)
+    for number, goal in enumerate(goals):
+        sender.send(number, goal)
+    while sender.waiting:
+        rclpy.spin_once(node)
+
+
+def change(node: Any, *labels: str) -> None:
+    asked, ask = node.create_client(GetState, "/pnm/get_state"), node.create_client(ChangeState, "/pnm/change_state")
+    assert asked.wait_for_service(30.0)
+    assert ask.wait_for_service(30.0)
+    say("state", label=wait(node, asked.call_async(GetState.Request())).current_state.label)
+    for label in labels:
+        request = ChangeState.Request()
+        request.transition.label = label
+        say("changed", label=label, success=wait(node, ask.call_async(request)).success)
+
+
+def wait(node: Any, future: Any) -> Any:
+    rclpy.spin_until_future_complete(node, future, timeout_sec=40.0)
+    return future.result()
+
+
+def main(what: str, *arguments: str) -> None:
+    rclpy.init()
+    node = rclpy.create_node("goal_client")
+    {"send": send, "change": change}[what](node, *arguments)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

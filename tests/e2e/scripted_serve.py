@@ -1,0 +1,11 @@
+"""`pnm` whose `serve` has tasks that do as their goals say; run as a module with the arguments of `pnm`."""
+
+from __future__ import annotations
+
+from planner_bridge import serving
+from planner_bridge.cli import main
+from tests.scripted_tasks import open_scripted
+
+if __name__ == "__main__":
+    serving.open_tasks = open_scripted
+    main()

@@ -1,0 +1,1 @@
+"""Random scripts for visitors of the mall, and who judges what came of them."""
