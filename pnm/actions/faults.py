@@ -44,6 +44,8 @@ class Fault:
     """How many requests then go wrong; None for all."""
     message: str = ""
     ignores_cancel: bool = False
+    chance: float = 1.0
+    """Of those that would go wrong, the share that does."""
 
     def concerns(self, action: GroundAction) -> bool:
         """Tell whether the fault is about this ground action."""
@@ -70,6 +72,8 @@ class Faults:
 
     faults: tuple[Fault, ...] = ()
     changes: tuple[HiddenChange, ...] = ()
+    seed: int = 0
+    """What chance begins with: with the same one the same requests go wrong."""
 
 
 NO_FAULTS = Faults()
@@ -88,8 +92,8 @@ def read_faults(path: Path, known: Vocabulary | None = None) -> Faults:
             names something that is not known.
     """
     top = load_yaml(path)
-    top.only("faults", "changes")
-    faults = Faults(tuple(map(_fault, top.sequence("faults"))), tuple(map(_change, top.sequence("changes"))))
+    top.only("faults", "changes", "seed")
+    faults = Faults(tuple(map(_fault, top.sequence("faults"))), tuple(map(_change, top.sequence("changes"))), top.whole("seed", 0))
     if known is not None:
         for fault, entry in zip(faults.faults, top.sequence("faults"), strict=True):
             known.check_call(fault.what, entry.position("action" if "action" in entry.nodes else "call"))
@@ -108,13 +112,16 @@ def ground_name(text: str) -> str:
 
 
 def _fault(entry: Mapped) -> Fault:
-    entry.only("action", "call", "do", "after", "times", "message", "ignores_cancel")
+    entry.only("action", "call", "do", "after", "times", "message", "ignores_cancel", "chance")
     action, call, kind = entry.string("action"), entry.string("call"), entry.string("do")
     if (action is None) == (call is None):
         raise InputError("expected either 'action' or 'call'", entry.start)
     kinds = [one.value for one in FaultKind]
     if kind not in kinds:
         raise InputError(f"expected 'do' to be one of {', '.join(kinds)}; found {kind!r}", entry.position("do"))
+    chance = entry.number("chance", 1.0)
+    if chance > 1.0:
+        raise InputError(f"expected a share from 0 to 1 as 'chance', found {chance:g}", entry.position("chance"))
     return Fault(
         what=action or ground_name(call or ""),
         kind=FaultKind(kind),
@@ -122,6 +129,7 @@ def _fault(entry: Mapped) -> Fault:
         times=entry.whole("times", None),
         message=entry.string("message") or "",
         ignores_cancel=entry.flag("ignores_cancel"),
+        chance=chance,
     )
 
 

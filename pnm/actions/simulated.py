@@ -7,6 +7,7 @@ offers the same robots as ROS 2 action servers.
 from __future__ import annotations
 
 import asyncio
+import random
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
@@ -69,8 +70,12 @@ class SimulatedRobots:
     _jobs: dict[UUID, _Job] = field(default_factory=dict)
     _lost: set[str] = field(default_factory=set)
     _seen: dict[int, int] = field(default_factory=dict)
+    _chance: random.Random = field(init=False)
     _begun: bool = False
     _timers: dict[Callable[[], None], asyncio.TimerHandle] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._chance = random.Random(self.faults.seed)
 
     def begin(self) -> None:
         """Start the world's clock, once: timed changes count from here."""
@@ -194,7 +199,8 @@ class SimulatedRobots:
         for position, fault in enumerate(self.faults.faults):
             if fault.concerns(action):
                 seen = self._seen[position] = self._seen.get(position, 0) + 1
-                if seen > fault.after and (fault.times is None or seen <= fault.after + fault.times):
+                counts = seen > fault.after and (fault.times is None or seen <= fault.after + fault.times)
+                if counts and (fault.chance == 1.0 or self._chance.random() < fault.chance):
                     chosen = chosen or fault
         return chosen
 

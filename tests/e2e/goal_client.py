@@ -9,12 +9,15 @@ from __future__ import annotations
 import json
 import sys
 from typing import Any
+from uuid import uuid4
 
 import rclpy
 from lifecycle_msgs.srv import ChangeState, GetState
 from pnm_interfaces.action import AchieveGoal
 from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
 from rclpy.qos import QoSProfile
+from unique_identifier_msgs.msg import UUID
 
 
 def say(event: str, **fields: Any) -> None:
@@ -50,9 +53,21 @@ class Sender:
         self.waiting -= 1
 
 
+def meet(node: Any, client: Any) -> None:
+    """Ask for the result of a goal that nobody has until there is an answer: what a server answers before it knows us gets lost."""
+    for _ in range(30):
+        handle = ClientGoalHandle(client, UUID(uuid=list(uuid4().bytes)), AchieveGoal.Impl.SendGoalService.Response())
+        future = handle.get_result_async()
+        rclpy.spin_until_future_complete(node, future, timeout_sec=1.0)
+        if future.done():
+            return
+    raise TimeoutError("the server never answers")
+
+
 def send(node: Any, *goals: str) -> None:
     sender = Sender(node)
     assert sender.client.wait_for_server(30.0)
+    meet(node, sender.client)
     for number, goal in enumerate(goals):
         sender.send(number, goal)
     while sender.waiting:
