@@ -1,0 +1,123 @@
+"""From the mark on a failure place to the first action of the new plan being sent. Not a test: `python tests/benchmarks/bench_replanning.py [FOLDER...]`.
+
+Simulated robots, in real time but fast, fail by chance; a folder holds domain.pddl and problem.pddl. Without any, the project's own
+problems are measured. What is measured lies between two calls of an observer in one process: knowing that there is a failure,
+deciding what follows, planning, the plan graph, the machine, its proof, and the first request. Where others go on meanwhile, the
+new plan waits for nobody; only failures after which a planner was asked are counted.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from statistics import median
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT))
+
+from planner_bridge.loading import load
+from planner_bridge.model import Problem
+from planner_bridge.pipeline import pursue
+from planner_bridge.plan import Plan
+from planner_bridge.replanning import Limits
+from planner_bridge.sites import robots_of
+from planner_bridge.stopwatch import Stopwatch
+from planner_bridge.tasks import OnChange, Settings, TaskObserver
+from pnm.actions.base import Request
+from pnm.actions.faults import Fault, FaultKind, Faults
+from pnm.analysis import Proof
+from pnm.bindings import Bindings, read_bindings
+from pnm.clock import run_async
+from pnm.errors import PnmError
+from pnm.machine import OnFailure, PetriNetMachine
+from pnm.plan_graph import ActionCall
+from pnm.results import Failure
+from pnm.sites import RobotsSite
+
+SEEDS = range(8)
+SPEED = 200.0
+
+
+@dataclass
+class Clock(TaskObserver):
+    """Seconds from failures to the first request of what follows, and how many of them the planner took."""
+
+    found: list[tuple[float, float]] = field(default_factory=list)
+    failed_at: float | None = None
+    asked_at: float = 0.0
+    planner: float = 0.0
+    is_ready: bool = False
+
+    def failed(self, failure: Failure, now: float) -> None:
+        if self.failed_at is None:
+            self.failed_at, self.planner, self.is_ready = time.perf_counter(), 0.0, False
+
+    def planning(self, planner: str) -> None:
+        self.asked_at = time.perf_counter()
+
+    def planned(self, plan: Plan) -> None:
+        self.planner = time.perf_counter() - self.asked_at
+
+    def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
+        self.is_ready = True
+
+    def sent(self, call: ActionCall, request: Request, now: float) -> None:
+        if self.failed_at is not None and self.is_ready:
+            if self.planner:
+                self.found.append((time.perf_counter() - self.failed_at, self.planner))
+            self.failed_at = None
+
+
+def measured(problem: Problem, bindings: Bindings) -> list[tuple[float, float]]:
+    """Pursue the goal once for every seed; one request in five is aborted."""
+    found: list[tuple[float, float]] = []
+    bindings = replace(bindings, actions={name: replace(one, retries=0) for name, one in bindings.actions.items()})
+    for seed in SEEDS:
+        faults = Faults(tuple(Fault(name, FaultKind.ABORT, chance=0.2) for name in problem.domain.actions), seed=seed)
+        clock = Clock()
+        site = RobotsSite(robots_of(problem, bindings, faults, speed=SPEED), bindings.assumed)
+        limits = Limits(replans=30, seconds=60.0, forbid_after=1, backoff=0.0)
+        settings = Settings(bindings=bindings, limits=limits, on_failure=OnFailure.CONTINUE_OTHERS, on_change=OnChange.EAGER)
+        run_async(pursue(problem, site, settings, clock, Stopwatch()), virtual=False)
+        found += clock.found
+    return found
+
+
+def named(arguments: list[str]) -> list[tuple[str, Problem, Bindings]]:
+    """The problems to be measured, those left out that cannot be read."""
+    found = []
+    if not arguments:
+        for file in sorted((ROOT / "problems").glob("*/p*.pddl")):
+            folder = ROOT / "domains" / file.parent.name
+            problem = load(folder / "domain.pddl", file)
+            bindings = folder / "bindings.yaml"
+            found.append((f"{file.parent.name}/{file.stem}", problem, read_bindings(bindings) if bindings.exists() else Bindings()))
+    for folder in map(Path, arguments):
+        try:
+            found.append((folder.name, load(folder / "domain.pddl", folder / "problem.pddl"), Bindings()))
+        except PnmError as error:
+            print(f"{folder.name}: {str(error)[:80]}")
+    return found
+
+
+def main(arguments: list[str]) -> None:
+    every: list[tuple[float, float]] = []
+    print(f"{'problem':34} {'failures':>8} {'median':>9} {'planner':>9} {'worst':>9}")
+    for name, problem, bindings in named(arguments):
+        found = measured(problem, bindings)
+        every += found
+        if found:
+            whole, planner = [one[0] for one in found], [one[1] for one in found]
+            times = (median(whole), median(planner), max(whole))
+            print(f"{name:34} {len(found):8} " + " ".join(f"{1000 * one:6.1f} ms" for one in times))
+        else:
+            print(f"{name:34} {0:8}")
+    if every:
+        share = sum(one[1] for one in every) / sum(one[0] for one in every)
+        print(f"all: {len(every)} failures, median {1000 * median(one[0] for one in every):.1f} ms, the planner's share {share:.0%}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
