@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from dataclasses import replace as changed
+from io import StringIO
 from pathlib import Path
 from random import Random
 from uuid import UUID
@@ -15,8 +17,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from planner_bridge.simulate import LoggedRobots
 from planner_bridge.written import simulated_site, together
-from pnm.actions.base import Ended, Outcome, OutcomeKind
+from pnm.actions.base import Ended, Outcome, OutcomeKind, Request
 from pnm.actions.simulated import SimulatedRobots
 from pnm.actions.world import World
 from pnm.bindings import Binding, Bindings
@@ -351,6 +354,22 @@ def test_robots_notice_when_a_resource_is_used_twice_at_once() -> None:
     pool = Resources()
     assert clashes(bindings, lambda: pool) == []
     assert clashes(Bindings(), lambda: None) == []
+
+
+def test_a_clash_is_written_down_by_simulated_servers() -> None:
+    bindings = Bindings({"move": Binding(resources=("{robot}/base",))})
+    log = StringIO()
+
+    async def main() -> None:
+        robots = LoggedRobots(SimulatedRobots(World(KnowledgeBase(), frozenset()), bindings=bindings), log)
+        for number in range(2):
+            robots.send(Request(UUID(int=number), GroundAction("move", ("r1",), ("robot",), duration=5.0), {}, 1), lambda _: None)
+        await asyncio.sleep(10)
+
+    run_async(main(), virtual=True)
+    lines = [json.loads(line) for line in log.getvalue().splitlines()]
+    assert [line["event"] for line in lines] == ["start", "start", "clash", "end", "end"]
+    assert lines[2]["text"] == "r1/base is used by move(r1) and move(r1) at once"
 
 
 NESTED = """
