@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NoReturn, Protocol
-
-from pnm.errors import InputError
+from typing import Protocol
 
 
 class ServedWorld(Protocol):
@@ -32,31 +30,3 @@ class ServedWorld(Protocol):
 
     async def load(self, domain: str, problem: str, /) -> None:
         """Begin anew with another domain or problem, each PDDL as a text or the path of a file; refused while there are tasks."""
-
-
-class UnservedWorld:
-    """Refuses every request."""
-
-    async def query(self, questions: Sequence[str], /) -> NoReturn:
-        """Refuse."""
-        raise _unserved()
-
-    async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> NoReturn:
-        """Refuse."""
-        raise _unserved()
-
-    async def get(self) -> NoReturn:
-        """Refuse."""
-        raise _unserved()
-
-    async def save(self, file: str, /) -> NoReturn:
-        """Refuse."""
-        raise _unserved()
-
-    async def load(self, domain: str, problem: str, /) -> NoReturn:
-        """Refuse."""
-        raise _unserved()
-
-
-def _unserved() -> InputError:
-    return InputError("this node does not tell what it knows of the world, nor takes what others know")
