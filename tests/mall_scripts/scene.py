@@ -15,8 +15,8 @@ from tests.mall_scripts.scripts import file_of, script
 DOMAIN: Final = ROOT / "domains" / "mall"
 SPEED: Final = "80"
 """How many times faster than real time the robot is: it speaks for 25 ms."""
-PATIENCE: Final = 0.6
-"""Seconds that the node waits for an answer."""
+PATIENCE: Final = 1.2
+"""Seconds that the node waits for an answer: more than a machine under load needs to deliver one that is late, or it is asked again."""
 EACH: Final = 30.0
 """Seconds for a script, at most; most take about one."""
 
