@@ -21,8 +21,8 @@ from pnm.results import CallResult, Failure
 from pnm.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
 
 _FINISHED = frozenset({"succeeded", "already true"})
-_WORLD = frozenset({"precondition_false", "invariant_false"})
-"""Causes that speak against the state of the world, not against the action: it may be planned with again."""
+_WORLD = frozenset({"precondition_false", "invariant_false", "data_missing"})
+"""Causes that speak against the state of the world or of knowledge, not against the action: it may be planned with again."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -123,13 +123,21 @@ class Search:
 def lean(problem: Problem, plan: Plan) -> Plan:
     """Return the plan without calls that it does not need to reach its goal; planners sometimes add some.
 
-    One after the other is left out if what is left still works (greedy action elimination, Nakhost and Müller, 2010). Plans with
-    times, constraints or tasks are left as they are, and so are long ones: the work grows with the square of their length.
+    One after the other is left out if what is left still works (greedy action elimination, Nakhost and Müller, 2010). Where a plan
+    is more than a way to its goal it is left as it is, and so are long ones: the work grows with the square of their length.
     """
-    if plan.temporal or problem.network or problem.constraints or problem.domain.constraints or len(plan.steps) > LEAN:
+    if plan.temporal or len(plan.steps) > LEAN or _wants_more(problem):
         return plan
     progress = Progress.beginning(plan_graph(problem, plan))
     if why_not(progress, initial_knowledge(problem)):
         return plan
     kept = {call.index for call in shortened(progress, initial_knowledge(problem)).rest}
     return replace(plan, steps=tuple(step for number, step in enumerate(plan.steps) if number in kept))
+
+
+def _wants_more(problem: Problem) -> bool:
+    """Tell whether the problem asks for more than its goal: tasks, constraints, preferences, or the best of something."""
+    domain, metric = problem.domain, problem.metric
+    is_short = metric is None or (metric.direction == "minimize" and str(metric.expression) in ("(total-cost)", "(total-time)"))
+    preferences = (*domain.preferences, *problem.preferences, *(one for schema in domain.actions.values() for one in schema.preferences))
+    return bool(problem.network or problem.constraints or domain.constraints or preferences) or not is_short

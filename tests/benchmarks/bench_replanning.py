@@ -1,4 +1,4 @@
-"""From the mark on a failure place to the first action of the new plan being sent. Not a test: `python tests/benchmarks/bench_replanning.py [FOLDER...]`.
+"""From a failure to the first action of the new plan. Not a test: `python tests/benchmarks/bench_replanning.py [FOLDER...]`.
 
 Simulated robots, in real time but fast, fail by chance; a folder holds domain.pddl and problem.pddl. Without any, the project's own
 problems are measured. What is measured lies between two calls of an observer in one process: knowing that there is a failure,
