@@ -186,6 +186,11 @@ class Pursuit:
         return Progress(self.executor.run.machine.plan, calls, frozenset(one.call.index for one in calls if one.outcome in _BEGUN))
 
     @property
+    def running(self) -> tuple[str, ...]:
+        """The calls that are under way."""
+        return tuple(str(call.action) for call in self.run.open_calls.values()) if self.run else ()
+
+    @property
     def footprint(self) -> Footprint | None:
         """What the rest of the plan needs and changes; None while there is no plan."""
         if (progress := self.progress) is None:

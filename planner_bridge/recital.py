@@ -41,12 +41,18 @@ class Recital:
         self._task.enter(TaskState.RUNNING)
         result = await self._performer.execute(self._performance)
         code, reason = self._ending(result)
-        return TaskEnding(code, reason, results=self._performance.results)
+        cause = "" if result.goal or result.stopped else result.failures[0].cause if result.failures else "goal_false"
+        return TaskEnding(code, reason, results=self._performance.results, cause=cause)
 
     @property
     def run(self) -> Run:
         """The run of the plan."""
         return self._performance.executor.run
+
+    @property
+    def running(self) -> tuple[str, ...]:
+        """The calls that are under way, those in plans that it calls as well."""
+        return self._performance.running
 
     @property
     def footprint(self) -> Footprint:

@@ -5,17 +5,22 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
 from planner_bridge.making import Maker
-from planner_bridge.model import Problem
+from planner_bridge.model import Domain, Problem
 from planner_bridge.problem_files import load_texts, write_inside
 from planner_bridge.shared_world import SharedWorld
 from planner_bridge.state import initial_knowledge
 from planner_bridge.tasks import Settings
 from pnm.conditions import Condition
+from pnm.errors import InputError
 from pnm.expressions import Fluent, Unknown, Value
 from pnm.knowledge import KnowledgeBase
 from pnm.tasking import MadePlan
+
+NOTHING: Final = Problem("nothing", Domain("nothing"))
+"""The problem of a node that has none, and carries out plans only."""
 
 
 class ServedProblem:
@@ -43,8 +48,15 @@ class ServedProblem:
     def _begin(self, problem: Problem) -> None:
         loop = asyncio.get_running_loop()
         began = loop.time()
-        world = SharedWorld(problem, self._knowledge, self._goals, elapsed=lambda: loop.time() - began)
-        self._world, self._maker = world, Maker(problem, self._knowledge, self._settings, world.read_goal, began)
+        goals = {} if problem is NOTHING else self._goals
+        self._world = SharedWorld(problem, self._knowledge, goals, elapsed=lambda: loop.time() - began)
+        self._maker = Maker(problem, self._knowledge, self._settings, self.read_goal, began)
+
+    @property
+    def _loaded(self) -> SharedWorld:
+        if self._world.problem is NOTHING:
+            raise InputError("no domain and problem are loaded, only plans; expected them when the node starts, or by problem/load")
+        return self._world
 
     def read_goal(self, text: str) -> Condition:
         """Return the goal that is meant.
@@ -52,7 +64,7 @@ class ServedProblem:
         Raises:
             InputError: it is none.
         """
-        return self._world.read_goal(text)
+        return self._loaded.read_goal(text)
 
     async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:
         """Look for a plan that nobody carries out."""
@@ -60,19 +72,19 @@ class ServedProblem:
 
     async def query(self, questions: Sequence[str], /) -> list[tuple[str, str]]:
         """Return what is known of each question, in order; of everything that is known, when there are none."""
-        return self._world.query(questions)
+        return (self._loaded if questions else self._world).query(questions)
 
     async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
         """Record all of it at once or nothing; return how many of the facts are news."""
-        return self._world.update(add, remove, forget)
+        return self._loaded.update(add, remove, forget)
 
     async def get(self) -> tuple[str, str]:
         """Return domain and problem in PDDL, the problem as the world is now."""
-        return self._world.domain_text(), self._world.problem_text()
+        return self._loaded.domain_text(), self._loaded.problem_text()
 
     async def save(self, file: str, /) -> str:
         """Write the problem as the world is now to a file in the folder; return its whole path."""
-        return str(await asyncio.to_thread(write_inside, self._folder, file, self._world.problem_text()))
+        return str(await asyncio.to_thread(write_inside, self._folder, file, self._loaded.problem_text()))
 
     async def load(self, domain: str, problem: str, /) -> None:
         """Begin anew with another domain or problem; goals with names must make sense in it as well."""

@@ -13,14 +13,14 @@ from typing import Any, Final, TypeAlias
 from uuid import UUID
 
 from planner_bridge.common_knowledge import common_knowledge
-from planner_bridge.console import ConsoleObserver, Terminal
+from planner_bridge.console import Terminal
 from planner_bridge.loading import load
 from planner_bridge.model import Problem
 from planner_bridge.replanning import Limits
-from planner_bridge.served_problem import ServedProblem
+from planner_bridge.served_problem import NOTHING, ServedProblem
 from planner_bridge.serving_options import PARAMETERS, Options
 from planner_bridge.shared_world import read_goals
-from planner_bridge.task_console import TaskConsole, shortened
+from planner_bridge.task_console import TaskConsole
 from planner_bridge.tasking import Room as Places
 from planner_bridge.tasking import TaskMaster
 from planner_bridge.tasks import Settings
@@ -31,7 +31,6 @@ from pnm.knowledge import KnowledgeBase, Layered
 from pnm.language.world import read_world
 from pnm.parameter import ParameterValue
 from pnm.performing import Performer, Program
-from pnm.ros.served_goals import Audience, Ending, ServedGoal
 from pnm.sensing import NO_SENSING
 from pnm.sensing_file import read_sensing
 from pnm.served_world import ServedWorld
@@ -74,8 +73,8 @@ class Opened:
     close: Callable[[], Awaitable[None]]
 
 
-async def open_tasks(room: Room, problem: Problem) -> Opened:
-    """Return who pursues the goals of a problem. This is the one place where it is made."""
+async def open_tasks(room: Room) -> Opened:
+    """Return who pursues goals and carries out plans. This is the one place where it is made."""
     options = room.options
     settings = Settings(
         options.planner,
@@ -86,6 +85,7 @@ async def open_tasks(room: Room, problem: Problem) -> Opened:
         on_change=options.on_change,
     )
     goals = read_goals(options.goals) if options.goals else {}
+    problem = room.problem or NOTHING
     world = ServedProblem(problem, room.knowledge, goals, settings, options.problems)
     places = Places(options.max_tasks, options.max_queue, options.on_conflict)
     master = TaskMaster(
@@ -148,7 +148,7 @@ async def _live(ros: Any, given: Mapping[str, ParameterValue], terminal: Termina
 class Serving:
     """What the node does in each state of its life cycle.
 
-    The mutable state is what is open, in the order in which it was opened; the servers of plans and of tasks; and their names.
+    The mutable state is what is open, in the order in which it was opened; what tasks are offered with; and the names of the actions.
     """
 
     def __init__(self, ros: Any, options: Options, terminal: Terminal, warn: Warn) -> None:
@@ -157,7 +157,6 @@ class Serving:
         self._terminal = terminal
         self._warn = warn
         self._open = AsyncExitStack()
-        self._plans: Any = None
         self._tasks: Any = None
         self._names: tuple[str, ...] = ()
 
@@ -170,16 +169,12 @@ class Serving:
 
     async def activate(self) -> None:
         """Take goals, and let tasks go on."""
-        self._plans.resume()
-        if self._tasks is not None:
-            await self._tasks.activate()
+        await self._tasks.activate()
         self._say(f"ready: {len(self._names)} action servers: {', '.join(self._names)}")
 
     async def deactivate(self) -> None:
         """Reject goals, and pause tasks."""
-        await self._plans.pause()
-        if self._tasks is not None:
-            await self._tasks.deactivate()
+        await self._tasks.deactivate()
         self._say("inactive: goals are rejected, and tasks are paused")
 
     async def cleanup(self) -> None:
@@ -208,33 +203,26 @@ class Serving:
 
     async def _offer(self, room: Room, stack: AsyncExitStack) -> None:
         from pnm.ros.goal_server import check_alone  # here, because rclpy is an extra
-        from pnm.ros.plan_servers import PlanServers
         from pnm.ros.task_node import TaskNode, action_names
 
-        self._plans = PlanServers(self._ros, room.performer, Reporter(self._terminal))
-        names = await self._plans.names()
-        tasks = await self._ros.ask(partial(action_names, self._ros)) if room.problem else ()
-        self._names = (*tasks, *names.values())
+        tasks, plans = await self._ros.ask(partial(action_names, self._ros, room.performer.programs))
+        self._names = (*tasks, *plans.values())
         await check_alone(self._ros, self._names)
-        opened = await open_tasks(room, room.problem) if room.problem else None
+        opened = await open_tasks(room)
         await self._share(room, opened)
         await self._prepare(room.performer, stack)
-        stack.push_async_callback(self._plans.close, room.options.cancel)
-        await self._plans.open(names)
-        self._tasks = None
-        if opened:
-            self._tasks = TaskNode(self._ros, opened.tasks, opened.make, opened.world, room.knowledge)
-            stack.push_async_callback(opened.close)
-            stack.callback(opened.tasks.listen(TaskConsole(self._terminal, opened.tasks)))
-            stack.push_async_callback(self._tasks.close, room.options.cancel)
-            await self._tasks.open()
+        self._tasks = TaskNode(self._ros, opened.tasks, opened.make, opened.world, room.knowledge, plans)
+        stack.push_async_callback(opened.close)
+        stack.callback(opened.tasks.listen(TaskConsole(self._terminal, opened.tasks)))
+        stack.push_async_callback(self._tasks.close, room.options.cancel)
+        await self._tasks.open()
 
-    async def _share(self, room: Room, opened: Opened | None) -> None:
+    async def _share(self, room: Room, opened: Opened) -> None:
         """Let action servers ask what whoever has sent them a goal knows."""
 
         def find(request: UUID) -> tuple[Layered, Asker] | None:
             found = room.performer.knowledge_of(request)
-            return opened.knowledge_of(request) if found is None and opened else found
+            return opened.knowledge_of(request) if found is None else found
 
         await room.site.share(room.performer.prefix, find, room.sources)
 
@@ -264,24 +252,3 @@ def _bindings(options: Options, problem: Problem | None) -> Bindings:
     beside = options.domain.parent / "bindings.yaml" if options.domain else None
     file = options.bindings or (beside if beside and beside.is_file() else None)
     return read_bindings(file, problem.vocabulary if problem else None) if file else Bindings()
-
-
-class Reporter(Audience):
-    """Prints a line per moment of every goal. The mutable state is the lines' common beginning of time."""
-
-    def __init__(self, terminal: Terminal) -> None:
-        self._terminal = terminal
-        self._began = asyncio.get_running_loop().time()
-        self._goals: dict[ServedGoal, ConsoleObserver] = {}
-
-    def began(self, goal: ServedGoal) -> ConsoleObserver:
-        """Print that a goal was accepted."""
-        observer = self._goals[goal] = ConsoleObserver(self._terminal, f"{goal.plan} {goal.id.hex[:8]}  ", self._began)
-        observer.line(asyncio.get_running_loop().time(), "[bold]goal[/]  ", shortened(goal.parameters or "{}"))
-        return observer
-
-    def ended(self, goal: ServedGoal, ending: Ending) -> None:
-        """Print how a goal ended."""
-        word = "[bold green]reached[/]" if ending.success else "[bold red]ended[/]  "
-        said = shortened(", ".join(f"{name}: {value}" for name, value in ending.results.items())) if ending.success else ending.message
-        self._goals.pop(goal).line(asyncio.get_running_loop().time(), word, said)

@@ -84,6 +84,8 @@ class Options:
             raise InputError("a domain and a problem belong together; expected both or neither")
         if given["domain"] is None and given["world"] is None:
             raise InputError("there is nothing to serve; expected a domain and a problem, or a world of plans, or both")
+        if given["goals"] and given["domain"] is None:
+            raise InputError("goals with names need a domain and a problem; expected both, or no goals")
         given["problems"] = given["problems"] or Path()
         given["world_name"] = given["world_name"] or None
         given["on_failure"], given["on_conflict"] = OnFailure(given["on_failure"]), OnConflict(given["on_conflict"])

@@ -53,6 +53,10 @@ class Doing(Protocol):
     def is_paused(self) -> bool:
         """Whether it was told to pause."""
 
+    @property
+    def running(self) -> tuple[str, ...]:
+        """The calls that are under way."""
+
     def stop(self, code: Code, reason: str) -> None:
         """End it."""
 
@@ -93,6 +97,7 @@ class Task(TaskObserver):
     """The tasks of higher priority that it makes way for."""
     ended_calls: int = 0
     replans: int = 0
+    restarts: int = 0
     plans: int = 0
     nets: int = 0
     ending: TaskEnding | None = None
@@ -123,9 +128,9 @@ class Task(TaskObserver):
     @property
     def status(self) -> Status:
         """How it is doing."""
-        run = self.doing.run if self.doing else None
-        running = tuple(str(call.action) for call in run.open_calls.values()) if run and self.ending is None else ()
-        return Status(self.id, self.wanted.text, self.wanted.priority, self.state, self.why, running, self.ended_calls, self.replans)
+        running = self.doing.running if self.doing and self.ending is None else ()
+        counts = self.ended_calls, self.replans, self.restarts
+        return Status(self.id, self.wanted.text, self.wanted.priority, self.state, self.why, running, *counts)
 
     @property
     def steps(self) -> tuple[Step, ...]:
@@ -177,7 +182,7 @@ class Task(TaskObserver):
         """Be over."""
         self.state, self.why = TaskState.OVER, ending.message
         self.note("state", "", f"over: {ending.code.word}: {ending.message}")
-        self.ending = TaskEnding(ending.code, ending.message, self.replans, tuple(self.trace), ending.results)
+        self.ending = TaskEnding(ending.code, ending.message, self.replans, tuple(self.trace), ending.results, ending.cause)
         if self.deadline:
             self.deadline.cancel()
         self.listener.ended(self.id, self.ending)
@@ -225,5 +230,8 @@ class Task(TaskObserver):
 
     def fired(self, transition: str, rule: Rule, now: float) -> None:
         """Tell that a transition has fired; too much for the trace of the task."""
+        if rule.name == "begin_anew":
+            self.restarts += 1
+            self.listener.changed(self.id)
         self.listener.happened(Moment(self.id, now, "fired", transition))
         self.listener.moved(self.id)

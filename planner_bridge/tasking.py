@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-from collections.abc import Callable, Coroutine, Iterable
+from collections.abc import Callable, Collection, Coroutine, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -148,9 +148,9 @@ class TaskMaster:
         await asyncio.gather(*(self._pause(one, "somebody has paused it", at_once) for one in chosen))
         self._turnstile.changed()
 
-    async def resume(self, task: UUID | None, /) -> None:
-        """Let a task that was paused go on, or all."""
-        chosen = self._chosen(task)
+    async def resume(self, task: UUID | None, /, *, but: Collection[UUID] = ()) -> None:
+        """Let a task that was paused go on, or all but these."""
+        chosen = [one for one in self._chosen(task) if one.id not in but]
         if task is None:
             self._is_held = False
         elif not chosen[0].is_held:
@@ -243,9 +243,11 @@ class TaskMaster:
             InputError: it is neither.
         """
         programs = self._performer.programs if self._performer else {}
-        if self._performer and (task.wanted.text in programs or "(" not in task.wanted.text):
+        if self._performer and (task.wanted.text in programs or (programs and "(" not in task.wanted.text)):
             recital = Recital(self._performer, task)
             return lambda: (recital, recital.perform())
+        if task.wanted.parameters:
+            raise InputError(f"a plan that is sent as a text has no parameters; found {', '.join(task.wanted.parameters)}")
         plan = read_plan(task.wanted.text, self._now())
         return partial(self._pursuit, task, TRUE, plan)
 

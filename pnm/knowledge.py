@@ -136,6 +136,8 @@ class KnowledgeBase:
     def begin_anew(self, facts: Mapping[Fluent, Value | Unknown], objects: Mapping[str, tuple[str, ...]], rules: Rules) -> None:
         """Forget the facts, objects and rules of one world and begin with those of another; variables and who senses what stay.
 
+        What is sensed stays as it was reported last: whoever reports it does not do so again because somebody begins anew.
+
         Raises:
             InputError: a fact is given that rules derive; nothing has changed.
         """
@@ -145,6 +147,8 @@ class KnowledgeBase:
         except InputError:
             self.rules, self._derived = old_rules, old_rules.derived
             raise
+        reported = {fluent: value for fluent, value in self._facts.items() if self.is_sensed(fluent) and not self._derives(fluent)}
+        facts = {**{fluent: value for fluent, value in facts.items() if not self.is_sensed(fluent)}, **reported}
         changes = {fluent: nothing_like(value) for fluent, value in self._facts.items() if fluent not in facts and value is not UNKNOWN}
         changes |= {fluent: value for fluent, value in facts.items() if not same(self._facts.get(fluent), value)}
         self._facts.clear()

@@ -149,7 +149,8 @@ class Performer:
             InputError: there is no such plan, or it has no such parameter.
         """
         if name not in self.programs:
-            raise InputError(f"there is no plan {name!r}; expected one of {', '.join(self.programs)}")
+            hint = meant(name, self.programs) or f"expected one of {', '.join(self.programs) or 'none, for none is loaded'}"
+            raise InputError(f"there is no plan {name!r}; {hint}")
         program, given = self.programs[name], dict(parameters or {})
         _check_parameters(program.plan, given)
         knowledge = Layered(self.world, KnowledgeBase(variables={**program.plan.variables, **given}))

@@ -6,7 +6,7 @@ process share the knowledge of the world and the resources of its robots.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Protocol, TypeAlias
@@ -109,6 +109,8 @@ class Status:
     running: tuple[str, ...] = ()
     ended: int = 0
     replans: int = 0
+    restarts: int = 0
+    """How often a plan that is loaded was begun anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,6 +158,8 @@ class TaskEnding:
     trace: tuple[Moment, ...] = ()
     results: Mapping[str, object] = field(default_factory=dict)
     """The variables that a plan gives back."""
+    cause: str = ""
+    """Of a plan that is loaded: why it has failed, in one word, such as ``aborted`` or ``goal_false``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,8 +217,8 @@ class Tasks(Protocol):
             TaskRefused: there is no such task.
         """
 
-    async def resume(self, task: UUID | None, /) -> None:
-        """Let a task that was paused go on, or all.
+    async def resume(self, task: UUID | None, /, *, but: Collection[UUID] = ()) -> None:
+        """Let a task that was paused go on, or all but these.
 
         Raises:
             TaskRefused: there is no such task, or it is not paused.

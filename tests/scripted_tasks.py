@@ -8,14 +8,13 @@ A condition in PDDL is pursued for ever.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from uuid import UUID
 
-from planner_bridge.model import Problem
-from planner_bridge.serving import Opened, Room
+from planner_bridge.serving import Opened, Room, open_tasks
 from pnm.errors import InputError
 from pnm.expressions import Fluent, Unknown, Value, show
 from pnm.generation import generate
@@ -73,9 +72,9 @@ class ScriptedTasks:
                 await asyncio.sleep(0)
                 self._enter(one, TaskState.PAUSED)
 
-    async def resume(self, task: UUID | None, /) -> None:
+    async def resume(self, task: UUID | None, /, *, but: Collection[UUID] = ()) -> None:
         self.paused &= task is not None
-        for one in self._meant(task):
+        for one in set(self._meant(task)).difference(but):
             if self.open[one].state is TaskState.PAUSED:
                 self._enter(one, self._before[one])
             elif task is not None:
@@ -189,6 +188,8 @@ class ScriptedWorld:
         return {"added": added, "fluents": [*numbers], "values": [*numbers.values()]}
 
 
-async def open_scripted(room: Room, problem: Problem) -> Opened:
-    """Stand in for `planner_bridge.serving.open_tasks`."""
+async def open_scripted(room: Room) -> Opened:
+    """Stand in for `planner_bridge.serving.open_tasks` where there are goals to be pursued."""
+    if room.problem is None:
+        return await open_tasks(room)
     return Opened(ScriptedTasks(room.options.max_queue), scripted_search, ScriptedWorld(room.knowledge), partial(asyncio.sleep, 0))

@@ -50,6 +50,15 @@ def wanted_plan(id: UUID, request: Any) -> Wanted:
     return Wanted(id, request.plan.strip(), request.priority, deadline, parameters=parameters, is_plan=True)
 
 
+def wanted_run(plan: str, id: UUID, request: Any) -> Wanted:
+    """Read a goal of the action of a plan.
+
+    Raises:
+        InputError: its parameters are none.
+    """
+    return Wanted(id, plan, parameters=read_parameters(request.parameters), is_plan=True)
+
+
 def seconds(name: str, value: float) -> float | None:
     """Read a number of seconds, of which 0 means none.
 
@@ -73,6 +82,16 @@ def status_fields(status: Status) -> Fields:
         "ended": status.ended,
         "replans": status.replans,
     }
+
+
+def task_feedback_fields(status: Status, steps: Iterable[Step]) -> Fields:
+    """Return the fields of the feedback of ``achieve_goal`` and ``execute_plan``."""
+    return {"status": status_fields(status), "plan": rest(steps)}
+
+
+def run_feedback_fields(status: Status, _steps: Iterable[Step]) -> Fields:
+    """Return the fields of the feedback of the action of a plan."""
+    return {"running": [printable(call) for call in status.running], "ended": status.ended, "restarts": status.restarts}
 
 
 def plan_fields(task: UUID, goal: str, number: int, steps: Iterable[Step]) -> Fields:
@@ -132,6 +151,12 @@ def plan_ending_fields(ending: TaskEnding, offset: float) -> Fields:
     """Return the fields of the result of ``execute_plan``."""
     said = Ending(ending.code is Code.GOAL_REACHED, ending.code.word, ending.message, ending.results).fields()
     return {**ending_fields(ending, offset), "message": said["message"], "results": said["results"]}
+
+
+def run_ending_fields(ending: TaskEnding, _offset: float) -> Fields:
+    """Return the fields of the result of the action of a plan."""
+    reason = {Code.GOAL_REACHED: "goal", Code.INVALID_GOAL: "parameters"}.get(ending.code, ending.cause or ending.code.word)
+    return Ending(ending.code is Code.GOAL_REACHED, reason, ending.message, ending.results).fields()
 
 
 def made_fields(made: MadePlan) -> Fields:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections.abc import Iterable, Mapping
 from typing import Any, Final
 from uuid import UUID
 
+from pnm.errors import InputError
 from pnm.knowledge import KnowledgeBase
 from pnm.ros.graph import server_name
 from pnm.ros.node import RosThread
@@ -26,23 +28,27 @@ _log = logging.getLogger(__name__)
 class TaskNode:
     """Offers tasks to whoever knows ROS 2. It takes goals between `activate` and `deactivate`.
 
-    The mutable state is why no goals are taken, whether somebody has paused all tasks, and whether we have.
+    The mutable state is why no goals are taken, whether somebody has paused all tasks or which one by one, and whether we have.
 
     Args:
         tasks: what is done.
         make: finds plans that nobody carries out.
         world: what others may ask and tell.
         knowledge: whose changes are told.
+        plans: the plans that have an action server of their own, and its full name.
     """
 
-    def __init__(self, ros: RosThread, tasks: Tasks, make: Make, world: ServedWorld, knowledge: KnowledgeBase) -> None:
+    def __init__(
+        self, ros: RosThread, tasks: Tasks, make: Make, world: ServedWorld, knowledge: KnowledgeBase, plans: Mapping[str, str] | None = None
+    ) -> None:
         self._ros = ros
         self._tasks = tasks
         self._world = world
         self._closed = "the node is inactive"
         self._is_paused = False
+        self._paused: set[UUID] = set()
         self._is_stopped = False
-        self._servers = TaskServers(ros, tasks, lambda: self._closed)
+        self._servers = TaskServers(ros, tasks, plans or {}, lambda: self._closed)
         self._planning = PlanningServer(ros, make, lambda: self._closed)
         self._topics = TaskTopics(ros, tasks, world, knowledge, lambda: self._is_paused)
         self._services = RequestServices(ros)
@@ -73,7 +79,7 @@ class TaskNode:
         """Take goals, and let those tasks go on that were running when the node was deactivated."""
         self._closed = ""
         if self._is_stopped and not self._is_paused:
-            await self._tasks.resume(None)
+            await self._tasks.resume(None, but=self._paused)
         self._is_stopped = False
         self._topics.note()
 
@@ -105,6 +111,8 @@ class TaskNode:
         self._refuse_inactive()
         if task is None:
             self._is_paused = True
+        else:
+            self._paused = {one.id for one in self._tasks.status() if one.id in {*self._paused, task}}
         await self._tasks.pause(task, at_once=request.at_once)
         self._topics.note()
         return {}
@@ -114,6 +122,9 @@ class TaskNode:
         self._refuse_inactive()
         if task is None:
             self._is_paused = False
+            self._paused.clear()
+        else:
+            self._paused.discard(task)
         await self._tasks.resume(task)
         self._topics.note()
         return {}
@@ -147,9 +158,22 @@ class TaskNode:
             raise TaskRefused(f"{self._closed}: all tasks are paused until it is activated")
 
 
-def action_names(ros: RosThread) -> tuple[str, ...]:
-    """Return the full names of the actions; only on the ROS thread."""
-    return tuple(server_name(ros.node, name) for name in ACTIONS)
+def action_names(ros: RosThread, plans: Iterable[str]) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Return the full names of the actions, and those of each plan; only on the ROS thread.
+
+    Raises:
+        InputError: the name of a plan cannot be a name in ROS, or is that of another action.
+    """
+    own = tuple(server_name(ros.node, name) for name in ACTIONS)
+    found: dict[str, str] = {}
+    for plan in plans:
+        name = server_name(ros.node, plan)
+        if name in own:
+            raise InputError(f"the plan {plan} would have the action server {name}, which the node offers for all tasks")
+        if name in found.values():
+            raise InputError(f"two plans would both have the action server {name}; names in ROS have _ for -")
+        found[plan] = name
+    return own, found
 
 
 def _id(message: Any) -> UUID | None:

@@ -1,4 +1,4 @@
-"""Tasks as goals of the actions ``achieve_goal`` and ``execute_plan``.
+"""Tasks as goals of the actions ``achieve_goal`` and ``execute_plan``, and of one action for every plan that is loaded.
 
 The id of a task is that of its goal. A goal SUCCEEDED only if its task ended with `Code.GOAL_REACHED`; it is CANCELED only if
 somebody asked for that and its task has ended so; in all other cases it is ABORTED, and the result says why. A goal goes on
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
@@ -18,19 +18,31 @@ from uuid import UUID
 from pnm.errors import InputError
 from pnm.ros.goal_server import FEEDBACK, Answer, GoalCalls, GoalServer, Status
 from pnm.ros.node import RosThread
-from pnm.ros.task_messages import Fields, goal_ending_fields, plan_ending_fields, rest, status_fields, wanted_goal, wanted_plan
+from pnm.ros.task_messages import (
+    Fields,
+    goal_ending_fields,
+    plan_ending_fields,
+    run_ending_fields,
+    run_feedback_fields,
+    task_feedback_fields,
+    wanted_goal,
+    wanted_plan,
+    wanted_run,
+)
 from pnm.ros.task_topics import ahead
 from pnm.ros.throttle import Throttle
-from pnm.tasking import Code, TaskEnding, TaskListener, TaskRefused, Tasks, Wanted
+from pnm.tasking import Code, Step, TaskEnding, TaskListener, TaskRefused, Tasks, Wanted
+from pnm.tasking import Status as TaskStatus
 
 
 @dataclass(frozen=True, slots=True)
 class _Kind:
-    """An action: its type, what reads its goals, and what writes their results."""
+    """An action: its type, what reads its goals, and what writes their results and the feedback."""
 
     type: str
     read: Callable[[UUID, Any], Wanted]
     write: Callable[[TaskEnding, float], Fields]
+    tell: Callable[[TaskStatus, Iterable[Step]], Fields] = task_feedback_fields
 
 
 _KINDS: Final = {
@@ -43,22 +55,27 @@ _log = logging.getLogger(__name__)
 
 
 class TaskServers(TaskListener):
-    """The two action servers.
+    """The action servers.
 
     The mutable state is, by task, the action whose goal it is; the tasks that somebody wants cancelled; and those of which there
     is feedback to be sent.
 
     Args:
+        plans: the plans that have an action server of their own, and its full name.
         closed: says why no goals are taken; empty while they are.
     """
 
-    def __init__(self, ros: RosThread, tasks: Tasks, closed: Callable[[], str]) -> None:
+    def __init__(self, ros: RosThread, tasks: Tasks, plans: Mapping[str, str], closed: Callable[[], str]) -> None:
         self._ros = ros
         self._tasks = tasks
         self._loop = asyncio.get_running_loop()
+        self._kinds = _KINDS | {
+            name: _Kind("pnm_interfaces/action/RunPlan", partial(wanted_run, plan), run_ending_fields, run_feedback_fields)
+            for plan, name in plans.items()
+        }
         self._servers = {
             name: GoalServer(ros, kind.type, name, GoalCalls(partial(self._begin, name), self._cancel, closed))
-            for name, kind in _KINDS.items()
+            for name, kind in self._kinds.items()
         }
         self._open: dict[UUID, str] = {}
         self._asked: set[UUID] = set()
@@ -97,7 +114,7 @@ class TaskServers(TaskListener):
         try:
             if id in self._open or not id.int:
                 raise InputError(f"the id {id} is that of another task, or of none; expected a new one")
-            wanted = _KINDS[name].read(id, request)
+            wanted = self._kinds[name].read(id, request)
         except InputError as error:
             self._answer(name, id, TaskEnding(Code.INVALID_GOAL, str(error)), is_asked=False)
             return
@@ -145,14 +162,14 @@ class TaskServers(TaskListener):
 
     def _answer(self, name: str, goal: UUID, ending: TaskEnding, is_asked: bool) -> None:
         status = status_of(ending.code, is_asked)
-        self._servers[name].answer(goal, lambda: Answer(status, _KINDS[name].write(ending, ahead(self._ros, self._loop))))
+        self._servers[name].answer(goal, lambda: Answer(status, self._kinds[name].write(ending, ahead(self._ros, self._loop))))
 
     def _feed(self, _: None) -> None:
         noted, self._noted = self._noted, set()
         for status in self._tasks.status():
             if status.id in noted and status.id in self._open:
-                plan = rest(self._tasks.plan(status.id)[1])
-                self._servers[self._open[status.id]].feed(status.id, {"status": status_fields(status), "plan": plan})
+                name = self._open[status.id]
+                self._servers[name].feed(status.id, self._kinds[name].tell(status, self._tasks.plan(status.id)[1]))
 
 
 def status_of(code: Code, is_asked: bool) -> Status:
