@@ -289,8 +289,12 @@ class PlanGraph:
             waits = any(one.after == PlanEvent(call.index, Moment.START) for one in self.orderings)
             if call.under_way and (waits or call.index not in outermost):
                 raise PlanGraphError(f"{call} is under way: it cannot wait for others, or be part of another step")
-        for flow in (self.flow, *(inner for step in self.every_step for inner in flows(step))):
+        inside = tuple(inner for step in self.every_step for inner in flows(step))
+        for flow in (self.flow, *inside):
             _check_orderings(flow)
+        for flow in inside:
+            in_order(flow)
+        self.in_order()
 
     @property
     def flow(self) -> Flow:
@@ -309,6 +313,10 @@ class PlanGraph:
 
     def in_order(self) -> tuple[PlanEvent, ...]:
         """Return all outermost events in an order that keeps every start before its end and every ordering."""
+        return self._order
+
+    @cached_property
+    def _order(self) -> tuple[PlanEvent, ...]:
         return in_order(self.flow)
 
     def __repr__(self) -> str:
@@ -328,7 +336,6 @@ def _check_orderings(flow: Flow) -> None:
         for event, special in between:
             if event.moment is special and (event.call not in calls or calls[event.call].recoveries):
                 raise PlanGraphError(f"{ordering} speaks of the {special.value} of a step that is no call, or has recoveries of its own")
-    in_order(flow)
 
 
 def in_order(flow: Flow) -> tuple[PlanEvent, ...]:
