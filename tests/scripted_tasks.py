@@ -192,4 +192,5 @@ async def open_scripted(room: Room) -> Opened:
     """Stand in for `planner_bridge.serving.open_tasks` where there are goals to be pursued."""
     if room.problem is None:
         return await open_tasks(room)
-    return Opened(ScriptedTasks(room.options.max_queue), scripted_search, ScriptedWorld(room.knowledge), partial(asyncio.sleep, 0))
+    tasks = ScriptedTasks(room.options.max_queue)
+    return Opened(tasks, scripted_search, ScriptedWorld(room.knowledge), lambda _: None, partial(asyncio.sleep, 0))
