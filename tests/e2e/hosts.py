@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -74,6 +75,14 @@ def _connect(made: Lan, host: str, address: str) -> None:
     _ip("-n", space, "address", "add", address, "dev", "net0")
     for device in ("lo", "net0"):
         _ip("-n", space, "link", "set", device, "up")
+
+
+def why_not() -> str:
+    """Return why this machine cannot play several hosts; empty when it can. What is missing is not to be had with pip."""
+    if shutil.which("ip") is None:
+        return "there is no command ip (package iproute2)"
+    tried = subprocess.run(["unshare", "--net", "true"], capture_output=True, text=True, check=False)
+    return f"network namespaces are not allowed here: {tried.stderr.strip()}" if tried.returncode else ""
 
 
 def _ip(*arguments: str) -> None:
