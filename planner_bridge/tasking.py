@@ -17,6 +17,7 @@ from uuid import UUID, uuid4
 
 from planner_bridge.circumstances import Circumstances, Conflict, Neighbours
 from planner_bridge.footprints import Footprint, conflict
+from planner_bridge.mission import Mission
 from planner_bridge.model import Problem
 from planner_bridge.plan import Plan
 from planner_bridge.plan_text import read_plan
@@ -266,7 +267,7 @@ class TaskMaster:
         settings = self._settings if plan is None else replace(self._settings, on_change=OnChange.LAZY)
         knowledge = Layered(self._knowledge)
         problem = replace(self._now(), goal=goal)
-        pursuit = Pursuit(problem, self._site, settings, task, Stopwatch(), knowledge, circumstances, given=plan)
+        pursuit = Pursuit(Mission(problem, self._site, settings, task, Stopwatch(), knowledge, circumstances), given=plan)
         return pursuit, _pursued(pursuit)
 
     async def _do(self, task: Task, performing: Coroutine[None, None, TaskEnding]) -> None:

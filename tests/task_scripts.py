@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import permutations
-from pathlib import Path
 from uuid import UUID
 
 from planner_bridge.loading import load
@@ -79,7 +78,9 @@ def _rooms_plan(rng: random.Random) -> str:
 
 def _rooms_change(rng: random.Random) -> Mapping[Fluent, Value]:
     a, b = rng.choice([*permutations("abcd", 2)])
-    return rng.choice([{("way", a, b): rng.random() < 0.7}, {("clean", a): rng.random() < 0.5}, {("at", "r1", a): True, ("at", "r1", b): False}])
+    return rng.choice(
+        [{("way", a, b): rng.random() < 0.7}, {("clean", a): rng.random() < 0.5}, {("at", "r1", a): True, ("at", "r1", b): False}]
+    )
 
 
 def _matches_goal(rng: random.Random) -> str:
@@ -88,7 +89,9 @@ def _matches_goal(rng: random.Random) -> str:
 
 def _matches_change(rng: random.Random) -> Mapping[Fluent, Value]:
     n = rng.randrange(5)
-    return rng.choice([{("light", f"m{n}"): False}, {("unused", f"m{n}"): True}, {("free",): rng.random() < 0.8}, {("mended", f"f{n}"): True}])
+    return rng.choice(
+        [{("light", f"m{n}"): False}, {("unused", f"m{n}"): True}, {("free",): rng.random() < 0.8}, {("mended", f"f{n}"): True}]
+    )
 
 
 def _tanks_goal(rng: random.Random) -> str:
@@ -123,9 +126,7 @@ def _settings() -> tuple[Setting, ...]:
     robots["load"] = ("{robot}", "lift")
     return (
         Setting(fleet(3), dict.fromkeys(("move", "pick", "drop"), ("{r}",)), _fleet_goal, _fleet_plan, _fleet_change),
-        Setting(
-            fleet(3), {"move": ("{r}",), "pick": ("{r}", "lift"), "drop": ("lift",)}, _fleet_goal, _fleet_plan, _fleet_change
-        ),
+        Setting(fleet(3), {"move": ("{r}",), "pick": ("{r}", "lift"), "drop": ("lift",)}, _fleet_goal, _fleet_plan, _fleet_change),
         Setting(rooms(), {"move": ("{r}", "floor"), "sweep": ("floor",)}, _rooms_goal, _rooms_plan, _rooms_change),
         Setting(
             matches(5),
@@ -216,7 +217,7 @@ def play_script(number: int, tell: Callable[[str], None] = lambda text: None) ->
     )
     try:
         programs = _programs(rng, setting, bindings)
-    except Exception as error:  # noqa: BLE001
+    except Exception as error:
         tell(f"no programs: {error}")
         programs = {}
     counts: dict[Code, int] = {}
