@@ -71,5 +71,8 @@ class _Alarmed(Observer):
         self._observer.failed(failure, now)
         self._alarm()
 
+    def waiting(self, is_so: bool, now: float) -> None:
+        self._observer.waiting(is_so, now)
+
     def orphaned(self, report: Report, now: float) -> None:
         self._observer.orphaned(report, now)

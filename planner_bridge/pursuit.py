@@ -30,7 +30,7 @@ from pnm.tasking import Code, TaskState
 
 
 class Pursuit:
-    """A goal with its episodes. The mutable state is the current relay of runs, the last run of those before it, and what the other parts say of themselves.
+    """A goal with its episodes. The mutable state is the relay of runs, the last run before it, and what the parts say of themselves.
 
     Args:
         mission: what is pursued.
@@ -84,6 +84,11 @@ class Pursuit:
         return self._standing.is_paused
 
     @property
+    def awaits_answers(self) -> bool:
+        """Whether nothing goes on before a person has answered."""
+        return self._relay is not None and self._relay.run.awaits_answers
+
+    @property
     def footprint(self) -> Footprint | None:
         """What the rest of the plan needs and changes; None while there is no plan."""
         if self._relay is None:
@@ -95,8 +100,8 @@ class Pursuit:
         """End whatever is going on; what is under way is cancelled, and confirms it or is given up after its limit."""
         if self._standing.stop(Over(code, reason)):
             self._finding.stop()
+            self._standing.enter(TaskState.CANCELLING, reason)
             if self._relay:
-                self._standing.enter(TaskState.CANCELLING, reason)
                 self._relay.stop(reason)
 
     async def pause(self, reason: str, *, at_once: bool) -> None:

@@ -136,9 +136,11 @@ class Relay:
 
     def changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
         """Look at the plan when facts change otherwise than its calls change them."""
-        if self._is_eager and not self._standing.is_paused and is_relevant(self.progress, changes):
-            if not is_foreseen(self.progress, changes, self._mission.knowledge):
-                self._trouble.set()
+        if not self._is_eager or self._standing.is_paused:
+            return
+        progress = self.progress
+        if is_relevant(progress, changes) and not is_foreseen(progress, changes, self._mission.knowledge):
+            self._trouble.set()
 
     @property
     def _is_eager(self) -> bool:

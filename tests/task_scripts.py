@@ -288,7 +288,7 @@ def play_script(number: int, tell: Callable[[str], None] = lambda text: None) ->
             tell(f"{ending.code.word}: {stage.goals[task]!r}: {ending.message}")
             if ending.code is Code.ERROR:
                 stage.wrong.append(str(ending))
-            made = [one for one in stage.seen(task, "conflict")]
+            made = stage.seen(task, "conflict")
             if len(made) > 12:
                 stage.wrong.append(f"{len(made)} times: {made[0]}")
 
