@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from planner_bridge.loading import load
+from planner_bridge.mission import Mission
 from planner_bridge.model import Domain, Problem
 from planner_bridge.pursuit import Pursuit
 from planner_bridge.replanning import History
@@ -58,7 +59,7 @@ async def pursue(problem: Problem, site: Site, settings: Settings, observer: Tas
     """Plan, execute and replan at a site; `achieve` does this with a loop of its own."""
     knowledge = initial_knowledge(problem)
     try:
-        return await Pursuit(problem, site, settings, observer, seconds, Layered(knowledge)).pursue(opens=True)
+        return await Pursuit(Mission(problem, site, settings, observer, seconds, Layered(knowledge))).pursue(opens=True)
     finally:
         await site.close()
 
@@ -74,4 +75,4 @@ async def pursue_on(
     history: History,
 ) -> TaskResult:
     """Plan, execute and replan at a site that is open and keeps the knowledge up to date, after what has happened before."""
-    return await Pursuit(problem, site, settings, observer, seconds, Layered(knowledge), history=history).pursue()
+    return await Pursuit(Mission(problem, site, settings, observer, seconds, Layered(knowledge)), history=history).pursue()

@@ -69,6 +69,11 @@ class Recital:
         """Whether it was told to pause."""
         return self._is_paused
 
+    @property
+    def awaits_answers(self) -> bool:
+        """Whether nothing goes on before a person has answered."""
+        return self._performance.awaits_answers
+
     def stop(self, code: Code, reason: str) -> None:
         """End it; what is under way is cancelled, and confirms it or is given up after its limit."""
         if self._stopped is None:
@@ -79,6 +84,8 @@ class Recital:
 
     async def pause(self, reason: str, *, at_once: bool) -> None:
         """Start nothing more; return when nothing is under way."""
+        if self._stopped:
+            return
         executor, self._is_paused = self._performance.executor, True
         self._task.enter(TaskState.PAUSING, reason)
         executor.pause(at_once=at_once)

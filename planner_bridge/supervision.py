@@ -8,13 +8,16 @@ from contextlib import ExitStack
 from functools import partial
 from math import inf
 
+from planner_bridge.forbidding import ForbiddenCall
 from planner_bridge.model import Problem
 from planner_bridge.monitoring import Monitor
+from planner_bridge.replanning import Progress, why_not
 from planner_bridge.state import problem_now
 from planner_bridge.tasks import TaskObserver
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.sites import schedule
 from pnm.tasking import Code
+from pnm.trajectory import Constraint
 
 
 class Supervision:
@@ -88,10 +91,20 @@ class Supervision:
         """How many seconds it will take until it is known whether that is violated which looks violated now."""
         return self.monitor.doubtful_until() - self.elapsed
 
-    def now(self, world: KnowledgeBase) -> Problem:
-        """Return the problem that is left, from this world."""
+    def now(self, world: KnowledgeBase | None = None) -> Problem:
+        """Return the problem that is left, from this world, or the one that is known."""
         elapsed = self.elapsed
-        return self.monitor.rest_of(problem_now(self._problem, world, elapsed), elapsed)
+        return self.monitor.rest_of(problem_now(self._problem, world or self._knowledge.world, elapsed), elapsed)
+
+    @property
+    def missing(self) -> tuple[Constraint, ...]:
+        """The constraints that are not fulfilled yet."""
+        return self.monitor.missing(self.elapsed)
+
+    def why_not(self, progress: Progress, forbidden: frozenset[ForbiddenCall]) -> str:
+        """Say why the rest of a plan does not lead from here to its goal; empty when it does."""
+        now = self.now()
+        return why_not(progress, self._knowledge.world, forbidden, (*now.domain.constraints, *now.constraints))
 
     def _cancel_timers(self) -> None:
         for timer in (self._next_look, self._limit):

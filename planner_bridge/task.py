@@ -57,6 +57,10 @@ class Doing(Protocol):
     def running(self) -> tuple[str, ...]:
         """The calls that are under way."""
 
+    @property
+    def awaits_answers(self) -> bool:
+        """Whether nothing goes on before a person has answered."""
+
     def stop(self, code: Code, reason: str) -> None:
         """End it."""
 
@@ -126,6 +130,11 @@ class Task(TaskObserver):
         return self.doing is not None and self.ending is None and not self.doing.is_paused
 
     @property
+    def goes_on(self) -> bool:
+        """Whether it is active and does not only wait for answers."""
+        return self.is_active and self.doing is not None and not self.doing.awaits_answers
+
+    @property
     def status(self) -> Status:
         """How it is doing."""
         running = self.doing.running if self.doing and self.ending is None else ()
@@ -161,6 +170,22 @@ class Task(TaskObserver):
         """How many nets it has had before, the net it has now, and where its tokens are."""
         run = self.doing.run if self.doing else None
         return None if run is None else (self.nets - 1, run.machine, run.marking)
+
+    # --- pausing --------------------------------------------------------------------------------
+
+    async def pause(self, reason: str, *, at_once: bool) -> None:
+        """Start nothing more; return when nothing is under way."""
+        if self.doing is not None:
+            await self.doing.pause(reason, at_once=at_once)
+        else:
+            self.enter(TaskState.PAUSED, reason)
+
+    def go_on(self) -> None:
+        """Be paused no longer."""
+        if self.doing is not None:
+            self.doing.resume()
+        elif self.state is TaskState.PAUSED:
+            self.enter(TaskState.QUEUED)
 
     # --- what happens ---------------------------------------------------------------------------
 
@@ -227,6 +252,10 @@ class Task(TaskObserver):
     def failed(self, failure: Failure, now: float) -> None:
         """Note that something has failed."""
         self.note("failed", str(failure.call), str(failure))
+
+    def waiting(self, is_so: bool, now: float) -> None:
+        """Note that nothing goes on before a person has answered, or that this is over."""
+        self.listener.changed(self.id)
 
     def fired(self, transition: str, rule: Rule, now: float) -> None:
         """Tell that a transition has fired; too much for the trace of the task."""

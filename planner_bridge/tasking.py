@@ -9,17 +9,20 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-from collections.abc import Callable, Collection, Coroutine, Iterable
+from collections.abc import Callable, Collection, Coroutine
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 from uuid import UUID, uuid4
 
-from planner_bridge.circumstances import Circumstances, Conflict, Neighbours
-from planner_bridge.footprints import Footprint, conflict
+from planner_bridge.circumstances import Circumstances
+from planner_bridge.everybody import Everybody
+from planner_bridge.mission import Mission
 from planner_bridge.model import Problem
+from planner_bridge.neighbourhood import Neighbourhood
 from planner_bridge.plan import Plan
 from planner_bridge.plan_text import read_plan
+from planner_bridge.precedence import Precedence
 from planner_bridge.pursuit import Pursuit
 from planner_bridge.recital import Recital
 from planner_bridge.state import problem_now
@@ -36,7 +39,7 @@ from pnm.performing import Performer
 from pnm.resources import Resources
 from pnm.sites import Site
 from pnm.sources.base import Asker, Source
-from pnm.tasking import Code, Moment, OnConflict, Status, Step, TaskEnding, TaskListener, TaskRefused, TaskState, Wanted
+from pnm.tasking import Code, OnConflict, Status, Step, TaskEnding, TaskListener, TaskRefused, TaskState, Wanted
 
 _REMEMBERED: Final = 20
 """Tasks that are over and still told about."""
@@ -103,12 +106,13 @@ class TaskMaster:
         self._tasks: dict[UUID, Task] = {}
         self._past: list[Task] = []
         self._doing: dict[UUID, asyncio.Task[None]] = {}
-        self._pausing: set[asyncio.Task[None]] = set()
-        self._listeners: list[TaskListener] = []
+        self._everybody = Everybody()
         self._order = 0
         self._is_held = False
         self._turnstile: Turnstile[Task] = Turnstile(lambda task: task.rank)
-        self._stop_listening = self._resources.listen(self._arrange)
+        self._precedence = Precedence(self._tasks, self._resources, self._turnstile)
+        self._everybody.add(_Watch(self._precedence))
+        self._stop_listening = self._resources.listen(self._precedence.arrange)
 
     def __repr__(self) -> str:
         return f"<TaskMaster {len(self._tasks)} tasks>"
@@ -118,7 +122,7 @@ class TaskMaster:
     def begin(self, wanted: Wanted, /) -> None:
         """Begin a task. Whatever is wrong with it ends it, with a code and a reason."""
         self._order += 1
-        task = Task(wanted, self._order, _Everybody(self._listeners), self._loop.time)
+        task = Task(wanted, self._order, self._everybody, self._loop.time)
         waiting = sum(one.doing is None for one in self._tasks.values())
         if wanted.id in self._tasks:
             self._end(task, TaskEnding(Code.ERROR, "there is a task of this id already"))
@@ -145,7 +149,8 @@ class TaskMaster:
         chosen = self._chosen(task)
         for one in chosen:
             one.is_held = True
-        await asyncio.gather(*(self._pause(one, "somebody has paused it", at_once) for one in chosen))
+            self._turnstile.leave(one)
+        await asyncio.gather(*(one.pause("somebody has paused it", at_once=at_once) for one in chosen))
         self._turnstile.changed()
 
     async def resume(self, task: UUID | None, /, *, but: Collection[UUID] = ()) -> None:
@@ -157,7 +162,7 @@ class TaskMaster:
             raise TaskRefused(f"the task {task} was not paused")
         for one in chosen:
             one.is_held = False
-            self._go_on(one)
+            self._precedence.update(one)
         self._admit()
 
     async def cancel(self, task: UUID | None, /) -> None:
@@ -184,8 +189,7 @@ class TaskMaster:
 
     def listen(self, listener: TaskListener, /) -> Callable[[], None]:
         """Tell the listener from now on; return what stops that."""
-        self._listeners.append(listener)
-        return lambda: self._listeners.remove(listener)
+        return self._everybody.add(listener)
 
     # --- for whoever serves ---------------------------------------------------------------------
 
@@ -261,14 +265,14 @@ class TaskMaster:
             task.wanted.priority,
             self._resources,
             self._source,
-            _Others(self, task),
+            Neighbourhood(task, self._tasks, self._precedence, self._turnstile),
             task.wanted.on_conflict or self._room.on_conflict,
             lambda: UUID(bytes=self._prefix + uuid4().bytes[4:]),
         )
         settings = self._settings if plan is None else replace(self._settings, on_change=OnChange.LAZY)
         knowledge = Layered(self._knowledge)
         problem = replace(self._now(), goal=goal)
-        pursuit = Pursuit(problem, self._site, settings, task, Stopwatch(), knowledge, circumstances, given=plan)
+        pursuit = Pursuit(Mission(problem, self._site, settings, task, Stopwatch(), knowledge, circumstances), given=plan)
         return pursuit, _pursued(pursuit)
 
     async def _do(self, task: Task, performing: Coroutine[None, None, TaskEnding]) -> None:
@@ -286,20 +290,17 @@ class TaskMaster:
         self._doing.pop(task.id, None)
 
     def _end(self, task: Task, ending: TaskEnding) -> None:
-        self._tasks.pop(task.id, None)
+        if self._tasks.get(task.id) is task:
+            del self._tasks[task.id]
         self._turnstile.leave(task)
         self._past = [*self._past[1 - _REMEMBERED :], task]
         task.end(ending)
         self._turnstile.changed()
-        for other in self._tasks.values():
-            other.preempted_by.discard(task.id)
-            self._go_on(other)
+        self._precedence.changed(task.id)
         self._admit()
 
     def _missed(self, task: Task) -> None:
         self.stop(task, Code.DEADLINE_MISSED, f"the goal was not reached within {task.wanted.deadline:g} s")
-
-    # --- pausing and making way -----------------------------------------------------------------
 
     def _chosen(self, task: UUID | None) -> list[Task]:
         if task is None:
@@ -309,106 +310,14 @@ class TaskMaster:
             raise TaskRefused(f"the task {task} is over" if over else f"there is no task {task}")
         return [self._tasks[task]]
 
-    async def _pause(self, task: Task, reason: str, at_once: bool) -> None:
-        self._turnstile.leave(task)
-        if task.doing is not None:
-            await task.doing.pause(reason, at_once=at_once)
-        else:
-            task.enter(TaskState.PAUSED, reason)
-
-    def _go_on(self, task: Task) -> None:
-        """Let a task go on that nobody has paused and that makes way for nobody."""
-        if not task.is_held and not task.preempted_by:
-            if task.doing is not None:
-                task.doing.resume()
-            elif task.state is TaskState.PAUSED:
-                task.enter(TaskState.QUEUED)
-
-    def _arrange(self) -> None:
-        """Have those make way that have what a claim of higher priority waits for."""
-        for claim in self._resources.line:
-            for held in self._resources.held:
-                if held.priority < claim.priority and not set(held.names).isdisjoint(claim.names) and held.task in self._tasks:
-                    self._begin_making_way(self._tasks[held.task], claim.task)
-
-    def _begin_making_way(self, task: Task, other: UUID) -> None:
-        if other not in task.preempted_by:
-            pausing = self._loop.create_task(self.make_way(task, other))
-            self._pausing.add(pausing)
-            pausing.add_done_callback(self._pausing.discard)
-
-    async def make_way(self, task: Task, other: UUID) -> None:
-        """Pause a task until another one is over; return when nothing of it is under way."""
-        name = self._tasks[other].name if other in self._tasks else str(other)
-        task.preempted_by.add(other)
-        task.note("conflict", "", f"makes way for {name}")
-        await self._pause(task, f"makes way for {name}", at_once=True)
-        self._turnstile.changed()
-
-    def beside(self, task: Task) -> Iterable[Task]:
-        """Return the other tasks that are active."""
-        return [one for one in self._tasks.values() if one is not task and one.is_active]
-
-    @property
-    def turnstile(self) -> Turnstile[Task]:
-        """Where tasks wait for their turn to look for a plan."""
-        return self._turnstile
-
 
 async def _pursued(pursuit: Pursuit) -> TaskEnding:
     result = await pursuit.pursue()
     return TaskEnding(result.code, result.reason)
 
 
-class _Others(Neighbours):
-    """The neighbours of one task."""
+class _Watch(TaskListener):
+    """Looks at those that make way for a task whenever its status changes."""
 
-    def __init__(self, master: TaskMaster, task: Task) -> None:
-        self._master = master
-        self._task = task
-
-    def conflicts(self, footprint: Footprint, /) -> tuple[Conflict, ...]:
-        found: list[Conflict] = []
-        for other in self._master.beside(self._task):
-            its = other.doing.footprint if other.doing else None
-            if its is not None and (why := conflict(footprint, its)):
-                found.append(Conflict(other.id, other.name, its, why, other.wanted.priority < self._task.wanted.priority))
-        return tuple(found)
-
-    async def preempt(self, conflicts: tuple[Conflict, ...], /) -> None:
-        yielding = {one.task for one in conflicts if one.yields}
-        tasks = [one for one in self._master.beside(self._task) if one.id in yielding]
-        await asyncio.gather(*(self._master.make_way(one, self._task.id) for one in tasks))
-
-    async def turn(self) -> None:
-        await self._master.turnstile.enter(self._task)
-
-    def leave(self, *, in_vain: bool) -> None:
-        self._master.turnstile.leave(self._task, in_vain=in_vain)
-
-
-class _Everybody(TaskListener):
-    """Passes on what happens to all who listen."""
-
-    def __init__(self, listeners: list[TaskListener]) -> None:
-        self._listeners = listeners
-
-    def changed(self, task: UUID) -> None:
-        for one in tuple(self._listeners):
-            one.changed(task)
-
-    def planned(self, task: UUID) -> None:
-        for one in tuple(self._listeners):
-            one.planned(task)
-
-    def happened(self, moment: Moment) -> None:
-        for one in tuple(self._listeners):
-            one.happened(moment)
-
-    def moved(self, task: UUID) -> None:
-        for one in tuple(self._listeners):
-            one.moved(task)
-
-    def ended(self, task: UUID, ending: TaskEnding) -> None:
-        for one in tuple(self._listeners):
-            one.ended(task, ending)
+    def __init__(self, precedence: Precedence) -> None:
+        self.changed = precedence.changed  # type: ignore[method-assign]

@@ -64,6 +64,11 @@ class Claims:
         """Give back what the call has."""
         self.resources.give(self._had.pop(call))
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether anything is waited for."""
+        return bool(self._waiting)
+
     def leave(self, place: int) -> bool:
         """No longer wait at the place; tell whether it did."""
         if place not in self._waiting:

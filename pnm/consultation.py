@@ -145,6 +145,11 @@ class Questions:
         """Tell whether the question has been asked for the decision at the place, and not been answered yet."""
         return (place, question) in self._asked.values()
 
+    @property
+    def wait_for_people(self) -> bool:
+        """Whether a person has been asked and has not answered yet."""
+        return any(question.layer is Layer.PERSON for _, question in self._asked.values())
+
     def ask(self, identity: UUID, place: int, question: Question) -> None:
         """Note that the question is being asked."""
         self._asked[identity] = (place, question)

@@ -23,5 +23,8 @@ class Observer:
     def failed(self, failure: Failure, now: float) -> None:
         """Note that a failure place was marked."""
 
+    def waiting(self, is_so: bool, now: float) -> None:
+        """Note that nothing goes on before a person has answered, or that this is over."""
+
     def orphaned(self, report: Report, now: float) -> None:
         """Note a report that nothing waits for: late, repeated, or about an unknown request."""

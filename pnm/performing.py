@@ -77,6 +77,13 @@ class Performance:
         return tuple(found)
 
     @property
+    def awaits_answers(self) -> bool:
+        """Whether nothing goes on before a person has answered, neither here nor in plans that this one calls."""
+        run = self.executor.run
+        called = [self.client.performance(request) for request in run.open_requests]
+        return run.awaits_answers or (bool(called) and all(one is not None and one.awaits_answers for one in called))
+
+    @property
     def variables(self) -> dict[str, object]:
         """What the run knows by itself."""
         return self.executor.run.knowledge.local.variables()

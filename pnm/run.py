@@ -42,13 +42,7 @@ from pnm.events import (
 )
 from pnm.knowledge import Layered
 from pnm.ledger import Ledger
-from pnm.machine import (
-    Accepts,
-    Deed,
-    Ends,
-    PetriNetMachine,
-    Rule,
-)
+from pnm.machine import Accepts, Deed, Ends, PetriNetMachine, Rule
 from pnm.marking import Marking
 from pnm.observer import Observer
 from pnm.plan_graph import ActionCall, GroundAction
@@ -123,6 +117,7 @@ class Run:
         self._commands: list[Command] = []
         self._questions = Questions()
         self._asked = 0
+        self._waits = False
         self._calls = Calls(id, machine.plan, knowledge, bindings or Bindings(), goal_fields, asks=asks)
         self._ledger = Ledger(machine.plan)
         self._situation = Situation(self._engine, self._roles, self._ledger, origin)
@@ -188,6 +183,11 @@ class Run:
     def paused(self) -> bool:
         """Whether the run was told to pause, and nothing is under way any more."""
         return self._situation.pause is not None and self._situation.idle
+
+    @property
+    def awaits_answers(self) -> bool:
+        """Whether nothing goes on before a person has answered."""
+        return self._questions.wait_for_people and self._situation.idle and not self._claims.is_waiting
 
     @property
     def open_requests(self) -> tuple[UUID, ...]:
@@ -280,6 +280,9 @@ class Run:
         while self._began is not None and self._early:
             self._report(self._early.pop(0))
             self._settle()
+        if self._waits != self.awaits_answers:
+            self._waits = not self._waits
+            self._observer.waiting(self._waits, now)
         commands, self._commands = self._commands, []
         return commands
 

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import permutations
-from pathlib import Path
 from uuid import UUID
 
 from planner_bridge.loading import load
@@ -218,7 +217,7 @@ def play_script(number: int, tell: Callable[[str], None] = lambda text: None) ->
     )
     try:
         programs = _programs(rng, setting, bindings)
-    except Exception as error:  # noqa: BLE001
+    except Exception as error:
         tell(f"no programs: {error}")
         programs = {}
     counts: dict[Code, int] = {}
@@ -289,7 +288,7 @@ def play_script(number: int, tell: Callable[[str], None] = lambda text: None) ->
             tell(f"{ending.code.word}: {stage.goals[task]!r}: {ending.message}")
             if ending.code is Code.ERROR:
                 stage.wrong.append(str(ending))
-            made = [one for one in stage.seen(task, "conflict")]
+            made = stage.seen(task, "conflict")
             if len(made) > 12:
                 stage.wrong.append(f"{len(made)} times: {made[0]}")
 

@@ -13,94 +13,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner_bridge.model import Problem
-from planner_bridge.pddl import parse_problem
 from planner_bridge.replanning import Limits
-from planner_bridge.sites import SimulatedSite
-from planner_bridge.state import initial_knowledge
-from planner_bridge.tasking import Room, TaskMaster
+from planner_bridge.tasking import Room
 from planner_bridge.tasks import OnChange, Settings
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.bindings import Binding, Bindings
-from pnm.clock import run_async
-from pnm.conditions import Condition
-from pnm.errors import InputError
 from pnm.machine import OnFailure
-from pnm.tasking import Code, Moment, OnConflict, TaskEnding, TaskListener, TaskRefused, TaskState, Wanted
+from pnm.tasking import Code, OnConflict, TaskListener, TaskRefused, TaskState, Wanted
 from tests.domains import fleet
+from tests.task_stage import Stage
+from tests.task_stage import play as on_stage
 
 BINDINGS = Bindings({name: Binding(resources=("{r}",), retries=0) for name in ("move", "pick", "drop")})
 EAGER = Settings(bindings=BINDINGS, on_change=OnChange.EAGER, on_failure=OnFailure.CONTINUE_OTHERS, limits=Limits(seconds=2000.0))
-LIMIT = 5000.0
-
-
-class Stage(TaskListener):
-    """A master of tasks over simulated robots; what is wanted of it and what has come of that."""
-
-    def __init__(self, problem: Problem, faults: Faults, chosen: Settings, room: Room) -> None:
-        self.problem = problem
-        self.site = SimulatedSite(problem, chosen.bindings, faults)
-        self.knowledge = initial_knowledge(problem)
-        self.master = TaskMaster(problem, self.knowledge, self.site, chosen, self.read, room=room)
-        self.master.listen(self)
-        self.goals: dict[UUID, str] = {}
-        self.moments: list[Moment] = []
-        self.endings: dict[UUID, TaskEnding] = {}
-        self._news = asyncio.Event()
-
-    def read(self, text: str) -> Condition:
-        if not text.startswith("("):
-            raise InputError(f"not a goal: {text!r}")
-        return parse_problem(
-            f"(define (problem q) (:domain fleet) {_objects(self.problem)} (:init) (:goal {text}))", self.problem.domain
-        ).goal
-
-    def happened(self, moment: Moment) -> None:
-        if moment.kind != "fired":
-            self.moments.append(moment)
-        self._stir()
-
-    def ended(self, task: UUID, ending: TaskEnding) -> None:
-        assert task not in self.endings
-        self.endings[task] = ending
-        self._stir()
-
-    def _stir(self) -> None:
-        self._news.set()
-        self._news = asyncio.Event()
-
-    def want(self, text: str, **how: object) -> UUID:
-        wanted = Wanted(uuid4(), text, **how)  # type: ignore[arg-type]
-        self.goals[wanted.id] = text
-        self.master.begin(wanted)
-        return wanted.id
-
-    async def until(self, happens: Callable[[], object]) -> None:
-        async with asyncio.timeout(LIMIT):
-            while not happens():
-                await self._news.wait()
-
-    async def ended_with(self, *tasks: UUID) -> list[Code]:
-        await self.until(lambda: all(task in self.endings for task in tasks))
-        return [self.endings[task].code for task in tasks]
-
-    async def sees(self, task: UUID, kind: str, subject: str = "", times: int = 1) -> None:
-        await self.until(lambda: len(self.seen(task, kind, subject)) >= times)
-
-    def seen(self, task: UUID, kind: str, subject: str = "") -> list[Moment]:
-        return [one for one in self.moments if one.task == task and one.kind == kind and subject in one.subject + one.text]
-
-    def state(self, task: UUID) -> TaskState:
-        return next(one.state for one in self.master.status() if one.id == task)
-
-    def sent(self, task: UUID) -> list[str]:
-        return [one.subject for one in self.seen(task, "sent")]
-
-    def holds(self, text: str) -> bool:
-        return self.site.robots.world.holds(self.read(text))
-
-
-def _objects(problem: Problem) -> str:
-    return f"(:objects {' '.join(f'{name} - {kinds[0]}' for name, kinds in problem.own_objects.items())})"
 
 
 def play(
@@ -111,18 +36,7 @@ def play(
     chosen: Settings = EAGER,
     room: Room | None = None,
 ) -> None:
-    async def whole() -> None:
-        stage = Stage(problem or fleet(), faults, chosen, room or Room())
-        await stage.site.open(stage.knowledge)
-        try:
-            await scene(stage)
-        finally:
-            await asyncio.wait_for(stage.master.close(), LIMIT)
-            await stage.site.close()
-        assert stage.goals.keys() == stage.endings.keys(), "every task has an end"
-        assert not stage.site.robots.clashes
-
-    run_async(whole(), virtual=True)
+    on_stage(scene, problem, faults=faults, chosen=chosen, room=room)
 
 
 # --- what is wrong with a goal -------------------------------------------------------------------

@@ -1,0 +1,123 @@
+"""Finding a plan that can be carried out beside those of others: in turn, waiting where there is none, preempting who yields."""
+
+from __future__ import annotations
+
+import asyncio
+
+from planner_bridge.chronicle import Chronicle, no_plan
+from planner_bridge.circumstances import Conflict
+from planner_bridge.codes import code_of_planning
+from planner_bridge.footprints import Footprint
+from planner_bridge.forbidding import ForbiddenCall, forbid
+from planner_bridge.mission import Mission
+from planner_bridge.plan import Plan
+from planner_bridge.projection import after
+from planner_bridge.search import Search
+from planner_bridge.standing import Over, Standing
+from planner_bridge.supervision import Supervision
+from pnm.calls import UnderWay
+from pnm.tasking import Code, OnConflict, TaskState
+
+
+class Finding:
+    """Finds plans for one mission.
+
+    The mutable state is the plan to begin with, when the last search began, and that of the search.
+
+    Args:
+        mission: what plans are for.
+        standing: whether they are still wanted.
+        supervision: what of the problem is left, and how much time.
+        chronicle: what has failed, and how many plans there have been.
+        given: a plan to begin with, in place of one that would have to be found.
+    """
+
+    def __init__(
+        self, mission: Mission, standing: Standing, supervision: Supervision, chronicle: Chronicle, given: Plan | None = None
+    ) -> None:
+        self._mission = mission
+        self._standing = standing
+        self._supervision = supervision
+        self._chronicle = chronicle
+        self._given = given
+        self._search = Search(mission.settings, mission.observer, mission.seconds, mission.circumstances)
+        self.origin = 0.0
+        """When the search for the current plan began: what its times count from."""
+
+    @property
+    def reserved(self) -> Footprint | None:
+        """What the plan found last needs and changes."""
+        return self._search.reserved
+
+    def stop(self) -> None:
+        """Have searches end: nobody wants a plan any more."""
+        self._search.stop()
+
+    def forget(self) -> None:
+        """Have neighbours no longer respect the plan found last."""
+        self._search.reserved = None
+
+    async def find(self, forbidden: frozenset[ForbiddenCall]) -> Plan:
+        """Find a plan that can be carried out beside those of the neighbours; wait for them if there is none.
+
+        Raises:
+            Over: there is none, or nobody wants it any more.
+        """
+        neighbours = self._mission.circumstances.neighbours
+        while True:
+            await self._standing.until(neighbours.turn())
+            try:
+                plan, conflicts = await self._find_in_turn(forbidden)
+            finally:
+                neighbours.leave(in_vain=False)
+            if plan:
+                return plan
+            reason = "; ".join(map(str, conflicts))
+            if self._mission.circumstances.on_conflict is OnConflict.REFUSE:
+                raise Over(Code.CONFLICT, reason)
+            self._standing.enter(TaskState.QUEUED, f"waits for {reason}")
+
+    async def _find_in_turn(self, forbidden: frozenset[ForbiddenCall]) -> tuple[Plan | None, tuple[Conflict, ...]]:
+        """Search, and search again when those have made way that yield, and after a pause."""
+        neighbours = self._mission.circumstances.neighbours
+        while True:
+            await self._standing.may_go()
+            self.origin = asyncio.get_running_loop().time()
+            self._standing.enter(TaskState.PLANNING)
+            plan, conflicts = await self.look(forbidden)
+            if self._standing.is_paused:  # meanwhile; whatever was found may not be so any more when it goes on
+                continue
+            if plan:
+                self.accept(plan)
+                return plan, ()
+            if not all(one.yields for one in conflicts):
+                neighbours.leave(in_vain=True)
+                return None, conflicts
+            await self._standing.until(neighbours.preempt(conflicts))
+
+    async def look(
+        self, forbidden: frozenset[ForbiddenCall], under_way: tuple[UnderWay, ...] = ()
+    ) -> tuple[Plan | None, tuple[Conflict, ...]]:
+        """Return a plan, or with whom all plans that were found are in conflict.
+
+        Raises:
+            Over: there is none, or nobody wants it any more.
+            Unforeseeable: it is not known what the world will be after what is under way.
+        """
+        self._standing.check()
+        now = forbid(self._supervision.now(after(self._mission.world, under_way)), forbidden)
+        given = None if self._chronicle.plans else self._given
+        found, conflicts = await self._search.find(now, [one.call for one in under_way], self._supervision.left, given)
+        self._standing.check()
+        if found.plan is None:
+            missing = self._supervision.missing
+            reason = no_plan(found, forbidden) + self._chronicle.last_failure(missing)
+            raise Over(code_of_planning(found.status, self._chronicle.failures), reason)
+        return (None, conflicts) if conflicts else (found.plan, ())
+
+    def accept(self, plan: Plan) -> None:
+        """Note that a plan is going to be carried out."""
+        limits = self._mission.settings.limits
+        self._chronicle.plans += 1
+        self._supervision.allow(limits.allowed(plan.makespan if plan.temporal else 0.0))
+        self._mission.observer.planned(plan)

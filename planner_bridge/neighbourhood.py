@@ -1,0 +1,56 @@
+"""The tasks beside one, as its pursuit sees them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from uuid import UUID
+
+from planner_bridge.circumstances import Conflict, Neighbours
+from planner_bridge.footprints import Footprint, conflict
+from planner_bridge.precedence import Precedence
+from planner_bridge.task import Task
+from planner_bridge.turnstile import Turnstile
+
+
+class Neighbourhood(Neighbours):
+    """The neighbours of one task.
+
+    Args:
+        task: whose they are.
+        tasks: all that are not over.
+        precedence: has those make way that yield.
+        turnstile: where they wait for their turn to look for a plan.
+    """
+
+    def __init__(self, task: Task, tasks: Mapping[UUID, Task], precedence: Precedence, turnstile: Turnstile[Task]) -> None:
+        self._task = task
+        self._tasks = tasks
+        self._precedence = precedence
+        self._turnstile = turnstile
+
+    def conflicts(self, footprint: Footprint, /) -> tuple[Conflict, ...]:
+        """Return the tasks that are active and beside which a plan with this footprint cannot be carried out."""
+        found: list[Conflict] = []
+        for other in self._others:
+            its = other.doing.footprint if other.doing else None
+            if its is not None and (why := conflict(footprint, its)):
+                found.append(Conflict(other.id, other.name, its, why, other.wanted.priority < self._task.wanted.priority))
+        return tuple(found)
+
+    async def preempt(self, conflicts: tuple[Conflict, ...], /) -> None:
+        """Have those that yield pause until this task is over; return when nothing of theirs is under way."""
+        yielding = {one.task for one in conflicts if one.yields}
+        await asyncio.gather(*(self._precedence.make_way(one, self._task) for one in self._others if one.id in yielding))
+
+    async def turn(self) -> None:
+        """Wait for one's turn to look for a plan; who has looked in vain, until something has changed."""
+        await self._turnstile.enter(self._task)
+
+    def leave(self, *, in_vain: bool) -> None:
+        """Note that the search is over; once it is, no more is noted."""
+        self._turnstile.leave(self._task, in_vain=in_vain)
+
+    @property
+    def _others(self) -> Iterable[Task]:
+        return [one for one in self._tasks.values() if one is not self._task and one.is_active]
