@@ -20,7 +20,7 @@ from pnm.conditions import fluents, names
 from pnm.effects import Effects, ForEach, Set, When, written
 from pnm.expressions import UNKNOWN, Fluent, expression_fluents
 from pnm.knowledge import KnowledgeBase
-from pnm.plan_graph import ActionCall, GroundAction, Moment, PlanEvent, PlanGraph
+from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.rules import Rules
 from pnm.trajectory import instances, names_in
 
@@ -44,8 +44,7 @@ def plan_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = (
         under_way: calls of a plan before that go on beside it; the problem begins with the state that their ends lead to.
     """
     going_on = [replace(call, index=index, planned=0.0, under_way=True) for index, call in enumerate(under_way)]
-    first = len(going_on)
-    steps = [ActionCall(first + index, ground_step(problem, plan, step), step.start) for index, step in enumerate(plan.steps)]
+    steps = calls_of(problem, plan, len(going_on))
     calls = [*going_on, *steps]
     causes = _causes(problem, [call.action for call in calls])
     for kind in (Kind.START, Kind.OPEN, Kind.END):
@@ -72,6 +71,18 @@ def in_causal_order(problem: Problem, calls: tuple[ActionCall, ...], order: Iter
         else:
             causes.happen(Kind.END, call, end, now)
     return tightened(causes.graph(calls, problem.goal))
+
+
+def calls_of(problem: Problem, plan: Plan, first: int = 0) -> list[ActionCall]:
+    """Return the calls of the plan, with numbers from `first`."""
+    return [ActionCall(first + index, ground_step(problem, plan, step), step.start) for index, step in enumerate(plan.steps)]
+
+
+def one_by_one(problem: Problem, plan: Plan) -> PlanGraph:
+    """Return the calls of a sequential plan, each after the one before."""
+    calls = calls_of(problem, plan)
+    ends = (Ordering(PlanEvent(one, Moment.END), PlanEvent(one + 1, Moment.START)) for one in range(len(calls) - 1))
+    return PlanGraph(tuple(calls), tuple(ends), problem.goal, Rules(problem.domain.rules))
 
 
 def ground_step(problem: Problem, plan: Plan, step: PlanStep) -> GroundAction:

@@ -198,7 +198,7 @@ class Relay:
             return None
         told = self.run.told()
         history = self._chronicle.history.after(told.calls, told.failures) if told.failures else self._chronicle.history.changed()
-        decision = decide(self._supervision.now(), self._shortest(), self._mission.world, history, self._mission.settings.limits)
+        decision = decide(self._supervision.now(), self._left(self.progress), self._mission.world, history, self._mission.settings.limits)
         match decision:
             case GiveUp():
                 return None
@@ -238,7 +238,7 @@ class Relay:
         if way.plan is not None:
             return plan_graph(now, way.plan, [one.call for one in under_way.values()])
         progress = Progress(self.run.machine.plan, self.run.told().calls, frozenset(under_way))
-        return rest_of(now, shortened(progress, self._mission.world))
+        return rest_of(now, self._left(progress))
 
     async def _at_rest(self, execution: asyncio.Future[RunResult]) -> bool:
         """Wait until everything that is under way can be handed over; tell whether the run is still going on then."""
@@ -251,8 +251,9 @@ class Relay:
     def _matters_when(self) -> bool:
         return bool(times_that_matter(self._mission.problem) or self._mission.problem.network)
 
-    def _shortest(self) -> Progress:
-        return shortened(self.progress, self._mission.world)
+    def _left(self, progress: Progress) -> Progress:
+        """Return what there is still to be done; a failure makes nothing needless, but facts that have changed may."""
+        return progress if self.run.told().failures else shortened(progress, self._mission.world)
 
     def _obstacle(self, progress: Progress) -> str:
         return self._why_not(progress, self._chronicle.history)

@@ -14,7 +14,7 @@ from planner_bridge.footprints import Footprint, around, footprint
 from planner_bridge.model import Problem
 from planner_bridge.plan import Plan, PlanningResult, PlanningStatus
 from planner_bridge.planning import solve
-from planner_bridge.plans import plan_graph
+from planner_bridge.plans import calls_of, one_by_one
 from planner_bridge.replanning import Progress, shortened, why_not
 from planner_bridge.state import initial_knowledge
 from planner_bridge.stopwatch import Stopwatch
@@ -97,8 +97,7 @@ class Search:
         return found, conflicts
 
     def _reserve(self, now: Problem, plan: Plan, under_way: list[ActionCall]) -> tuple[Conflict, ...]:
-        graph = plan_graph(now, plan, under_way)
-        self.reserved = footprint(graph.calls, graph.goal, initial_knowledge(now))
+        self.reserved = footprint((*under_way, *calls_of(now, plan)), now.goal, initial_knowledge(now))
         return self.circumstances.neighbours.conflicts(self.reserved)
 
     async def _solve(self, problem: Problem, limit: float) -> PlanningResult:
@@ -128,7 +127,7 @@ def lean(problem: Problem, plan: Plan) -> Plan:
     """
     if plan.temporal or len(plan.steps) > LEAN or _wants_more(problem):
         return plan
-    progress = Progress.beginning(plan_graph(problem, plan))
+    progress = Progress.beginning(one_by_one(problem, plan))
     if why_not(progress, initial_knowledge(problem)):
         return plan
     kept = {call.index for call in shortened(progress, initial_knowledge(problem)).rest}
