@@ -81,7 +81,7 @@ class PlanServers:
         for executor in runs:
             executor.pause(at_once=True)
         while True:
-            if all(executor.run.paused or executor.run.over for executor in runs):
+            if all(executor.paused or executor.run.over for executor in runs):
                 return
             await asyncio.sleep(_LOOK)
 
