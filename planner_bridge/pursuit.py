@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import cast
 
 from planner_bridge.chronicle import Chronicle, Way
@@ -161,7 +161,8 @@ class Pursuit:
             return plan_graph(self._supervision.now(), plan)
 
     async def _carry_out(self, graph: PlanGraph) -> tuple[RunResult, Way | None]:
-        await self._standing.until(self._mission.site.prepare({call.action: None for call in graph.calls}))
+        with suppress(Over):  # the run tells then that nothing of the plan was begun
+            await self._standing.until(self._mission.site.prepare({call.action: None for call in graph.calls}))
         relay = self._relay = Relay(graph, self._mission, self._standing, self._supervision, self._finding, self._chronicle)
         self._standing.enter(TaskState.RUNNING)
         try:

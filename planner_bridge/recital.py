@@ -89,7 +89,7 @@ class Recital:
         executor, self._is_paused = self._performance.executor, True
         self._task.enter(TaskState.PAUSING, reason)
         executor.pause(at_once=at_once)
-        while self._is_paused and not (executor.run.paused or executor.run.over):
+        while self._is_paused and not (executor.paused or executor.run.over):
             await executor.happens()
         if self._is_paused:
             self._task.enter(TaskState.PAUSED, reason)

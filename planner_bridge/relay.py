@@ -124,7 +124,7 @@ class Relay:
     async def pause(self, *, at_once: bool) -> None:
         """Start nothing more; return when nothing is under way, or the task is not paused any more."""
         self.executor.pause(at_once=at_once)
-        while self._standing.is_paused and not (self.run.paused or self.run.over):
+        while self._standing.is_paused and not (self.executor.paused or self.run.over):
             await self.executor.happens()
 
     def go_on(self) -> None:
@@ -243,7 +243,8 @@ class Relay:
     async def _at_rest(self, execution: asyncio.Future[RunResult]) -> bool:
         """Wait until everything that is under way can be handed over; tell whether the run is still going on then."""
         while not execution.done():
-            if all(one.outcome != RUNNING for one in self.run.told().calls):
+            is_settled = all(one.outcome != RUNNING for one in self.run.told().calls)
+            if is_settled and set(self.run.open_requests) == {one.request for one in self.run.under_way()}:
                 return True
             await self.executor.happens()
         return False

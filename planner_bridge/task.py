@@ -174,11 +174,13 @@ class Task(TaskObserver):
     # --- pausing --------------------------------------------------------------------------------
 
     async def pause(self, reason: str, *, at_once: bool) -> None:
-        """Start nothing more; return when nothing is under way."""
+        """Start nothing more; return when nothing is under way, which for a task that is being cancelled is its end."""
         if self.doing is not None:
             await self.doing.pause(reason, at_once=at_once)
         else:
             self.enter(TaskState.PAUSED, reason)
+        if self.state is TaskState.CANCELLING:
+            await self.over.wait()
 
     def go_on(self) -> None:
         """Be paused no longer."""

@@ -74,6 +74,11 @@ class Executor:
         """Go on after a pause."""
         self._inbox.put_nowait(Resume())
 
+    @property
+    def paused(self) -> bool:
+        """Whether the run was told to pause, and nothing is under way, nor begins because of what it is still to be told."""
+        return self.run.paused and self._inbox.empty()
+
     def succeed(self, run: Run) -> None:
         """Go on with another run in the place of this one, at once. Not to be called by observers.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import random
 from collections.abc import Awaitable, Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from uuid import UUID, uuid4
 
 import pytest
@@ -19,6 +19,8 @@ from planner_bridge.tasks import OnChange, Settings
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.bindings import Binding, Bindings
 from pnm.machine import OnFailure
+from pnm.queries import MISSING, Layer, Question
+from pnm.sources.base import Asker, Source
 from pnm.tasking import Code, OnConflict, TaskListener, TaskRefused, TaskState, Wanted
 from tests.domains import fleet
 from tests.task_stage import Stage
@@ -35,8 +37,9 @@ def play(
     faults: Faults = NO_FAULTS,
     chosen: Settings = EAGER,
     room: Room | None = None,
+    source: Source | None = None,
 ) -> None:
-    on_stage(scene, problem, faults=faults, chosen=chosen, room=room)
+    on_stage(scene, problem, faults=faults, chosen=chosen, room=room, source=source)
 
 
 # --- what is wrong with a goal -------------------------------------------------------------------
@@ -86,6 +89,7 @@ def test_a_task_of_the_same_id_is_refused_and_the_first_goes_on():
         stage.master.begin(Wanted(first, "(in p1 a2)"))
         assert ended == [Code.ERROR]
         del stage.ended
+        assert [one.id for one in stage.master.status() if one.state is not TaskState.OVER] == [first]
         assert await stage.ended_with(first) == [Code.GOAL_REACHED]
 
     play(scene)
@@ -295,6 +299,49 @@ def test_a_paused_task_keeps_nobody_waiting():
     play(scene)
 
 
+def test_a_pause_right_after_the_end_was_asked_for_holds_nothing_up():
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a2)")
+        ending = asyncio.ensure_future(stage.master.cancel(task))
+        await asyncio.sleep(0)
+        await stage.master.pause(task, at_once=True)
+        assert task in stage.endings, "the pause of a task that is being cancelled ends with it"
+        await ending
+
+    play(scene)
+
+
+def test_a_pause_right_after_a_resumption_waits_for_what_that_begins():
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a2)")
+        await stage.sees(task, "sent")
+        await stage.master.pause(task, at_once=True)
+        await stage.master.resume(task)
+        await stage.master.pause(task, at_once=True)
+        assert not stage.site.robots._jobs
+        assert stage.state(task) is TaskState.PAUSED
+        await stage.master.resume(task)
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+
+    play(scene)
+
+
+def test_a_task_that_is_paused_while_it_plans_stays_so_and_plans_afresh():
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a2)")
+        await stage.until(lambda: stage.seen(task, "state", "planning"))
+        await stage.master.pause(task, at_once=False)
+        await asyncio.sleep(100.0)
+        assert stage.state(task) is TaskState.PAUSED
+        assert not stage.seen(task, "planned")
+        stage.site.robots.world.change({("at", "r0", "a0"): False, ("at", "r0", "a3"): True})
+        await stage.master.resume(task)
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+        assert stage.sent(task) == ["move(r0, a3, a2)"]
+
+    play(scene)
+
+
 # --- priorities -----------------------------------------------------------------------------------
 
 
@@ -349,6 +396,63 @@ def test_a_task_that_was_preempted_and_paused_goes_on_when_both_are_over():
         assert await stage.ended_with(low) == [Code.GOAL_REACHED]
 
     play(scene)
+
+
+def test_nobody_is_held_up_by_a_task_that_is_paused():
+    async def scene(stage: Stage) -> None:
+        low = stage.want("(at r0 a1)")
+        await stage.sees(low, "sent")
+        high = stage.want("(at r0 a3)", priority=1)
+        await stage.sees(high, "sent")
+        assert stage.state(low) is TaskState.PAUSED
+        await stage.master.pause(high, at_once=True)
+        assert await stage.ended_with(low) == [Code.GOAL_REACHED]
+        await stage.master.resume(high)
+        assert await stage.ended_with(high) == [Code.GOAL_REACHED]
+        assert stage.holds("(at r0 a3)")
+
+    play(scene)
+
+
+@dataclass
+class Person:
+    """Answers everything after a while."""
+
+    seconds: float = 60.0
+    asked: list[str] = field(default_factory=list)
+
+    async def query(self, question: Question, asker: Asker, /) -> object:
+        if question.layer is not Layer.PERSON:
+            return MISSING
+        self.asked.append(question.name)
+        await asyncio.sleep(self.seconds)
+        return "yes"
+
+    async def update(self, question: Question, value: object, asker: Asker, /) -> None: ...
+
+    async def close(self) -> None: ...
+
+
+ASKING = Bindings(
+    {
+        "move": Binding(resources=("lift",), retries=0),
+        "pick": Binding(resources=("lift",), retries=0, ask={"word": "May I?"}, goal={"word": "$word"}),
+        "drop": Binding(resources=("lift",), retries=0),
+    }
+)
+
+
+def test_nobody_is_held_up_by_a_task_that_only_waits_for_an_answer():
+    async def scene(stage: Stage) -> None:
+        low = stage.want("(at r0 a4)")
+        await stage.sees(low, "sent")
+        high = stage.want("(has r1 p2)", priority=1)
+        assert await stage.ended_with(low, high) == [Code.GOAL_REACHED] * 2
+        assert stage.seen(low, "state", "makes way"), "what the other one does first needs the lift"
+        assert stage.endings[low].trace[-1].time < stage.seen(high, "sent", "pick")[0].time
+        assert len(stage.seen(low, "conflict")) == 1
+
+    play(scene, fleet(robots=2, parcels=3, places=8), chosen=replace(EAGER, bindings=ASKING), source=Person())
 
 
 # --- failures and changes while others go on ------------------------------------------------------
