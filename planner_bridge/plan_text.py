@@ -50,7 +50,10 @@ def _step(line: str, problem: Problem, position: Position, now: float) -> PlanSt
     action, *arguments = found["call"].lower().split()
     schema = problem.domain.actions.get(action)
     if schema is None:
-        hint = meant(action, problem.domain.actions) or f"expected one of {', '.join(problem.domain.actions) or 'none, for there is no domain'}"
+        hint = (
+            meant(action, problem.domain.actions)
+            or f"expected one of {', '.join(problem.domain.actions) or 'none, for there is no domain'}"
+        )
         raise InputError(f"there is no action {action!r}; {hint}", position)
     _check(schema, tuple(arguments), problem, position)
     duration = _number(found["duration"], position)

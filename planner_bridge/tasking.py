@@ -138,14 +138,15 @@ class TaskMaster:
         task.enter(TaskState.QUEUED)
         self._admit()
 
-    async def pause(self, task: UUID | None, /, *, at_once: bool) -> None:
+    async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "somebody has paused it") -> None:
         """Start nothing more of a task, or of all; return when nothing of it is under way."""
         if task is None:
             self._is_held = True
         chosen = self._chosen(task)
+        reasons = [one.why if one.is_held else why for one in chosen]
         for one in chosen:
             one.is_held = True
-        await asyncio.gather(*(self._pause(one, "somebody has paused it", at_once) for one in chosen))
+        await asyncio.gather(*(self._pause(one, reason, at_once) for one, reason in zip(chosen, reasons, strict=True)))
         self._turnstile.changed()
 
     async def resume(self, task: UUID | None, /, *, but: Collection[UUID] = ()) -> None:
@@ -160,11 +161,11 @@ class TaskMaster:
             self._go_on(one)
         self._admit()
 
-    async def cancel(self, task: UUID | None, /) -> None:
+    async def cancel(self, task: UUID | None, /, *, why: str = "somebody has cancelled it") -> None:
         """End a task, or all; return when what was under way has confirmed it, or the limit for that has passed."""
         chosen = self._chosen(task)
         for one in chosen:
-            self.stop(one, Code.CANCELLED, "cancelled")
+            self.stop(one, Code.CANCELLED, why)
         for one in chosen:
             await one.over.wait()
 
@@ -246,6 +247,8 @@ class TaskMaster:
         if self._performer and (task.wanted.text in programs or (programs and "(" not in task.wanted.text)):
             recital = Recital(self._performer, task)
             return lambda: (recital, recital.perform())
+        if not self._problem.domain.actions:
+            raise InputError("a plan that is sent as a text needs a domain with actions, and none is loaded")
         if task.wanted.parameters:
             raise InputError(f"a plan that is sent as a text has no parameters; found {', '.join(task.wanted.parameters)}")
         plan = read_plan(task.wanted.text, self._now())

@@ -60,7 +60,7 @@ def test_a_second_node_of_the_same_name_offers_nothing(plan_scene):
     plan_scene.write(FILES)
     third = serve(plan_scene, "--world", str(plan_scene.folder / "world.yaml"))
     assert third.ended() == 1
-    assert "there is a node /pnm already" in "\n".join(third.err)
+    assert "there is an action server /achieve_goal already" in "\n".join(third.err)
     fourth = serve(plan_scene, DOMAIN, PROBLEM, "--ros-args", "-r", "__ns:=/r1").ready()
     assert "ready: 3 action servers: /r1/achieve_goal, /r1/execute_plan, /r1/plan" in fourth.out
     assert goals(plan_scene, "goal_reached").result()["status"] == SUCCEEDED
