@@ -41,6 +41,7 @@ def change(scene: PlanScene, *labels: str) -> list[bool]:
         ([DOMAIN], 2, "a domain and a problem belong together"),
         ([DOMAIN, "nowhere.pddl"], 2, "nowhere.pddl:1:1: cannot be read: No such file or directory"),
         ([DOMAIN, PROBLEM, "--ros-args", "-p", "on_failure:=canzel"], 2, "did you mean 'cancel'?"),
+        (["--world", "world.yaml", "--goals", "goals.yaml"], 2, "goals with names need a domain and a problem; expected both, or no goals"),
         ([DOMAIN, PROBLEM, "--ros-args", "--spam"], 1, "--spam"),
         ([DOMAIN, PROBLEM, "--spam", "--ros-args"], 2, "No such option"),
     ],
