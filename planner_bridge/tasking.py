@@ -127,7 +127,7 @@ class TaskMaster:
             self._end(task, TaskEnding(Code.QUEUE_FULL, f"{waiting} tasks are waiting already"))
             return
         try:
-            task.begins = self._recital(task) if wanted.is_plan else partial(self._pursuit, task, self._read_goal(wanted.text), None)
+            task.begins = self._recital(task) if wanted.is_plan else self._goal(task)
         except InputError as error:
             self._end(task, TaskEnding(Code.INVALID_GOAL, str(error)))
             return
@@ -236,6 +236,16 @@ class TaskMaster:
                 task.doing, performing = task.begins()
                 doing = self._doing[task.id] = self._loop.create_task(self._do(task, performing))
                 doing.add_done_callback(partial(self._forget, task))
+
+    def _goal(self, task: Task) -> Begins:
+        """Return what pursues a goal.
+
+        Raises:
+            InputError: it is none.
+        """
+        goal = self._read_goal(task.wanted.text)
+        task.meant = str(goal)
+        return partial(self._pursuit, task, goal, None)
 
     def _recital(self, task: Task) -> Begins:
         """Return what carries out a plan: one that is loaded, or a text of calls.
