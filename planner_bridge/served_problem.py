@@ -88,7 +88,8 @@ class ServedProblem:
 
     async def load(self, domain: str, problem: str, /) -> None:
         """Begin anew with another domain or problem; goals with names must make sense in it as well."""
-        loaded = await asyncio.to_thread(load_texts, domain, problem, self._folder, self._world.problem.domain)
+        known = self._world.problem.domain if domain else self._loaded.problem.domain
+        loaded = await asyncio.to_thread(load_texts, domain, problem, self._folder, known)
         SharedWorld(loaded, initial_knowledge(loaded), self._goals)
         self.begins_anew(loaded)
         world = initial_knowledge(loaded)

@@ -26,7 +26,7 @@ from planner_bridge.tasking import TaskMaster
 from planner_bridge.tasks import Settings
 from planner_bridge.written import sources_of, together
 from pnm.bindings import Bindings, read_bindings
-from pnm.errors import Tolerated
+from pnm.errors import InputError, Tolerated
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.language.world import read_world
 from pnm.parameter import ParameterValue
@@ -86,7 +86,10 @@ async def open_tasks(room: Room) -> Opened:
     )
     goals = read_goals(options.goals) if options.goals else {}
     problem = room.problem or NOTHING
-    world = ServedProblem(problem, room.knowledge, goals, settings, options.problems)
+    try:
+        world = ServedProblem(problem, room.knowledge, goals, settings, options.problems)
+    except InputError as error:
+        raise InputError(f"{options.goals}: {error}") from error
     places = Places(options.max_tasks, options.max_queue, options.on_conflict)
     master = TaskMaster(
         problem, room.knowledge, room.site, settings, world.read_goal, source=room.sources, room=places, performer=room.performer

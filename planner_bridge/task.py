@@ -90,6 +90,8 @@ class Task(TaskObserver):
     order: int
     listener: TaskListener
     clock: Callable[[], float]
+    meant: str = ""
+    """The goal in PDDL, when its text does not say it."""
     begins: Begins | None = None
     """Begins to do it."""
     doing: Doing | None = None
@@ -139,7 +141,7 @@ class Task(TaskObserver):
         """How it is doing."""
         running = self.doing.running if self.doing and self.ending is None else ()
         counts = self.ended_calls, self.replans, self.restarts
-        return Status(self.id, self.wanted.text, self.wanted.priority, self.state, self.why, running, *counts)
+        return Status(self.id, self.wanted.text or self.meant, self.wanted.priority, self.state, self.why, running, *counts)
 
     @property
     def steps(self) -> tuple[Step, ...]:

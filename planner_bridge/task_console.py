@@ -29,7 +29,7 @@ class TaskConsole(TaskListener):
 
     def happened(self, moment: Moment) -> None:
         """Print an event, but not every transition that fires."""
-        if moment.kind != "fired":
+        if moment.kind != "fired" and not moment.text.startswith("over: "):  # how it has ended comes next
             said = ": ".join(filter(None, (moment.subject, moment.text)))
             self._line(moment.task, moment.time, f"{moment.kind:<7}", shortened(said))
 

@@ -131,7 +131,7 @@ class TaskMaster:
             self._end(task, TaskEnding(Code.QUEUE_FULL, f"{waiting} tasks are waiting already"))
             return
         try:
-            task.begins = self._recital(task) if wanted.is_plan else partial(self._pursuit, task, self._read_goal(wanted.text), None)
+            task.begins = self._recital(task) if wanted.is_plan else self._goal(task)
         except InputError as error:
             self._end(task, TaskEnding(Code.INVALID_GOAL, str(error)))
             return
@@ -142,15 +142,16 @@ class TaskMaster:
         task.enter(TaskState.QUEUED)
         self._admit()
 
-    async def pause(self, task: UUID | None, /, *, at_once: bool) -> None:
+    async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "somebody has paused it") -> None:
         """Start nothing more of a task, or of all; return when nothing of it is under way."""
         if task is None:
             self._is_held = True
         chosen = self._chosen(task)
+        reasons = [one.why if one.is_held else why for one in chosen]
         for one in chosen:
             one.is_held = True
             self._turnstile.leave(one)
-        await asyncio.gather(*(one.pause("somebody has paused it", at_once=at_once) for one in chosen))
+        await asyncio.gather(*(one.pause(reason, at_once=at_once) for one, reason in zip(chosen, reasons, strict=True)))
         self._turnstile.changed()
 
     async def resume(self, task: UUID | None, /, *, but: Collection[UUID] = ()) -> None:
@@ -165,11 +166,11 @@ class TaskMaster:
             self._precedence.update(one)
         self._admit()
 
-    async def cancel(self, task: UUID | None, /) -> None:
+    async def cancel(self, task: UUID | None, /, *, why: str = "somebody has cancelled it") -> None:
         """End a task, or all; return when what was under way has confirmed it, or the limit for that has passed."""
         chosen = self._chosen(task)
         for one in chosen:
-            self.stop(one, Code.CANCELLED, "cancelled")
+            self.stop(one, Code.CANCELLED, why)
         for one in chosen:
             await one.over.wait()
 
@@ -240,6 +241,16 @@ class TaskMaster:
                 doing = self._doing[task.id] = self._loop.create_task(self._do(task, performing))
                 doing.add_done_callback(partial(self._forget, task))
 
+    def _goal(self, task: Task) -> Begins:
+        """Return what pursues a goal.
+
+        Raises:
+            InputError: it is none.
+        """
+        goal = self._read_goal(task.wanted.text)
+        task.meant = str(goal)
+        return partial(self._pursuit, task, goal, None)
+
     def _recital(self, task: Task) -> Begins:
         """Return what carries out a plan: one that is loaded, or a text of calls.
 
@@ -250,6 +261,8 @@ class TaskMaster:
         if self._performer and (task.wanted.text in programs or (programs and "(" not in task.wanted.text)):
             recital = Recital(self._performer, task)
             return lambda: (recital, recital.perform())
+        if not self._problem.domain.actions:
+            raise InputError("a plan that is sent as a text needs a domain with actions, and none is loaded")
         if task.wanted.parameters:
             raise InputError(f"a plan that is sent as a text has no parameters; found {', '.join(task.wanted.parameters)}")
         plan = read_plan(task.wanted.text, self._now())

@@ -210,7 +210,7 @@ class Tasks(Protocol):
     def begin(self, wanted: Wanted, /) -> None:
         """Begin a task. Whatever is wrong with it ends it, with a code and a reason."""
 
-    async def pause(self, task: UUID | None, /, *, at_once: bool) -> None:
+    async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "somebody has paused it") -> None:
         """Start nothing more of a task, or of all; return when nothing of it is under way.
 
         Raises:
@@ -224,7 +224,7 @@ class Tasks(Protocol):
             TaskRefused: there is no such task, or it is not paused.
         """
 
-    async def cancel(self, task: UUID | None, /) -> None:
+    async def cancel(self, task: UUID | None, /, *, why: str = "somebody has cancelled it") -> None:
         """End a task, or all; return when what was under way has confirmed it, or the limit for that has passed.
 
         Raises:

@@ -2,7 +2,7 @@
 
 The goal is a word: a state in which the task stays ("queued", "planning", "running", "replanning"), a code with which it ends
 at once ("no_plan"), or "stubborn": it runs, and does not end for a long time when it is cancelled. Further words are ignored.
-A condition in PDDL is pursued for ever.
+A condition in PDDL is pursued for ever; the plan "empty" is carried out at once.
 """
 
 from __future__ import annotations
@@ -52,7 +52,9 @@ class ScriptedTasks:
     def begin(self, wanted: Wanted, /) -> None:
         self.wanted.append(wanted)
         word = "running" if wanted.text.startswith("(") else wanted.text.split()[0] if wanted.text else ""
-        if word in _ENDS:
+        if word == "empty":
+            self._end(wanted.id, Code.GOAL_REACHED, "there is nothing to do")
+        elif word in _ENDS:
             self._end(wanted.id, _ENDS[word], f"as it was told: {word}")
         elif word not in _STAYS and word != "stubborn":
             self._end(wanted.id, Code.INVALID_GOAL, f"goal:1:1: there is no predicate {word!r} here")
@@ -63,7 +65,7 @@ class ScriptedTasks:
             self._enter(wanted.id, TaskState.PAUSED if self.paused else _STAYS.get(word, TaskState.RUNNING))
             self._before[wanted.id] = _STAYS.get(word, TaskState.RUNNING)
 
-    async def pause(self, task: UUID | None, /, *, at_once: bool) -> None:
+    async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "") -> None:
         self.paused |= task is None
         for one in self._meant(task):
             if self.open[one].state is not TaskState.PAUSED:
@@ -80,7 +82,7 @@ class ScriptedTasks:
             elif task is not None:
                 raise TaskRefused(f"the task {task} is not paused")
 
-    async def cancel(self, task: UUID | None, /) -> None:
+    async def cancel(self, task: UUID | None, /, *, why: str = "") -> None:
         await asyncio.gather(*map(self._cancel, self._meant(task)))
 
     def status(self) -> tuple[Status, ...]:

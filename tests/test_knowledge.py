@@ -13,7 +13,7 @@ from pnm.errors import InputError
 from pnm.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, Variable
 from pnm.knowledge import KnowledgeBase, Layered, parse_fluent, parse_statement, show_statement
 from pnm.queries import MISSING
-from pnm.rules import Rule, Rules
+from pnm.rules import NO_RULES, Rule, Rules
 
 Facts = Mapping[Fluent, Value | Unknown]
 
@@ -149,6 +149,15 @@ def test_a_malformed_report_changes_nothing() -> None:
     with pytest.raises(InputError, match="not a fluent"):
         knowledge.replace({"p"}, {(): True})
     assert knowledge.facts() == {P: True}
+
+
+def test_what_is_reported_stays_in_another_world_and_is_not_what_that_begins_with() -> None:
+    knowledge = KnowledgeBase({("at", "hall"): True, ("at", "dock"): False, ("free", "dock"): True, ("n",): 3.0}, sensed={"at": 0.0})
+    heard: list[Facts] = []
+    knowledge.listen(lambda changes: heard.append(dict(changes)))
+    knowledge.begin_anew({("at", "dock"): True, ("at", "lab"): True, ("n",): 4.0}, {"place": ("dock",)}, NO_RULES)
+    assert knowledge.facts() == {("at", "hall"): True, ("n",): 4.0}
+    assert heard == [{("free", "dock"): False, ("n",): 4.0}]
 
 
 # --- objects, layers, variables, sensing ------------------------------------------------------

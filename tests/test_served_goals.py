@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from pathlib import Path
 from uuid import UUID
@@ -11,15 +12,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planner_bridge.common_knowledge import common_knowledge
+from planner_bridge.served_problem import NOTHING
+from planner_bridge.tasking import TaskMaster
+from planner_bridge.tasks import Settings
 from planner_bridge.written import simulated_site, together
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async
+from pnm.conditions import Condition
 from pnm.errors import InputError
 from pnm.knowledge import KnowledgeBase
 from pnm.language.plan import read_plans
-from pnm.observer import Observer
 from pnm.performing import Performer, Program
-from pnm.ros.served_goals import Ending, Progress, ServedGoal, read_parameters
+from pnm.ros.served_goals import Ending, read_parameters
+from pnm.tasking import Code, TaskEnding, TaskListener, Wanted
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -77,30 +82,52 @@ def test_a_result_that_json_cannot_say_is_told_of() -> None:
     assert str(fields["message"]).startswith("done\N{REPLACEMENT CHARACTER}; a is left out: JSON cannot say nan")
 
 
-def test_calls_and_restarts_are_counted_and_told(tmp_path: Path) -> None:
+def test_calls_and_restarts_of_a_plan_are_counted_and_told(tmp_path: Path) -> None:
     file = tmp_path / "plan.yaml"
     file.write_text(
-        "actions: {go: {params: [place], duration: 5}}\nname: tour\nrestarts: 2\n"
+        "actions: {go: {params: [place], duration: 5}}\nname: tour\nrestarts: 2\nresults: [n]\ninitial_knowledge: {n: 3}\n"
         "plan:\n  - go: {place: a}\n  - go: {place: b}\n    recoveries: {during: {aborted: restart_plan}}\n"
     )
     (plan,) = read_plans(file).values()
     faults = Faults((Fault("go(b)", FaultKind.ABORT, times=1),))
     performer = Performer({"tour": Program.of(plan)}, simulated_site(plan, together([plan]), faults), KnowledgeBase())
-    goal = ServedGoal("tour", UUID(int=1), "")
-    told: list[tuple[int, int, tuple[str, ...]]] = []
+    tour = Wanted(UUID(int=1), "tour", is_plan=True)
 
-    async def go() -> None:
+    class Told(TaskListener):
+        def __init__(self, master: TaskMaster) -> None:
+            self.master = master
+            self.statuses: list[tuple[int, int, tuple[str, ...]]] = []
+            self.endings: list[TaskEnding] = []
+            self.over = asyncio.Event()
+
+        def changed(self, task: UUID) -> None:
+            (status,) = self.master.status()
+            self.statuses.append((status.ended, status.restarts, status.running))
+
+        def ended(self, task: UUID, ending: TaskEnding) -> None:
+            self.endings.append(ending)
+            self.over.set()
+
+    async def go() -> Told:
         await performer.site.open(performer.world)
-        progress = Progress(goal, lambda: told.append((goal.ended, goal.restarts, performance.running)), Observer())
-        performance = performer.perform("tour", {}, progress)
-        result = await performer.execute(performance)
-        assert result.goal, result.reason
+        master = TaskMaster(NOTHING, performer.world, performer.site, Settings(), _no_goal, performer=performer)
+        told = Told(master)
+        master.listen(told)
+        master.begin(tour)
+        await asyncio.wait_for(told.over.wait(), 100.0)
+        await master.close()
         await performer.site.close()
+        return told
 
-    run_async(go(), virtual=True)
-    assert (goal.ended, goal.restarts) == (4, 1)
-    assert [one[:2] for one in told] == [(0, 0), (1, 0), (1, 0), (2, 0), (2, 1), (2, 1), (3, 1), (3, 1), (4, 1)]
-    assert {running for *_, running in told} == {(), ("go(a)",), ("go(b)",)}
+    told = run_async(go(), virtual=True)
+    assert (told.endings[0].code, told.endings[0].results, told.endings[0].cause) == (Code.GOAL_REACHED, {"n": 3}, "")
+    counts = list(dict.fromkeys(one[:2] for one in told.statuses))
+    assert counts == [(0, 0), (1, 0), (2, 0), (2, 1), (3, 1), (4, 1)]
+    assert {running for *_, running in told.statuses} == {(), ("go(a)",), ("go(b)",)}
+
+
+def _no_goal(text: str) -> Condition:
+    raise InputError(f"not a goal: {text!r}")
 
 
 def test_a_world_begins_as_all_of_its_plans_say(tmp_path: Path) -> None:

@@ -54,6 +54,27 @@ def test_a_goal_that_cannot_be_read_ends_at_once_with_the_reason():
     play(scene)
 
 
+def test_the_goal_of_the_problem_is_told_in_pddl():
+    async def scene(stage: Stage) -> None:
+        stage.master._read_goal = lambda _: stage.read("(at r0 a1)")
+        task = stage.want("")
+        assert stage.master.status()[0].goal == "(at r0 a1)"
+        await stage.ended_with(task)
+
+    play(scene)
+
+
+def test_a_plan_as_a_text_takes_no_parameters_and_a_plan_that_nobody_has_is_refused():
+    async def scene(stage: Stage) -> None:
+        with_parameters = stage.want("(move r0 a0 a1)", is_plan=True, parameters={"speed": 1})
+        unknown = stage.want("tour", is_plan=True)
+        assert await stage.ended_with(with_parameters, unknown) == [Code.INVALID_GOAL] * 2
+        assert stage.endings[with_parameters].message == "a plan that is sent as a text has no parameters; found speed"
+        assert "expected a call such as (move r1 hall kitchen), found 'tour'" in stage.endings[unknown].message
+
+    play(scene)
+
+
 def test_an_unreachable_goal_has_no_plan():
     async def scene(stage: Stage) -> None:
         assert await stage.ended_with(stage.want("(and (has r0 p0) (has r0 p1))")) == [Code.NO_PLAN]

@@ -26,7 +26,8 @@ def declare(node: Any, parameters: Iterable[Parameter], given: Mapping[str, Para
         try:
             values[one.name] = node.declare_parameter(one.name, given.get(one.name, one.default), _descriptor(one)).value
         except Exception as error:
-            raise InputError(f"the parameter {one.name} is wrong: {str(error) or type(error).__name__}") from error
+            hint = "; expected a number such as 10.0" if isinstance(one.default, float) else ""
+            raise InputError(f"the parameter {one.name} is wrong: {str(error) or type(error).__name__}{hint}") from error
         if one.choices and values[one.name] not in one.choices:
             hint = meant(str(values[one.name]), one.choices)
             expected = f"expected one of {', '.join(one.choices)}{f'; {hint}' if hint else ''}"

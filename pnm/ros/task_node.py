@@ -87,14 +87,14 @@ class TaskNode:
         """Reject goals, and pause all tasks at once: what is under way is cancelled, and has confirmed it."""
         self._closed = "the node is inactive"
         self._is_stopped = True
-        await self._tasks.pause(None, at_once=True)
+        await self._tasks.pause(None, at_once=True, why=self._closed)
 
     async def close(self, limit: float) -> None:
         """Cancel all tasks, wait so many seconds until that is confirmed, tell everybody, and take everything down."""
         self._closed = "the node is shut down"
         try:
             async with asyncio.timeout(limit):
-                await self._tasks.cancel(None)
+                await self._tasks.cancel(None, why=self._closed)
         except TimeoutError:
             _log.warning("tasks have not ended within %g s; what they run is left alone", limit)
         except TaskRefused:

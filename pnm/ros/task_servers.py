@@ -134,7 +134,7 @@ class TaskServers(TaskListener):
 
     async def _have_cancelled(self, goal: UUID) -> None:
         try:
-            await self._tasks.cancel(goal)
+            await self._tasks.cancel(goal, why="its client has cancelled it")
         except TaskRefused as refusal:
             _log.info("a goal cannot be cancelled: %s", refusal)
         except Exception:

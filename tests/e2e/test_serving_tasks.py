@@ -41,6 +41,7 @@ def change(scene: PlanScene, *labels: str) -> list[bool]:
         ([DOMAIN], 2, "a domain and a problem belong together"),
         ([DOMAIN, "nowhere.pddl"], 2, "nowhere.pddl:1:1: cannot be read: No such file or directory"),
         ([DOMAIN, PROBLEM, "--ros-args", "-p", "on_failure:=canzel"], 2, "did you mean 'cancel'?"),
+        (["--world", "world.yaml", "--goals", "goals.yaml"], 2, "goals with names need a domain and a problem; expected both, or no goals"),
         ([DOMAIN, PROBLEM, "--ros-args", "--spam"], 1, "--spam"),
         ([DOMAIN, PROBLEM, "--spam", "--ros-args"], 2, "No such option"),
     ],
@@ -60,7 +61,7 @@ def test_a_second_node_of_the_same_name_offers_nothing(plan_scene):
     plan_scene.write(FILES)
     third = serve(plan_scene, "--world", str(plan_scene.folder / "world.yaml"))
     assert third.ended() == 1
-    assert "there is a node /pnm already" in "\n".join(third.err)
+    assert "there is an action server /achieve_goal already" in "\n".join(third.err)
     fourth = serve(plan_scene, DOMAIN, PROBLEM, "--ros-args", "-r", "__ns:=/r1").ready()
     assert "ready: 3 action servers: /r1/achieve_goal, /r1/execute_plan, /r1/plan" in fourth.out
     assert goals(plan_scene, "goal_reached").result()["status"] == SUCCEEDED

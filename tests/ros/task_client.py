@@ -83,9 +83,10 @@ class TaskClient:
         self._subscriptions: list[Any] = []
 
     async def send(self, action: str, id: UUID | None = None, **goal: object) -> SentGoal:
+        """Send a goal; an action whose type is not known is that of a plan."""
         await self.meet(action)
         sent = SentGoal(id or uuid4(), self._loop.create_future(), self._loop.create_future())
-        kind = import_type(f"pnm_interfaces/action/{TYPES[action]}")
+        kind = _type(action)
         await self._ros.ask(partial(self._send, action, to_message(kind.Goal, goal), sent))
         assert await asyncio.wait_for(asyncio.shield(sent.accepted), LIMIT) in (True, False)
         return sent
@@ -135,7 +136,7 @@ class TaskClient:
     # on the ROS thread
 
     def _connect(self, action: str) -> None:
-        kind, deep = import_type(f"pnm_interfaces/action/{TYPES[action]}"), QoSProfile(depth=1000)
+        kind, deep = _type(action), QoSProfile(depth=1000)
         self._actions[action] = ActionClient(
             self._ros.node, kind, action, goal_service_qos_profile=deep, result_service_qos_profile=deep, cancel_service_qos_profile=deep
         )
@@ -177,6 +178,10 @@ class TaskClient:
             client.destroy()
         for subscription in self._subscriptions:
             self._ros.node.destroy_subscription(subscription)
+
+
+def _type(action: str) -> Any:
+    return import_type(f"pnm_interfaces/action/{TYPES.get(action.rpartition('/')[2], 'RunPlan')}")
 
 
 def _ask_for_nothing(client: Any) -> Any:

@@ -247,6 +247,7 @@ def test_what_ros_says_comes_before_options_and_these_before_defaults():
     ("override", "said"),
     [
         ("limit:=5", "the parameter limit is wrong: Trying to set parameter 'limit' to '5' of type 'INTEGER', expecting type 'DOUBLE'"),
+        ("limit:=5", "; expected a number such as 10.0"),
         ("limit:=0.1", "the parameter limit is wrong: "),
         ("tasks:=0", "the parameter tasks is wrong: "),
         ("tasks:=many", "the parameter tasks is wrong: "),

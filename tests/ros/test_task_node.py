@@ -12,12 +12,13 @@ from uuid import UUID, uuid4
 
 import pytest
 
+from pnm.errors import InputError
 from pnm.knowledge import KnowledgeBase
 from pnm.ros import request_services
 from pnm.ros.node import RosThread
-from pnm.ros.task_messages import TRACE
-from pnm.ros.task_node import TaskNode
-from pnm.tasking import Code, OnConflict, TaskState, Wanted
+from pnm.ros.task_messages import TRACE, run_ending_fields
+from pnm.ros.task_node import TaskNode, action_names
+from pnm.tasking import Code, OnConflict, TaskEnding, TaskState, Wanted
 from tests.ros.scripts import run
 from tests.ros.task_client import ABORTED, CANCELED, LIMIT, SUCCEEDED, SentGoal, TaskClient, uuid_data
 from tests.scripted_tasks import ScriptedTasks, ScriptedWorld, scripted_search
@@ -52,7 +53,7 @@ class Scene:
 @asynccontextmanager
 async def scene(two: tuple[RosThread, RosThread], *, is_active: bool = True, max_queue: int = 1000) -> AsyncIterator[Scene]:
     knowledge, tasks = KnowledgeBase(), ScriptedTasks(max_queue)
-    node = TaskNode(two[0], tasks, scripted_search, ScriptedWorld(knowledge), knowledge)
+    node = TaskNode(two[0], tasks, scripted_search, ScriptedWorld(knowledge), knowledge, {"running": "running_tour"})
     await node.open()
     if is_active:
         await node.activate()
@@ -325,6 +326,72 @@ def test_what_somebody_has_paused_does_not_go_on_because_the_node_does(two):
             assert one.tasks.open[goal.id].state is TaskState.RUNNING
 
     run(main())
+
+
+def test_what_is_paused_by_itself_does_not_go_on_with_the_others(two):
+    async def main():
+        async with scene(two) as one:
+            paused, resumed, other = await one.goal("running"), await one.goal("running"), await one.goal("running")
+            for goal in (paused, resumed):
+                assert (await one.client.call("executor/pause", task=uuid_data(goal.id)))["success"]
+            assert (await one.client.call("executor/resume", task=uuid_data(resumed.id)))["success"]
+            for _ in range(2):
+                await one.node.deactivate()
+                assert all(status.state is TaskState.PAUSED for status in one.tasks.open.values())
+                await one.node.activate()
+                states = [one.tasks.open[goal.id].state for goal in (paused, resumed, other)]
+                assert states == [TaskState.PAUSED, TaskState.RUNNING, TaskState.RUNNING]
+            assert (await one.client.call("executor/resume", task=ALL))["success"]
+            assert one.tasks.open[paused.id].state is TaskState.RUNNING
+            await one.node.deactivate()
+            await one.node.activate()
+            assert one.tasks.open[paused.id].state is TaskState.RUNNING
+
+    run(main())
+
+
+# --- plans with an action of their own -------------------------------------------------------
+
+
+def test_a_plan_with_an_action_of_its_own_is_a_task_like_others(two):
+    async def main():
+        async with scene(two) as one:
+            goal = await one.client.send("running_tour", parameters="{shop: bakery}")
+            assert await goal.hears(lambda told: told["running"]) == {"running": ["move(r1, hall)"], "ended": 1, "restarts": 0}
+            assert one.tasks.wanted == [Wanted(goal.id, "running", parameters={"shop": "bakery"}, is_plan=True)]
+            assert (await one.client.call("executor/pause", task=uuid_data(goal.id)))["success"]
+            assert one.tasks.open[goal.id].state is TaskState.PAUSED
+            assert (await one.client.call("executor/cancel", task=uuid_data(goal.id)))["success"]
+            status, result = await goal.result()
+            assert (status, result["success"], result["reason"]) == (CANCELED, False, "cancelled")
+
+    run(main())
+
+
+@pytest.mark.parametrize(
+    ("code", "cause", "reason"),
+    [
+        (Code.GOAL_REACHED, "", "goal"),
+        (Code.INVALID_GOAL, "", "parameters"),
+        (Code.ACTION_FAILED, "aborted", "aborted"),
+        (Code.CONDITION_LOST, "goal_false", "goal_false"),
+        (Code.TIMED_OUT, "", "timed_out"),
+        (Code.QUEUE_FULL, "", "queue_full"),
+        (Code.ERROR, "", "error"),
+    ],
+)
+def test_the_result_of_a_plan_says_why_in_one_word(code, cause, reason):
+    fields = run_ending_fields(TaskEnding(code, "why", cause=cause, results={"n": 1}), 0.0)
+    assert fields == {"success": code is Code.GOAL_REACHED, "reason": reason, "message": "why", "results": '{"n": 1}'}
+
+
+def test_plans_have_names_that_can_be_told_apart(two):
+    names = run(two[0].ask(lambda: action_names(two[0], ["fetch-it"])))
+    assert names[1]["fetch-it"].endswith("/fetch_it")
+    with pytest.raises(InputError, match=r"the plan plan would have the action server .*/plan, which the node offers for all tasks"):
+        run(two[0].ask(lambda: action_names(two[0], ["plan"])))
+    with pytest.raises(InputError, match="two plans would both have the action server"):
+        run(two[0].ask(lambda: action_names(two[0], ["fetch-it", "fetch_it"])))
 
 
 # --- what is told ----------------------------------------------------------------------------
