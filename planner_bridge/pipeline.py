@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, cast
 
 from planner_bridge.loading import load
 from planner_bridge.mission import Mission
@@ -18,6 +19,7 @@ from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.sites import Ros2Site, Site
+from pnm.tasking import Code
 
 Where: TypeAlias = Literal["simulated", "ros2"]
 
@@ -59,7 +61,7 @@ async def pursue(problem: Problem, site: Site, settings: Settings, observer: Tas
     """Plan, execute and replan at a site; `achieve` does this with a loop of its own."""
     knowledge = initial_knowledge(problem)
     try:
-        return await Pursuit(Mission(problem, site, settings, observer, seconds, Layered(knowledge))).pursue(opens=True)
+        return await _stoppable(Pursuit(Mission(problem, site, settings, observer, seconds, Layered(knowledge))), opens=True)
     finally:
         await site.close()
 
@@ -75,4 +77,20 @@ async def pursue_on(
     history: History,
 ) -> TaskResult:
     """Plan, execute and replan at a site that is open and keeps the knowledge up to date, after what has happened before."""
-    return await Pursuit(Mission(problem, site, settings, observer, seconds, Layered(knowledge)), history=history).pursue()
+    return await _stoppable(Pursuit(Mission(problem, site, settings, observer, seconds, Layered(knowledge)), history=history))
+
+
+async def _stoppable(pursuit: Pursuit, *, opens: bool = False) -> TaskResult:
+    """Pursue a goal. Cancelling this stops the task: what is under way is cancelled and waited for; cancelling it again leaves it alone."""
+    pursuing, is_stopped = asyncio.ensure_future(pursuit.pursue(opens=opens)), False
+    while not pursuing.done():
+        try:
+            await asyncio.wait((pursuing,))
+        except asyncio.CancelledError:
+            if is_stopped:
+                pursuing.cancel()
+                raise
+            is_stopped = True
+            cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
+            pursuit.stop(Code.CANCELLED, "cancelled")
+    return pursuing.result()

@@ -49,9 +49,7 @@ class Pursuit:
         self._last: Run | None = None
 
     async def pursue(self, *, opens: bool = False) -> TaskResult:
-        """Go on until the goal holds or the task is over for another reason.
-
-        Cancelling this stops the task: what is under way is cancelled and waited for. Cancelling it again leaves it alone.
+        """Go on until the goal holds or the task is over for another reason; nothing happens between that and the return.
 
         Args:
             opens: whether the site is still to be opened.
@@ -59,17 +57,18 @@ class Pursuit:
         Raises:
             InputError: the planner refuses the problem; nothing was started.
         """
-        pursuing = asyncio.ensure_future(self._pursued(opens))
-        while not pursuing.done():
+        with ExitStack() as at_the_end:
             try:
-                await asyncio.wait((pursuing,))
-            except asyncio.CancelledError:
-                if self._standing.stopped:
-                    pursuing.cancel()
-                    raise
-                cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
-                self.stop(Code.CANCELLED, "cancelled")
-        return pursuing.result()
+                if opens:
+                    await self._standing.until(self._mission.site.open(self._mission.world))
+                self._supervision.begin(at_the_end)
+                at_the_end.callback(self._mission.world.listen(self._changed))
+                await self._pursue()
+            except Over as over:
+                return self._ended(over.code, over.reason)
+            except (PlanGraphError, Unsound) as error:  # a plan that is valid, but not by causes alone
+                return self._ended(Code.PLANNER_ERROR, f"the plan cannot be executed: {error}")
+        raise AssertionError("a pursuit ends with a reason")
 
     # --- from outside ---------------------------------------------------------------------------
 
@@ -132,20 +131,6 @@ class Pursuit:
         return tuple(str(call.action) for call in self.run.open_calls.values()) if self.run else ()
 
     # --- the story ------------------------------------------------------------------------------
-
-    async def _pursued(self, opens: bool) -> TaskResult:
-        with ExitStack() as at_the_end:
-            try:
-                if opens:
-                    await self._standing.until(self._mission.site.open(self._mission.world))
-                self._supervision.begin(at_the_end)
-                at_the_end.callback(self._mission.world.listen(self._changed))
-                await self._pursue()
-            except Over as over:
-                return self._ended(over.code, over.reason)
-            except (PlanGraphError, Unsound) as error:  # a plan that is valid, but not by causes alone
-                return self._ended(Code.PLANNER_ERROR, f"the plan cannot be executed: {error}")
-        raise AssertionError("a pursuit ends with a reason")
 
     async def _pursue(self) -> None:
         """Go on until `Over` is raised."""

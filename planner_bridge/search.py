@@ -6,7 +6,7 @@ import asyncio
 import threading
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Final
+from typing import Final, cast
 from uuid import UUID
 
 from planner_bridge.circumstances import Circumstances, Conflict
@@ -112,7 +112,9 @@ class Search:
                 return await asyncio.to_thread(search, timeout=timeout)
         except asyncio.CancelledError:
             self.stop()
-            raise
+            if cast("asyncio.Task[object]", asyncio.current_task()).cancelling():
+                raise
+            return PlanningResult(PlanningStatus.CANCELLED, message="the search was cancelled")  # and not whoever waits for it
         except InputError as error:
             if not self._has_found:
                 raise

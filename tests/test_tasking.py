@@ -337,10 +337,12 @@ def test_a_pause_right_after_a_resumption_waits_for_what_that_begins():
         task = stage.want("(at r0 a2)")
         await stage.sees(task, "sent")
         await stage.master.pause(task, at_once=True)
-        await stage.master.resume(task)
-        await stage.master.pause(task, at_once=True)
-        assert not stage.site.robots._jobs
+        going_on = stage.master._tasks[task]
+        going_on.go_on()
+        await going_on.pause("", at_once=False)
         assert stage.state(task) is TaskState.PAUSED
+        await asyncio.sleep(0.1)
+        assert not stage.site.robots._jobs
         await stage.master.resume(task)
         assert await stage.ended_with(task) == [Code.GOAL_REACHED]
 
