@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import signal
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -45,6 +45,9 @@ Warn: TypeAlias = Callable[[Iterable[Tolerated]], None]
 NODE: Final = "pnm"
 _PREPARED: Final = 1.0
 """Seconds in which the action servers that are there are found; plans are offered before those come that are not there yet."""
+
+_LET_GO: Final = 0.5
+"""Seconds for tasks that have had their time to end when the node is shut down."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +218,7 @@ class Serving:
         await self._share(room, opened)
         await self._prepare(room.performer, stack)
         self._tasks = TaskNode(self._ros, opened.tasks, opened.make, opened.world, room.knowledge, plans)
-        stack.push_async_callback(opened.close)
+        stack.push_async_callback(_let_go, opened.close)
         stack.callback(opened.tasks.listen(TaskConsole(self._terminal, opened.tasks)))
         stack.push_async_callback(self._tasks.close, room.options.cancel)
         await self._tasks.open()
@@ -249,6 +252,13 @@ class Serving:
 
     def _say(self, text: str) -> None:
         self._terminal.print(text, highlight=False, soft_wrap=True, markup=False)
+
+
+async def _let_go(close: Callable[[], Awaitable[None]]) -> None:
+    """Close what pursues tasks; those that have not ended in their time by now are not waited for."""
+    with suppress(TimeoutError):
+        async with asyncio.timeout(_LET_GO):
+            await close()
 
 
 def _bindings(options: Options, problem: Problem | None) -> Bindings:

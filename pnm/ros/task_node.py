@@ -18,7 +18,7 @@ from pnm.ros.request_services import Fields, RequestServices
 from pnm.ros.task_servers import NAMES, TaskServers
 from pnm.ros.task_topics import TaskTopics
 from pnm.served_world import ServedWorld
-from pnm.tasking import Make, TaskRefused, Tasks
+from pnm.tasking import Make, TaskRefused, Tasks, TaskState
 
 ACTIONS: Final = (*NAMES, PLAN)
 
@@ -96,9 +96,13 @@ class TaskNode:
             async with asyncio.timeout(limit):
                 await self._tasks.cancel(None, why=self._closed)
         except TimeoutError:
-            _log.warning("tasks have not ended within %g s; what they run is left alone", limit)
+            _log.debug("tasks have not ended within %g s", limit)
         except TaskRefused:
             _log.debug("there are no tasks to cancel")
+        finally:  # who asks twice for the end does not wait
+            for status in self._tasks.status():
+                if status.state is not TaskState.OVER:
+                    _log.warning("%s has not ended; what it runs is left alone", status.goal)
         await self._planning.close()
         await self._servers.close()
         await self._services.close()

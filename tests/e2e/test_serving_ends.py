@@ -97,7 +97,7 @@ def test_a_signal_cancels_what_runs_and_tells_the_clients(plan_scene, number):
     serving.stop(number)
     assert [(result["status"], result["reason"]) for result in client.results()] == [(ABORTED, "cancelled")] * 2
     assert {one["value"] for one in workers.objects() if one["event"] == "cancelled"} == {1000, 2000}
-    assert sum("whoever serves the plan is being shut down" in line for line in serving.out) == 2
+    assert sum("cancelled the node is shut down" in line for line in serving.out) == 2
 
 
 def test_an_action_server_that_does_not_let_go_is_not_waited_for_without_end(plan_scene):
