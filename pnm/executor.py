@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Coroutine, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import assert_never, cast
 from uuid import UUID
@@ -92,6 +93,7 @@ class Executor:
             raise RunError("the run that is to be succeeded is not being carried out")
         _check_succession(self.run, run)
         old, self.run = self.run, run
+        self._asker = replace(self._asker, run=run.id)
         self._leave()
         old.retire(run.open_requests)
         if old.pausing:
