@@ -213,12 +213,18 @@ class TaskMaster:
         return None
 
     async def close(self) -> None:
-        """Cancel all tasks, and wait until they are over."""
+        """Cancel all tasks, and wait until they are over; leave them alone when that is cancelled."""
         for one in tuple(self._tasks.values()):
             self.stop(one, Code.CANCELLED, "whoever does the task is being shut down")
-        for one in tuple(self._tasks.values()):
-            await one.over.wait()
-        self._stop_listening()
+        try:
+            for one in tuple(self._tasks.values()):
+                await one.over.wait()
+        except asyncio.CancelledError:
+            for doing in self._doing.values():
+                doing.cancel()
+            raise
+        finally:
+            self._stop_listening()
 
     def stop(self, task: Task, code: Code, reason: str) -> None:
         """End a task, which may still have to confirm it."""
