@@ -28,6 +28,7 @@ class Sender:
         self.client = ActionClient(node, RunPlan, plan)
         self.cancel_on = cancel_on
         self.handles: dict[int, Any] = {}
+        self.doomed: set[int] = set()
         self.cancelled: set[int] = set()
         self.waiting = 0
 
@@ -43,13 +44,18 @@ class Sender:
             self.waiting -= 1
             return
         self.handles[number] = handle
+        self.cancel(number)  # feedback may come before the answer
         handle.get_result_async().add_done_callback(lambda future: self.ended(number, future.result()))
 
     def hear(self, number: int, feedback: Any) -> None:
         running = list(feedback.running)
         say("feedback", number, running=running, ended=feedback.ended, restarts=feedback.restarts)
-        wanted = self.cancel_on and any(f"{self.cancel_on}(" in call for call in running)
-        if wanted and number in self.handles and number not in self.cancelled:
+        if self.cancel_on and any(f"{self.cancel_on}(" in call for call in running):
+            self.doomed.add(number)
+            self.cancel(number)
+
+    def cancel(self, number: int) -> None:
+        if number in self.doomed and number in self.handles and number not in self.cancelled:
             self.cancelled.add(number)
             self.handles[number].cancel_goal_async()
 
