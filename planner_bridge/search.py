@@ -129,10 +129,10 @@ def lean(problem: Problem, plan: Plan) -> Plan:
     """
     if plan.temporal or len(plan.steps) > LEAN or _wants_more(problem):
         return plan
-    progress = Progress.beginning(one_by_one(problem, plan))
-    if why_not(progress, initial_knowledge(problem)):
+    progress, world = Progress.beginning(one_by_one(problem, plan)), initial_knowledge(problem)
+    if why_not(progress, world):
         return plan
-    kept = {call.index for call in shortened(progress, initial_knowledge(problem)).rest}
+    kept = {call.index for call in shortened(progress, world).rest}
     return replace(plan, steps=tuple(step for number, step in enumerate(plan.steps) if number in kept))
 
 

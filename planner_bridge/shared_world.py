@@ -20,7 +20,6 @@ from planner_bridge.pddl.requirements import Requirements
 from planner_bridge.pddl.scope import Scope
 from planner_bridge.pddl.sexpr import Group, Node, parse, wrong
 from planner_bridge.pddl.words import number, operands
-from planner_bridge.problem_files import write_inside
 from planner_bridge.state import problem_now
 from pnm.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, evaluate
 from pnm.errors import InputError, Position
@@ -151,14 +150,6 @@ class SharedWorld:
     def problem_text(self) -> str:
         """Return the problem that begins with the world as it is known now, as PDDL."""
         return write_problem(problem_now(self.problem, self._knowledge, self._elapsed()))
-
-    def save(self, path: str, folder: Path) -> Path:
-        """Write the problem that begins with the world as it is known now; return the whole path.
-
-        Raises:
-            InputError: the path leads out of the folder, or cannot be written; nothing was.
-        """
-        return write_inside(folder, path, self.problem_text())
 
     def read_goal(self, text: str) -> Condition:
         """Return the goal that is meant: a condition, the name of a goal, or nothing for the goal of the problem.

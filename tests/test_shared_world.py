@@ -273,7 +273,7 @@ def test_a_problem_is_saved_as_it_is_now(tmp_path):
     knowledge = initial_knowledge(PROBLEM)
     shared = SharedWorld(PROBLEM, knowledge, elapsed=lambda: 2.0)
     shared.update(["(= (battery r2) 0.1)"], ["(at r1 kitchen)"], ["(charged r1)"])
-    path = shared.save("today/p.pddl", tmp_path)
+    path = write_inside(tmp_path, "today/p.pddl", shared.problem_text())
     assert path == (tmp_path / "today" / "p.pddl").resolve()
     saved = read_problem(path, DOMAIN)
     assert saved == problem_now(PROBLEM, knowledge, 2.0)
@@ -295,7 +295,7 @@ def test_nothing_is_written_or_read_outside_of_the_folder(tmp_path, name):
     folder.mkdir()
     (folder / "out").symlink_to(tmp_path)
     with pytest.raises(InputError):
-        world().save(name, folder)
+        write_inside(folder, name, world().problem_text())
     with pytest.raises(InputError):
         load_texts("", name, folder, DOMAIN)
     assert [*tmp_path.rglob("*.pddl")] == []
