@@ -71,7 +71,7 @@ def _problem(problem: Problem, notes: Notes) -> str:
     if problem.network:
         sections.append(_verbatim(problem.network, notes))  # other planners read it only in front of :init
     facts = notes.at(":init")
-    init: list[Form] = [noted(form, facts.at(fact_said(form)).take()) for form in _initial(problem)]
+    init: list[Form] = [noted(form, facts.at(fact_said(form)).take()) if facts else form for form in _initial(problem)]
     sections.append(noted([":init", *init], facts.take()))
     goal = notes.at(":goal")
     wanted = _with_preferences(problem.goal, problem.preferences)
