@@ -122,7 +122,11 @@ def problem_in(domain: Path, problem: Path) -> Problem:
 
 
 def write(path: Path | None, text: str) -> None:
-    """Write a file, or on the terminal when there is none."""
+    """Write a file, or on the terminal when there is none.
+
+    Raises:
+        InputError: it cannot be written.
+    """
     if path is None:
         print(text, end="")
         return

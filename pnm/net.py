@@ -117,7 +117,7 @@ def _neighbours(places: Iterable[str], weights: Mapping[str, Weights]) -> dict[s
 
 @dataclass
 class NetBuilder:
-    """Collects places and transitions, then builds the frozen net."""
+    """Collects places and transitions, then builds the frozen net. A name that is used twice raises NetError, and adds nothing."""
 
     _places: dict[str, None] = field(default_factory=dict)
     _inputs: dict[str, Weights] = field(default_factory=dict)

@@ -104,7 +104,7 @@ def read_derived(top: Mapped, declared: Declared) -> Rules:
     rules: list[Rule] = []
     for entry in top.sequence("derived"):
         entry.only("fact", "condition")
-        fact, condition = needed(entry, "fact"), needed(entry, "condition")
+        fact, condition = entry.needed("fact"), entry.needed("condition")
         found = _DECLARED.match(fact.text.strip()) if fact.text is not None else None
         if found is None:
             raise fact.wrong("expected something like (reachable ?p - place)")
@@ -116,14 +116,6 @@ def read_derived(top: Mapped, declared: Declared) -> Rules:
         return Rules(tuple(rules))
     except UnstratifiedError as error:
         raise InputError(str(error), top.position("derived")) from error
-
-
-def needed(entry: Mapped, key: str) -> Node:
-    """Return the value of a key that must be there."""
-    node = entry.node(key)
-    if node is None:
-        raise InputError(f"the key {key!r} is missing", entry.start)
-    return node
 
 
 def read_facts(top: Mapped, key: str, scope: Scope) -> dict[Fluent, Value]:
@@ -145,7 +137,7 @@ def read_initial(problem: Mapped, scope: Scope) -> tuple[dict[Fluent, Value], tu
     timed: list[TimedChange] = []
     for entry in [item.mapped() for item in items if item.is_mapping]:
         entry.only("at", "facts")
-        needed(entry, "at")
+        entry.needed("at")
         timed.append(TimedChange(entry.number("at", 0.0), read_facts(entry, "facts", scope)))
     facts = dict([_statement(item, scope) for item in items if not item.is_mapping])
     return facts, tuple(sorted(timed, key=lambda change: change.time))
