@@ -30,6 +30,7 @@ from pnm.errors import InputError, Tolerated
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.language.world import read_world
 from pnm.parameter import ParameterValue
+from pnm.pauses import short_pauses
 from pnm.performing import Performer, Program
 from pnm.sensing import NO_SENSING
 from pnm.sensing_file import read_sensing
@@ -146,7 +147,8 @@ async def _live(ros: Any, given: Mapping[str, ParameterValue], terminal: Termina
             await lifecycle.change("activate")
         else:
             terminal.print("unconfigured: waits for its transitions", highlight=False)
-        await lifecycle.finalized.wait()
+        with short_pauses():
+            await lifecycle.finalized.wait()
     finally:
         await lifecycle.close()
 
