@@ -13,7 +13,8 @@ from typing import Any, ParamSpec
 
 import click
 
-from planner_bridge.loading import told
+from planner_bridge.loading import load, told
+from planner_bridge.model import Problem
 from pnm.errors import InputError, PnmError, Tolerated
 
 P = ParamSpec("P")
@@ -107,6 +108,17 @@ def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | No
     if domain is None or problem is None:
         raise InputError("expected DOMAIN and PROBLEM, or --plan and a file")
     return domain, problem
+
+
+def problem_in(domain: Path, problem: Path) -> Problem:
+    """Read a problem, and say on stderr what in its files was not as it should be.
+
+    Raises:
+        InputError: a file is wrong, or cannot be read.
+    """
+    loaded = load(domain, problem)
+    tell(loaded.warnings)
+    return loaded
 
 
 def write(path: Path | None, text: str) -> None:

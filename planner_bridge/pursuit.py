@@ -104,19 +104,8 @@ class Pursuit:
                 self._relay.stop(reason)
 
     async def pause(self, reason: str, *, at_once: bool) -> None:
-        """Start nothing more; return when nothing is under way.
-
-        Args:
-            reason: why.
-            at_once: cancel what is under way, to begin it anew later.
-        """
-        self._standing.pause()
-        if self.is_paused:
-            self._standing.enter(TaskState.PAUSING, reason)
-            if self._relay:
-                await self._relay.pause(at_once=at_once)
-        if self.is_paused:
-            self._standing.enter(TaskState.PAUSED, reason)
+        """Start nothing more; return when nothing is under way."""
+        await self._standing.pause(reason, self._relay.executor if self._relay else None, at_once=at_once)
 
     def resume(self) -> None:
         """Go on where the task was if the rest of its plan still works, and else find another way."""

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.cli_written import Files, run_written
+from planner_bridge.cli_files import Files
+from planner_bridge.cli_written import run_written
 from planner_bridge.console import Terminal
 from planner_bridge.replanning import Limits
 from planner_bridge.tasks import Settings
@@ -379,9 +380,9 @@ def test_a_result_is_json_whatever_is_in_it(tmp_path: Path) -> None:
 
 
 def test_parameters_of_the_command_line_are_finite() -> None:
-    given, none = ("x=[1, .nan]",), Files(None, None, None, None)
+    given = ("x=[1, .nan]",)
     with pytest.raises(InputError, match=r"expected finite numbers after --set x, found '\[1, .nan\]'"):
-        run_written(Path("no.yaml"), None, given, none, actions="simulated", settings=Settings(), on_failure=None, as_json=True)
+        run_written(Path("no.yaml"), None, given, Files(), actions="simulated", settings=Settings(), on_failure=None, as_json=True)
 
 
 def test_a_terminal_is_told_nothing_that_makes_it_do_something() -> None:
