@@ -9,6 +9,7 @@ from pathlib import Path
 from planner_bridge.cli_options import tell
 from planner_bridge.console import ConsoleObserver, Terminal, print_result
 from planner_bridge.pipeline import Where
+from planner_bridge.planning import check_planner
 from planner_bridge.tasks import Settings, TaskObserver
 from planner_bridge.written import carry_out, chosen_plan
 from pnm.actions.faults import NO_FAULTS, read_faults
@@ -55,6 +56,7 @@ def run_written(
     as_json: bool,
 ) -> int:
     """Carry out a hand-written plan, tell how it went, and return the exit status."""
+    check_planner(settings.planner)  # now, not when a plan is given up that took an hour
     console = Terminal()
     if files.bindings:
         settings = replace(settings, bindings=read_bindings(files.bindings))

@@ -384,6 +384,13 @@ def test_parameters_of_the_command_line_are_finite() -> None:
         run_written(Path("no.yaml"), None, given, none, actions="simulated", settings=Settings(), on_failure=None, as_json=True)
 
 
+def test_a_planner_that_is_not_there_is_refused_before_the_plan_begins(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    none, settings = Files(None, None, None, None), Settings(planner="race:kairoos")
+    with pytest.raises(InputError, match=r"'kairoos' cannot take part in a race; .*; did you mean 'kairos'\?"):
+        run_written(written(tmp_path, "plan: []"), None, (), none, actions="simulated", settings=settings, on_failure=None, as_json=True)
+    assert capsys.readouterr().out == ""
+
+
 def test_a_terminal_is_told_nothing_that_makes_it_do_something() -> None:
     shown = StringIO()
     Terminal(file=shown).print("start\n  go(\x1b[31m\ud800)", markup=False)
