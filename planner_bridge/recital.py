@@ -5,6 +5,7 @@ from __future__ import annotations
 from planner_bridge.codes import code_of_failures
 from planner_bridge.footprints import Footprint, footprint
 from planner_bridge.task import Task
+from pnm.errors import InputError
 from pnm.performing import Performance, Performer
 from pnm.results import RunResult
 from pnm.run import Run
@@ -37,8 +38,13 @@ class Recital:
     async def perform(self) -> TaskEnding:
         """Carry the plan out and return how it ended."""
         program = self._performance.program
+        try:
+            await self._performer.check(self._performance)
+        except InputError as error:
+            return TaskEnding(Code.INVALID_GOAL, str(error))
         self._task.generated(program.machine, program.proof)
-        self._task.enter(TaskState.RUNNING)
+        if not (self._is_paused or self._stopped):  # meanwhile
+            self._task.enter(TaskState.RUNNING)
         result = await self._performer.execute(self._performance)
         code, reason = self._ending(result)
         cause = "" if result.goal or result.stopped else result.failures[0].cause if result.failures else "goal_false"
