@@ -140,8 +140,8 @@ class Task(TaskObserver):
     def status(self) -> Status:
         """How it is doing."""
         running = self.doing.running if self.doing and self.ending is None else ()
-        counts = self.ended_calls, self.replans, self.restarts
-        return Status(self.id, self.wanted.text or self.meant, self.wanted.priority, self.state, self.why, running, *counts)
+        counts, wanted = (self.ended_calls, self.replans, self.restarts), self.wanted
+        return Status(self.id, wanted.text or self.meant, wanted.priority, self.state, self.why, running, *counts, wanted.parameters)
 
     @property
     def steps(self) -> tuple[Step, ...]:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
+from io import StringIO
 
+from planner_bridge.console import Terminal
+from planner_bridge.task_console import TaskConsole
 from planner_bridge.tasks import Settings
 from pnm.language.plan import parse_plans
 from pnm.performing import Program
@@ -50,3 +53,17 @@ def test_the_steps_of_a_plan_have_the_values_that_are_known() -> None:
         assert await stage.ended_with(task) == [Code.GOAL_REACHED], stage.endings[task]
 
     play(scene)
+
+
+def test_people_read_with_which_parameters_a_plan_is_carried_out() -> None:
+    shown = StringIO()
+
+    async def scene(stage: Stage) -> None:
+        stage.master.listen(TaskConsole(Terminal(file=shown, width=200), stage.master))
+        one = stage.want("trip", is_plan=True, parameters={"robot": "r0", "far": ["a1", 2]})
+        other, goal = stage.want("trip", is_plan=True), stage.want("(at r0 a0)")
+        await stage.ended_with(one, other, goal)
+
+    play(scene)
+    goals = [line.split("goal", 1)[1].strip() for line in shown.getvalue().splitlines() if "  goal  " in line]
+    assert goals == ['trip(robot: r0, far: ["a1", 2])', "trip", "(at r0 a0)"]

@@ -89,7 +89,9 @@ def test_a_parameter_that_nobody_gives_is_refused_by_name_before_anything_begins
         pytest.param(GUIDE.replace("  params: [shop]\n", ""), id="parameters-that-are-not-declared"),
         pytest.param(GUIDE.replace("duration: 5}", "duration: 5, ask: {shop: Where to}}"), id="a-person-may-be-asked"),
         pytest.param(
-            GUIDE.replace("duration: 5}", "duration: 5, ask: {place: Where to}}").replace("- go: {place: door}", "- go: {place: {LocalQuery: shop}}"),
+            GUIDE.replace("duration: 5}", "duration: 5, ask: {place: Where to}}").replace(
+                "- go: {place: door}", "- go: {place: {LocalQuery: shop}}"
+            ),
             id="a-person-may-be-asked-in-its-place",
         ),
     ],
