@@ -103,8 +103,9 @@ class TaskTopics(TaskListener):
             self._moved.note(task)
 
     def ended(self, task: UUID, ending: TaskEnding) -> None:
-        """Tell once more how things are, without the task's net."""
-        self.note()
+        """Tell how things are, at once: whoever reads the result of the task must not read later that it goes on."""
+        self._soon.at_once(self._tell_status)
+        self._soon.note(self._tell_plans)
         self._moved.forget(task)
         self._nets.pop(task, None)
         self._note_nets()
