@@ -92,7 +92,8 @@ async def open_tasks(room: Room) -> Opened:
     goals = read_goals(options.goals) if options.goals else {}
     problem = room.problem or NOTHING
     try:
-        world = ServedProblem(problem, room.knowledge, goals, settings, options.problems)
+        plans = [program.plan for program in room.performer.programs.values()]
+        world = ServedProblem(problem, room.knowledge, goals, settings, options.problems, plans)
     except InputError as error:
         raise InputError(f"{options.goals}: {error}") from error
     places = Places(options.max_tasks, options.max_queue, options.on_conflict)
