@@ -16,7 +16,6 @@ from planner_bridge.tasks import Settings
 from planner_bridge.world_of_plans import with_names_of, world_of_plans
 from pnm.conditions import Condition
 from pnm.errors import InputError
-from pnm.expressions import Fluent, Unknown, Value
 from pnm.knowledge import KnowledgeBase
 from pnm.language.plan import HandWrittenPlan
 from pnm.tasking import MadePlan
@@ -116,6 +115,7 @@ class ServedProblem:
         self._knowledge.begin_anew(world.facts(), world.objects_by_type(), world.rules)
         self._begin(loaded)
 
-    def changes(self, batch: Mapping[Fluent, Value | Unknown], /) -> Mapping[str, object]:
-        """Return what has changed, as fields of a message."""
-        return self._world.changes(batch)
+    def follow(self, tell: Callable[[Mapping[str, object]], None], /) -> Callable[[], None]:
+        """Tell what changes from now on, as fields of a message; return what stops that."""
+        self._world.attend()
+        return self._knowledge.listen(lambda batch: tell(self._world.changes(batch)) if batch else None)

@@ -221,7 +221,7 @@ class Serving:
         opened = await open_tasks(room)
         await self._share(room, opened)
         await self._prepare(room.performer, stack)
-        self._tasks = TaskNode(self._ros, opened.tasks, opened.make, opened.world, room.knowledge, plans)
+        self._tasks = TaskNode(self._ros, opened.tasks, opened.make, opened.world, plans)
         stack.push_async_callback(_let_go, opened.close)
         stack.callback(opened.tasks.listen(TaskConsole(self._terminal, opened.tasks)))
         stack.push_async_callback(self._tasks.close, room.options.cancel)

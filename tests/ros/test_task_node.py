@@ -55,7 +55,7 @@ class Scene:
 @asynccontextmanager
 async def scene(two: tuple[RosThread, RosThread], *, is_active: bool = True, max_queue: int = 1000) -> AsyncIterator[Scene]:
     knowledge, tasks = KnowledgeBase(), ScriptedTasks(max_queue)
-    node = TaskNode(two[0], tasks, scripted_search, ScriptedWorld(knowledge), knowledge, {"running": "running_tour"})
+    node = TaskNode(two[0], tasks, scripted_search, ScriptedWorld(knowledge), {"running": "running_tour"})
     await node.open()
     if is_active:
         await node.activate()
