@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from typing import cast
 
-from planner_bridge.chronicle import Chronicle, Way
+from planner_bridge.chronicle import Chronicle, Way, sentence, tries_again
 from planner_bridge.codes import code_of_failures
 from planner_bridge.finding import Finding
 from planner_bridge.footprints import Footprint, footprint
@@ -191,10 +191,13 @@ class Pursuit:
         decision = decide(self._supervision.now(), Progress(machine.plan, result.calls), world, history, limits)
         if isinstance(decision, GiveUp):
             self._chronicle.end(machine, result, decision)
-            raise Over(Code.REPLAN_LIMIT, decision.reason + self._chronicle.last_failure(self._supervision.missing))
+            unfulfilled = self._chronicle.unfulfilled(self._supervision.missing)
+            raise Over(Code.REPLAN_LIMIT, sentence(decision.reason, self._chronicle.last_failure, unfulfilled))
         self._chronicle.follow(Way(decision, history), machine, result)
         self._mission.observer.replanning(decision, result)
-        await self._standing.wait(history.pause(limits))
+        if pause := history.pause(limits):
+            self._standing.enter(TaskState.REPLANNING, tries_again(pause, result))
+            await self._standing.wait(pause)
         return decision.rest if isinstance(decision, Resume) else await self._planned_patiently(decision.forbidden)
 
     async def _planned_patiently(self, forbidden: frozenset[ForbiddenCall]) -> PlanGraph:

@@ -6,6 +6,7 @@ from planner_bridge.codes import code_of_run
 from planner_bridge.footprints import Footprint, footprint
 from planner_bridge.standing import Over, Standing
 from planner_bridge.task import Task
+from pnm.errors import InputError
 from pnm.performing import Performance, Performer
 from pnm.results import RunResult
 from pnm.run import Run
@@ -35,6 +36,10 @@ class Recital:
     async def perform(self) -> TaskEnding:
         """Carry the plan out and return how it ended."""
         program = self._performance.program
+        try:
+            await self._performer.check(self._performance)
+        except InputError as error:
+            return TaskEnding(Code.INVALID_GOAL, str(error))
         self._task.generated(program.machine, program.proof)
         self._standing.enter(TaskState.RUNNING)
         return self._ending(await self._performer.execute(self._performance))

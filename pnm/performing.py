@@ -26,6 +26,7 @@ from pnm.machine import PetriNetMachine
 from pnm.nearest import meant
 from pnm.observer import Observer
 from pnm.plan_graph import GroundAction
+from pnm.plan_parameters import check_names, check_values
 from pnm.queries import MISSING
 from pnm.resources import Resources
 from pnm.results import RunResult
@@ -159,7 +160,7 @@ class Performer:
             hint = meant(name, self.programs) or f"expected one of {', '.join(self.programs) or 'none, for none is loaded'}"
             raise InputError(f"there is no plan {name!r}; {hint}")
         program, given = self.programs[name], dict(parameters or {})
-        _check_parameters(program.plan, given)
+        check_names(program.plan, given)
         knowledge = Layered(self.world, KnowledgeBase(variables={**program.plan.variables, **given}))
         identity = UUID(bytes=self.prefix + uuid4().bytes[4:])
         client = PlansClient(self, observer, task or identity, priority)
@@ -176,6 +177,15 @@ class Performer:
             priority=priority,
         )
         return Performance(program, Executor(run, client, self.source, name), client)
+
+    async def check(self, performance: Performance) -> None:
+        """See to it that every parameter of the plan has a value, before it is carried out; see `check_values`.
+
+        Raises:
+            InputError: one has none.
+        """
+        run, plan = performance.executor.run, performance.program.plan
+        await check_values(plan, run.knowledge, self.source, Asker(run.id, plan.name))
 
     async def execute(self, performance: Performance) -> RunResult:
         """Carry the plan out, within its time."""
@@ -209,14 +219,6 @@ def _capacities(plans: Iterable[HandWrittenPlan]) -> dict[str, int]:
         for name, capacity in plan.graph.capacities.items():
             found[name] = min(capacity, found.get(name, capacity))
     return found
-
-
-def _check_parameters(plan: HandWrittenPlan, given: Mapping[str, object]) -> None:
-    known = plan.parameters
-    for name in given:
-        if known is not None and name not in known:
-            hint = meant(name, known) or f"expected {', '.join(known) or 'none'}"
-            raise InputError(f"{plan.name} has no parameter {name!r}; {hint}")
 
 
 class PlansClient:
