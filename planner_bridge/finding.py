@@ -107,7 +107,7 @@ class Finding:
         self._standing.check()
         now = forbid(self._supervision.now(after(self._mission.world, under_way)), forbidden)
         given = None if self._chronicle.plans else self._given
-        found, conflicts = await self._search.find(now, [one.call for one in under_way], self._supervision.left, given)
+        found, conflicts = await self._search.find(now, [one.call for one in under_way], self._supervision.limit.left, given)
         self._standing.check()
         if found.plan is None:
             missing = self._supervision.missing
@@ -119,5 +119,5 @@ class Finding:
         """Note that a plan is going to be carried out."""
         limits = self._mission.settings.limits
         self._chronicle.plans += 1
-        self._supervision.allow(limits.allowed(plan.makespan if plan.temporal else 0.0))
+        self._supervision.limit.allow(limits.allowed(plan.makespan if plan.temporal else 0.0))
         self._mission.observer.planned(plan)

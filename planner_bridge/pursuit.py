@@ -112,6 +112,7 @@ class Pursuit:
         """
         self._standing.pause()
         if self.is_paused:
+            self._supervision.limit.pause()
             self._standing.enter(TaskState.PAUSING, reason)
             if self._relay:
                 await self._relay.pause(at_once=at_once)
@@ -121,6 +122,7 @@ class Pursuit:
     def resume(self) -> None:
         """Go on where the task was if the rest of its plan still works, and else find another way."""
         if self.is_paused:
+            self._supervision.limit.go_on()
             self._standing.go_on()
             if self._relay:
                 self._relay.go_on()

@@ -88,7 +88,7 @@ class Recital:
             return
         executor, self._is_paused = self._performance.executor, True
         self._task.enter(TaskState.PAUSING, reason)
-        executor.pause(at_once=at_once)
+        self._performance.pause(at_once=at_once)
         while self._is_paused and not (executor.paused or executor.run.over):
             await executor.happens()
         if self._is_paused:
@@ -99,7 +99,7 @@ class Recital:
         if self._is_paused:
             self._is_paused = False
             self._task.enter(TaskState.RUNNING)
-            self._performance.executor.resume()
+            self._performance.resume()
 
     def _ending(self, result: RunResult) -> tuple[Code, str]:
         if result.goal:

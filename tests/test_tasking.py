@@ -294,6 +294,36 @@ def test_a_paused_task_can_be_cancelled_and_misses_its_deadline():
     play(scene)
 
 
+@pytest.mark.parametrize("at_once", [False, True])
+def test_a_pause_does_not_use_up_the_time_of_the_task(at_once: bool):
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a4)")
+        await stage.sees(task, "sent")
+        for _ in range(2):
+            await stage.master.pause(task, at_once=at_once)
+            await asyncio.sleep(100.0)
+            await stage.master.resume(task)
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+
+    play(scene, fleet(places=8), chosen=replace(EAGER, limits=Limits(seconds=20.0)))
+
+
+def test_a_pause_gives_the_task_no_more_time_than_it_had():
+    async def scene(stage: Stage) -> None:
+        task = stage.want("(at r0 a4)")
+        await stage.sees(task, "ended")
+        await stage.master.pause(task, at_once=False)
+        await asyncio.sleep(100.0)
+        stage.site.robots.faults = Faults((Fault("move", FaultKind.HANG),))
+        resumed = asyncio.get_running_loop().time()
+        await stage.master.resume(task)
+        assert await stage.ended_with(task) == [Code.TIMED_OUT]
+        assert stage.endings[task].message == "the limit of 20 s is reached"
+        assert 15.0 < asyncio.get_running_loop().time() - resumed < 20.0, "what it used before the pause counts"
+
+    play(scene, fleet(places=8), chosen=replace(EAGER, limits=Limits(seconds=20.0)))
+
+
 def test_what_comes_while_all_is_paused_waits():
     async def scene(stage: Stage) -> None:
         await stage.master.pause(None, at_once=False)
