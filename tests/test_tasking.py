@@ -283,6 +283,65 @@ def test_a_task_whose_plan_does_not_work_any_more_after_a_pause_finds_another_wa
     play(scene)
 
 
+async def resumed_beside(stage: Stage, goal: str, other: str, **how: object) -> tuple[UUID, UUID]:
+    """A task that is resumed when another one has begun with what is in conflict with it."""
+    task = stage.want(goal, **how)
+    await stage.sees(task, "sent")
+    await stage.master.pause(task, at_once=False)
+    newcomer = stage.want(other)
+    await stage.sees(newcomer, "sent")
+    assert not stage.seen(newcomer, "state", "waits"), "what is paused keeps nobody waiting"
+    await stage.master.resume(task)
+    return task, newcomer
+
+
+@pytest.mark.parametrize(("goal", "how"), [("(at r0 a3)", {}), ("(move r0 a0 a1)\n(move r0 a1 a2)\n(move r0 a2 a3)", {"is_plan": True})])
+def test_a_task_that_is_resumed_waits_for_those_that_have_begun_meanwhile_what_is_in_its_way(goal: str, how: dict[str, object]):
+    async def scene(stage: Stage) -> None:
+        task, newcomer = await resumed_beside(stage, goal, "(and (has r0 p1) (at r0 a0))", **how)
+        await stage.sees(task, "state", "queued: waits for")
+        count = len(stage.sent(task))
+        await stage.ended_with(newcomer)
+        assert len(stage.sent(task)) == count, "nothing of it began meanwhile"
+        assert stage.endings[newcomer].code is Code.GOAL_REACHED
+        assert not stage.seen(newcomer, "failed")
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED]
+
+    play(scene, fleet(places=8))
+
+
+def test_a_task_that_is_resumed_plans_around_those_that_have_begun_meanwhile():
+    async def scene(stage: Stage) -> None:
+        task, newcomer = await resumed_beside(stage, "(in p1 a7)", "(and (at r1 a4) (has r1 p3))")
+        assert await stage.ended_with(task, newcomer) == [Code.GOAL_REACHED] * 2
+        assert not stage.seen(task, "failed")
+        assert not stage.seen(newcomer, "failed")
+        assert _robots(stage, newcomer) == {"r1"}
+        assert stage.sent(task)[-1].startswith("drop(r0")
+
+    play(scene, fleet(places=8))
+
+
+def test_a_task_that_is_resumed_is_refused_beside_others_if_that_is_the_policy():
+    async def scene(stage: Stage) -> None:
+        task, newcomer = await resumed_beside(stage, "(at r0 a3)", "(and (has r0 p1) (at r0 a0))", on_conflict=OnConflict.REFUSE)
+        assert await stage.ended_with(task, newcomer) == [Code.CONFLICT, Code.GOAL_REACHED]
+        assert "which the other" in stage.endings[task].message
+
+    play(scene, fleet(places=8))
+
+
+def test_those_of_lower_priority_make_way_for_a_task_that_is_resumed():
+    async def scene(stage: Stage) -> None:
+        task, newcomer = await resumed_beside(stage, "(at r0 a3)", "(and (has r0 p1) (at r0 a0))", priority=1)
+        await stage.ended_with(task)
+        assert newcomer not in stage.endings
+        assert stage.seen(newcomer, "conflict", "makes way")
+        assert await stage.ended_with(task, newcomer) == [Code.GOAL_REACHED] * 2
+
+    play(scene, fleet(places=8))
+
+
 def test_a_paused_task_can_be_cancelled_and_misses_its_deadline():
     async def scene(stage: Stage) -> None:
         one, two = stage.want("(at r0 a2)"), stage.want("(at r1 a3)", deadline=50.0)
