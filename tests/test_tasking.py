@@ -298,7 +298,7 @@ async def resumed_beside(stage: Stage, goal: str, other: str, **how: object) -> 
 @pytest.mark.parametrize(("goal", "how"), [("(at r0 a3)", {}), ("(move r0 a0 a1)\n(move r0 a1 a2)\n(move r0 a2 a3)", {"is_plan": True})])
 def test_a_task_that_is_resumed_waits_for_those_that_have_begun_meanwhile_what_is_in_its_way(goal: str, how: dict[str, object]):
     async def scene(stage: Stage) -> None:
-        task, newcomer = await resumed_beside(stage, goal, "(and (has r0 p1) (at r0 a0))", **how)
+        task, newcomer = await resumed_beside(stage, goal, "(and (has r0 p1) (at r0 a1))", **how)
         await stage.sees(task, "state", "queued: waits for")
         count = len(stage.sent(task))
         await stage.ended_with(newcomer)
@@ -324,7 +324,7 @@ def test_a_task_that_is_resumed_plans_around_those_that_have_begun_meanwhile():
 
 def test_a_task_that_is_resumed_is_refused_beside_others_if_that_is_the_policy():
     async def scene(stage: Stage) -> None:
-        task, newcomer = await resumed_beside(stage, "(at r0 a3)", "(and (has r0 p1) (at r0 a0))", on_conflict=OnConflict.REFUSE)
+        task, newcomer = await resumed_beside(stage, "(at r0 a3)", "(and (has r0 p1) (at r0 a1))", on_conflict=OnConflict.REFUSE)
         assert await stage.ended_with(task, newcomer) == [Code.CONFLICT, Code.GOAL_REACHED]
         assert "which the other" in stage.endings[task].message
 
@@ -333,7 +333,7 @@ def test_a_task_that_is_resumed_is_refused_beside_others_if_that_is_the_policy()
 
 def test_those_of_lower_priority_make_way_for_a_task_that_is_resumed():
     async def scene(stage: Stage) -> None:
-        task, newcomer = await resumed_beside(stage, "(at r0 a3)", "(and (has r0 p1) (at r0 a0))", priority=1)
+        task, newcomer = await resumed_beside(stage, "(at r0 a3)", "(and (has r0 p1) (at r0 a1))", priority=1)
         await stage.ended_with(task)
         assert newcomer not in stage.endings
         assert stage.seen(newcomer, "conflict", "makes way")
