@@ -82,11 +82,14 @@ class Recital:
 
     async def pause(self, reason: str, *, at_once: bool) -> None:
         """Start nothing more; return when nothing is under way."""
+        if not self._standing.stopped:
+            self._performance.limit.pause()
         await self._standing.pause(reason, self._performance.executor, at_once=at_once)
 
     def resume(self) -> None:
         """Go on."""
         if self.is_paused:
+            self._performance.limit.go_on()
             self._standing.go_on()
             self._performance.executor.resume()
 

@@ -12,6 +12,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from math import inf
 from uuid import UUID, uuid4
 
 from pnm.actions.base import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Report, Reporter, Request
@@ -33,6 +34,7 @@ from pnm.results import RunResult
 from pnm.run import Run
 from pnm.sites import Site
 from pnm.sources.base import Asker, Source
+from pnm.time_limit import TimeLimit
 
 _log = logging.getLogger(__name__)
 
@@ -67,6 +69,15 @@ class Performance:
     executor: Executor
     client: PlansClient
     result: RunResult | None = None
+    limit: TimeLimit = field(init=False)
+    """The time that the plan has."""
+
+    def __post_init__(self) -> None:
+        seconds = self.program.plan.timeout
+        self.limit = TimeLimit(inf if seconds is None else seconds, self._exceeded)
+
+    def _exceeded(self, seconds: float) -> None:
+        self.executor.stop(reason=f"the plan's limit of {seconds:g} s is reached")
 
     @property
     def running(self) -> tuple[str, ...]:
@@ -190,18 +201,13 @@ class Performer:
     async def execute(self, performance: Performance) -> RunResult:
         """Carry the plan out, within its time."""
         self.going_on.append(performance)
-        limit = performance.program.plan.timeout
-        timer = None
-        if limit is not None:
-            over = partial(performance.executor.stop, reason=f"the plan's limit of {limit:g} s is reached")
-            timer = asyncio.get_running_loop().call_later(limit, over)
+        performance.limit.begin()
         try:
             performance.result = await performance.executor.execute()
             return performance.result
         finally:
             self.going_on.remove(performance)
-            if timer:
-                timer.cancel()
+            performance.limit.close()
 
     def knowledge_of(self, request: UUID) -> tuple[Layered, Asker] | None:
         """Return what the run knows whose request this is, and whom it asks as; None when it is not, or no longer, open."""
