@@ -41,6 +41,10 @@ class Neighbours:
         """Return the tasks that are going on and beside which a plan with this footprint cannot be carried out."""
         return ()
 
+    def newcomers(self, footprint: Footprint, /) -> tuple[Conflict, ...]:
+        """Return those of the conflicts in which it is not said already who makes way."""
+        return ()
+
     async def preempt(self, conflicts: tuple[Conflict, ...], /) -> None:
         """Have those that yield pause until this task is over; return when nothing of theirs is under way."""
 

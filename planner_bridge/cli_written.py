@@ -11,6 +11,7 @@ from planner_bridge.cli_options import tell
 from planner_bridge.cli_run import print_ending
 from planner_bridge.console import ConsoleObserver, Terminal
 from planner_bridge.pipeline import Where
+from planner_bridge.planning import check_planner
 from planner_bridge.tasks import Settings, TaskObserver
 from planner_bridge.written import carry_out, chosen_plan
 from pnm.actions.faults import NO_FAULTS, read_faults
@@ -51,6 +52,7 @@ def run_written(
     Raises:
         InputError: a file or a parameter is wrong; nothing was started.
     """
+    check_planner(settings.planner)  # now, not when a plan is given up that took an hour
     console = Terminal()
     if files.bindings:
         settings = replace(settings, bindings=read_bindings(files.bindings))

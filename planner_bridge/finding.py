@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Callable
+from typing import TypeVar
 
-from planner_bridge.chronicle import Chronicle, no_plan
+from planner_bridge.chronicle import Chronicle, no_plan, sentence
 from planner_bridge.circumstances import Conflict
 from planner_bridge.codes import code_of_planning
-from planner_bridge.footprints import Footprint
+from planner_bridge.footprints import Footprint, footprint
 from planner_bridge.forbidding import ForbiddenCall, forbid
 from planner_bridge.mission import Mission
 from planner_bridge.plan import Plan
@@ -16,7 +18,10 @@ from planner_bridge.search import Search
 from planner_bridge.standing import Over, Standing
 from planner_bridge.supervision import Supervision
 from pnm.calls import UnderWay
+from pnm.plan_graph import PlanGraph
 from pnm.tasking import Code, OnConflict, TaskState
+
+Way = TypeVar("Way", Plan, PlanGraph)
 
 
 class Finding:
@@ -63,33 +68,59 @@ class Finding:
         Raises:
             Over: there is none, or nobody wants it any more.
         """
+
+        async def search() -> tuple[Plan | None, tuple[Conflict, ...]]:
+            self.origin = asyncio.get_running_loop().time()
+            self._standing.enter(TaskState.PLANNING)
+            return await self.look(forbidden)
+
+        plan = await self._beside_others(search)
+        self.accept(plan)
+        return plan
+
+    async def room_for(self, rest: PlanGraph) -> PlanGraph:
+        """Wait until the rest of a plan can be carried out beside those of the neighbours.
+
+        Raises:
+            Over: nobody waits for that.
+        """
+
+        async def compare() -> tuple[PlanGraph | None, tuple[Conflict, ...]]:
+            needed = footprint(rest.calls, rest.goal, self._mission.world)
+            conflicts = self._mission.circumstances.neighbours.newcomers(needed)
+            self._search.reserved = None if conflicts else needed
+            return (None, conflicts) if conflicts else (rest, ())
+
+        return await self._beside_others(compare)
+
+    async def _beside_others(self, attempt: Callable[[], Awaitable[tuple[Way | None, tuple[Conflict, ...]]]]) -> Way:
+        """Return what an attempt yields with which nobody is in conflict, after waiting if need be."""
         neighbours = self._mission.circumstances.neighbours
         while True:
             await self._standing.until(neighbours.turn())
             try:
-                plan, conflicts = await self._find_in_turn(forbidden)
+                found, conflicts = await self._attempt_in_turn(attempt)
             finally:
                 neighbours.leave(in_vain=False)
-            if plan:
-                return plan
+            if found is not None:
+                return found
             reason = "; ".join(map(str, conflicts))
             if self._mission.circumstances.on_conflict is OnConflict.REFUSE:
                 raise Over(Code.CONFLICT, reason)
             self._standing.enter(TaskState.QUEUED, f"waits for {reason}")
 
-    async def _find_in_turn(self, forbidden: frozenset[ForbiddenCall]) -> tuple[Plan | None, tuple[Conflict, ...]]:
-        """Search, and search again when those have made way that yield, and after a pause."""
+    async def _attempt_in_turn(
+        self, attempt: Callable[[], Awaitable[tuple[Way | None, tuple[Conflict, ...]]]]
+    ) -> tuple[Way | None, tuple[Conflict, ...]]:
+        """Try, and try again when those have made way that yield, and after a pause."""
         neighbours = self._mission.circumstances.neighbours
         while True:
             await self._standing.may_go()
-            self.origin = asyncio.get_running_loop().time()
-            self._standing.enter(TaskState.PLANNING)
-            plan, conflicts = await self.look(forbidden)
+            found, conflicts = await attempt()
             if self._standing.is_paused:  # meanwhile; whatever was found may not be so any more when it goes on
                 continue
-            if plan:
-                self.accept(plan)
-                return plan, ()
+            if found is not None:
+                return found, ()
             if not all(one.yields for one in conflicts):
                 neighbours.leave(in_vain=True)
                 return None, conflicts
@@ -107,11 +138,11 @@ class Finding:
         self._standing.check()
         now = forbid(self._supervision.now(after(self._mission.world, under_way)), forbidden)
         given = None if self._chronicle.plans else self._given
-        found, conflicts = await self._search.find(now, [one.call for one in under_way], self._supervision.left, given)
+        found, conflicts = await self._search.find(now, [one.call for one in under_way], self._supervision.limit.left, given)
         self._standing.check()
         if found.plan is None:
-            missing = self._supervision.missing
-            reason = no_plan(found, forbidden) + self._chronicle.last_failure(missing)
+            unfulfilled = self._chronicle.unfulfilled(self._supervision.missing)
+            reason = sentence(self._chronicle.last_failure, no_plan(found, forbidden), unfulfilled)
             raise Over(code_of_planning(found.status, self._chronicle.failures), reason)
         return (None, conflicts) if conflicts else (found.plan, ())
 
@@ -119,5 +150,5 @@ class Finding:
         """Note that a plan is going to be carried out."""
         limits = self._mission.settings.limits
         self._chronicle.plans += 1
-        self._supervision.allow(limits.allowed(plan.makespan if plan.temporal else 0.0))
+        self._supervision.limit.allow(limits.allowed(plan.makespan if plan.temporal else 0.0))
         self._mission.observer.planned(plan)

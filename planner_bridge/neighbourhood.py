@@ -38,6 +38,11 @@ class Neighbourhood(Neighbours):
                 found.append(Conflict(other.id, other.name, its, why, other.wanted.priority < self._task.wanted.priority))
         return tuple(found)
 
+    def newcomers(self, footprint: Footprint, /) -> tuple[Conflict, ...]:
+        """Return those of the conflicts in which it is not said already who makes way."""
+        settled = self._task.preempted_by | {one.id for one in self._others if self._task.id in one.preempted_by}
+        return tuple(one for one in self.conflicts(footprint) if one.task not in settled)
+
     async def preempt(self, conflicts: tuple[Conflict, ...], /) -> None:
         """Have those that yield pause until this task is over; return when nothing of theirs is under way."""
         yielding = {one.task for one in conflicts if one.yields}

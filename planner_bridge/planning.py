@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 DEFAULT_PLANNER: Final = "kairos"
 RACE: Final = "race"
+_RACE_OF: Final = f"{RACE}:"
 _POLL: Final = 0.05
 _PATIENCE: Final = 1.0
 """Seconds that must pass without a better plan until the last one is good enough, where preferences are weighed."""
@@ -67,15 +68,41 @@ def solve(
         InputError: the planner refuses the problem, is not known, or is not installed.
     """
     stop = cancel or threading.Event()
-    if planner == RACE or planner.startswith(f"{RACE}:"):
+    if planner == RACE or planner.startswith(_RACE_OF):
         from planner_bridge.race import race  # here, because most searches are no races
 
-        named = tuple(name.strip() for name in planner.removeprefix(f"{RACE}:").split(","))
-        return race(problem, planners=None if planner == RACE else named, timeout=timeout, executor=executor, cancel=stop)
+        named = None if planner == RACE else _named(planner)
+        return race(problem, planners=named, timeout=timeout, executor=executor, cancel=stop)
     if planner == DEFAULT_PLANNER and not _has_tasks(problem):
         loaded = _accepted(problem)
         return validated(problem, _found(loaded, problem, timeout, stop), loaded)
     return validated(problem, search(problem, planner, timeout, stop))
+
+
+def check_planner(planner: str, cancel: Stop | None = None) -> None:
+    """See to it that there is such a planner, before anybody needs it; one that we do not know ourselves takes some seconds.
+
+    Args:
+        planner: as for `solve`.
+        cancel: set from elsewhere when nobody wants to know any more.
+
+    Raises:
+        InputError: it is not known, or something has to be installed first.
+    """
+    if planner in (DEFAULT_PLANNER, RACE):
+        return
+    if planner.startswith(_RACE_OF):
+        from planner_bridge.race import check_entrants  # here and below, because Kairos needs neither
+
+        check_entrants(_named(planner))
+    else:
+        from planner_bridge.child import check_engine
+
+        check_engine(planner, cancel or threading.Event())
+
+
+def _named(race: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in race.removeprefix(_RACE_OF).split(","))
 
 
 def search(problem: Problem, planner: str, timeout: float, cancel: Stop) -> PlanningResult:

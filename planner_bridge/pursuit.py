@@ -7,16 +7,16 @@ from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from typing import cast
 
-from planner_bridge.chronicle import Chronicle, Way
+from planner_bridge.chronicle import Chronicle, Way, sentence, tries_again
 from planner_bridge.codes import code_of_failures
 from planner_bridge.finding import Finding
-from planner_bridge.footprints import Footprint, footprint
+from planner_bridge.footprints import Footprint
 from planner_bridge.forbidding import ForbiddenCall
 from planner_bridge.mission import Mission
 from planner_bridge.plan import Plan
 from planner_bridge.plans import plan_graph
 from planner_bridge.relay import Relay
-from planner_bridge.replanning import GiveUp, History, Progress, Resume, decide
+from planner_bridge.replanning import GiveUp, History, PlanAgain, Progress, Resume, decide
 from planner_bridge.standing import Over, Standing
 from planner_bridge.supervision import Supervision
 from planner_bridge.tasks import OnChange, TaskResult
@@ -30,7 +30,10 @@ from pnm.tasking import Code, TaskState
 
 
 class Pursuit:
-    """A goal with its episodes. The mutable state is the relay of runs, the last run before it, and what the parts say of themselves.
+    """A goal with its episodes.
+
+    The mutable state is the relay of runs, the last run before it, whether that has ended for want of room beside others, and
+    what the parts say of themselves.
 
     Args:
         mission: what is pursued.
@@ -47,6 +50,7 @@ class Pursuit:
         self._finding = Finding(mission, self._standing, self._supervision, self._chronicle, given)
         self._relay: Relay | None = None
         self._last: Run | None = None
+        self._lacks_room = False
 
     async def pursue(self, *, opens: bool = False) -> TaskResult:
         """Go on until the goal holds or the task is over for another reason; nothing happens between that and the return.
@@ -92,8 +96,7 @@ class Pursuit:
         """What the rest of the plan needs and changes; None while there is no plan."""
         if self._relay is None:
             return self._finding.reserved
-        progress = self._relay.progress
-        return footprint(progress.rest, progress.plan.goal, self._mission.world)
+        return self._relay.footprint
 
     def stop(self, code: Code, reason: str) -> None:
         """End whatever is going on; what is under way is cancelled, and confirms it or is given up after its limit."""
@@ -105,11 +108,14 @@ class Pursuit:
 
     async def pause(self, reason: str, *, at_once: bool) -> None:
         """Start nothing more; return when nothing is under way."""
+        if not self._standing.stopped:
+            self._supervision.limit.pause()
         await self._standing.pause(reason, self._relay.executor if self._relay else None, at_once=at_once)
 
     def resume(self) -> None:
         """Go on where the task was if the rest of its plan still works, and else find another way."""
         if self.is_paused:
+            self._supervision.limit.go_on()
             self._standing.go_on()
             if self._relay:
                 self._relay.go_on()
@@ -143,7 +149,7 @@ class Pursuit:
             with self._mission.seconds.of("execute"):
                 return await relay.carry_out()
         finally:
-            self._last, self._relay = relay.run, None
+            self._last, self._lacks_room, self._relay = relay.run, relay.lacks_room, None
 
     async def _next(self, result: RunResult, way: Way | None) -> PlanGraph:
         """Return what follows a run that is over.
@@ -191,11 +197,20 @@ class Pursuit:
         decision = decide(self._supervision.now(), Progress(machine.plan, result.calls), world, history, limits)
         if isinstance(decision, GiveUp):
             self._chronicle.end(machine, result, decision)
-            raise Over(Code.REPLAN_LIMIT, decision.reason + self._chronicle.last_failure(self._supervision.missing))
+            unfulfilled = self._chronicle.unfulfilled(self._supervision.missing)
+            raise Over(Code.REPLAN_LIMIT, sentence(decision.reason, self._chronicle.last_failure, unfulfilled))
         self._chronicle.follow(Way(decision, history), machine, result)
         self._mission.observer.replanning(decision, result)
-        await self._standing.wait(history.pause(limits))
-        return decision.rest if isinstance(decision, Resume) else await self._planned_patiently(decision.forbidden)
+        if pause := history.pause(limits):
+            self._standing.enter(TaskState.REPLANNING, tries_again(pause, result))
+            await self._standing.wait(pause)
+        if isinstance(decision, Resume) and not self._lacks_room:
+            return decision.rest
+        if self._given is None:
+            return await self._planned_patiently(history.forbidden(limits))
+        if isinstance(decision, PlanAgain):
+            raise Over(Code.CONDITION_LOST, decision.why)
+        return await self._finding.room_for(decision.rest)
 
     async def _planned_patiently(self, forbidden: frozenset[ForbiddenCall]) -> PlanGraph:
         """Plan, and plan once more if there is no plan only because what has just happened has not been reported yet."""
@@ -217,7 +232,7 @@ class Pursuit:
             return stopped
         if self._is_carried_out(result) and self._holds() and not self._supervision.missing:
             return Over(Code.GOAL_REACHED, "the goal holds")
-        if stopped is None and self._given:
+        if stopped is None and self._given and (result.failures or not self._lacks_room):
             return Over(code_of_failures(result.failures), result.reason)
         return stopped
 

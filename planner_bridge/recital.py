@@ -6,6 +6,7 @@ from planner_bridge.codes import code_of_run
 from planner_bridge.footprints import Footprint, footprint
 from planner_bridge.standing import Over, Standing
 from planner_bridge.task import Task
+from pnm.errors import InputError
 from pnm.performing import Performance, Performer
 from pnm.results import RunResult
 from pnm.run import Run
@@ -35,6 +36,10 @@ class Recital:
     async def perform(self) -> TaskEnding:
         """Carry the plan out and return how it ended."""
         program = self._performance.program
+        try:
+            await self._performer.check(self._performance)
+        except InputError as error:
+            return TaskEnding(Code.INVALID_GOAL, str(error))
         self._task.generated(program.machine, program.proof)
         self._standing.enter(TaskState.RUNNING)
         return self._ending(await self._performer.execute(self._performance))
@@ -77,11 +82,14 @@ class Recital:
 
     async def pause(self, reason: str, *, at_once: bool) -> None:
         """Start nothing more; return when nothing is under way."""
+        if not self._standing.stopped:
+            self._performance.limit.pause()
         await self._standing.pause(reason, self._performance.executor, at_once=at_once)
 
     def resume(self) -> None:
         """Go on."""
         if self.is_paused:
+            self._performance.limit.go_on()
             self._standing.go_on()
             self._performance.executor.resume()
 

@@ -14,6 +14,7 @@ from typing import Final, assert_never
 from planner_bridge.alarms import is_foreseen, is_relevant
 from planner_bridge.chronicle import Chronicle, Way
 from planner_bridge.finding import Finding
+from planner_bridge.footprints import Footprint, footprint
 from planner_bridge.machines import make_run
 from planner_bridge.mission import Mission
 from planner_bridge.plans import plan_graph
@@ -48,13 +49,15 @@ class _Advice(Enum):
     """What follows is decided when it has come to its end."""
     LOOK = auto()
     """Look for another way while calls are under way."""
+    MAKE_ROOM = auto()
+    """Others have begun with what it is in conflict with: start nothing more, and see then what can go on beside them."""
 
 
 class Relay:
     """The runs of one plan, and of those that follow it while calls are under way.
 
-    The mutable state is the executor, which has the current run; whether there is trouble; and whether another way is
-    being looked for, during which the run starts nothing.
+    The mutable state is the executor, which has the current run; whether there is trouble; whether another way is being
+    looked for, during which the run starts nothing; and whether there is no room for the rest of the plan.
 
     Args:
         graph: the plan to begin with.
@@ -79,6 +82,8 @@ class Relay:
         circumstances = mission.circumstances
         self._trouble = asyncio.Event()
         self._is_looking = False
+        self.lacks_room = False
+        """Whether others have begun, during a pause, with what the rest of the plan is in conflict with."""
         self.executor = Executor(self._run(graph), mission.site.client, circumstances.source, circumstances.name)
 
     @property
@@ -91,6 +96,12 @@ class Relay:
         """How far the current plan has come."""
         calls = self.run.told().calls
         return Progress(self.run.machine.plan, calls, frozenset(one.call.index for one in calls if one.outcome in _BEGUN))
+
+    @property
+    def footprint(self) -> Footprint:
+        """What the rest of the current plan needs and changes."""
+        progress = self.progress
+        return footprint(progress.rest, progress.plan.goal, self._mission.world)
 
     async def carry_out(self) -> tuple[RunResult, Way | None]:
         """Go on until a run has come to its end; return how it ended, and what was decided to follow it if that is known."""
@@ -122,8 +133,9 @@ class Relay:
         self.executor.stop(reason=reason)
 
     def go_on(self) -> None:
-        """Go on after a pause; if the plan does not work any more, look for another way first."""
-        if self._is_eager and self._obstacle(self.progress):
+        """Go on after a pause; if the plan does not work any more, or is in the way of others, look for another way first."""
+        self.lacks_room = bool(self._mission.circumstances.neighbours.newcomers(self.footprint))
+        if self.lacks_room or (self._is_eager and self._obstacle(self.progress)):
             self._trouble.set()
         elif not self._is_looking:
             self.executor.resume()
@@ -154,7 +166,11 @@ class Relay:
 
     def _advice(self) -> _Advice:
         progress, has_failed = self.progress, bool(self.run.told().failures)
-        if self._standing.stopped or self._standing.is_paused or self._matters_when():
+        if self._standing.stopped or self._standing.is_paused:
+            return _Advice.END_FIRST
+        if self.lacks_room:
+            return _Advice.MAKE_ROOM
+        if self._matters_when():
             return _Advice.END_FIRST
         if has_failed:
             return _Advice.LOOK if self._mission.settings.on_failure is OnFailure.CONTINUE_OTHERS else _Advice.END_FIRST
@@ -170,6 +186,8 @@ class Relay:
         match advice:
             case _Advice.FINISH:
                 self.executor.stop(cancel=False, reason="the goal holds already")
+            case _Advice.MAKE_ROOM:
+                self.executor.stop(cancel=False, reason="others have begun with what it is in conflict with")
             case _Advice.GO_ON | _Advice.END_FIRST:
                 if not self._standing.is_paused:  # any more
                     self.executor.resume()

@@ -32,7 +32,7 @@ class Limits:
     replans: int = 10
     """New nets after the first, whether or not a planner was asked."""
     seconds: float | None = None
-    """From the start of the task, on the clock of its runs; then it is stopped. By default an hour, or what `allowed` says."""
+    """From the start of the task, pauses left out, on the clock of its runs. By default an hour, or what `allowed` says."""
     forbid_after: int = 2
     """A ground action that failed so often since it last succeeded is not planned with any more."""
     backoff: float = 0.5

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from contextlib import ExitStack
-from functools import partial
 from math import inf
 
 from planner_bridge.forbidding import ForbiddenCall
@@ -17,6 +16,7 @@ from planner_bridge.tasks import TaskObserver
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.sites import schedule
 from pnm.tasking import Code
+from pnm.time_limit import TimeLimit
 from pnm.trajectory import Constraint
 
 
@@ -30,7 +30,7 @@ class Supervision:
         knowledge: what is known.
         observer: is told when a constraint is violated.
         stop: ends the task.
-        allowed: seconds that it may take.
+        allowed: seconds that it may take, pauses left out.
     """
 
     def __init__(
@@ -43,37 +43,25 @@ class Supervision:
         self.monitor = Monitor(problem, knowledge)
         # state
         self.began = 0.0
-        self._allowed = allowed
+        self.limit = TimeLimit(allowed, self._exceeded)
+        """The seconds that the task may take; those of pauses are not its own."""
         self._next_look: asyncio.TimerHandle | None = None
-        self._limit: asyncio.TimerHandle | None = None
 
     def begin(self, at_the_end: ExitStack) -> None:
         """Begin; let those timed facts come true by themselves that nobody reports; look whenever something changes or a time comes."""
         self.began = asyncio.get_running_loop().time()
         world = self._knowledge.world
         at_the_end.callback(schedule(world, self._problem.timed, self.began))
-        at_the_end.callback(self._cancel_timers)
+        at_the_end.callback(self._end_looking)
         at_the_end.callback(world.listen(self.look))
-        self.allow(self._allowed)
+        at_the_end.callback(self.limit.close)
+        self.limit.begin()
         self.look()
 
     @property
     def elapsed(self) -> float:
         """How many seconds the task has taken so far."""
         return asyncio.get_running_loop().time() - self.began
-
-    @property
-    def left(self) -> float:
-        """How many seconds the task may still take."""
-        return max(0.0, self._allowed - self.elapsed)
-
-    def allow(self, seconds: float) -> None:
-        """Let the task take so long, or as long as was said before if that is longer."""
-        self._allowed = max(self._allowed, seconds)
-        if self._limit:
-            self._limit.cancel()
-        over = partial(self._stop, Code.TIMED_OUT, f"the limit of {self._allowed:g} s is reached")
-        self._limit = asyncio.get_running_loop().call_at(self.began + self._allowed, over)
 
     def look(self, _changes: object = None) -> None:
         """Look for violated constraints, and note when to look again."""
@@ -103,10 +91,12 @@ class Supervision:
 
     def why_not(self, progress: Progress, forbidden: frozenset[ForbiddenCall]) -> str:
         """Say why the rest of a plan does not lead from here to its goal; empty when it does."""
-        now = self.now()
-        return why_not(progress, self._knowledge.world, forbidden, (*now.domain.constraints, *now.constraints))
+        left = self.monitor.rest_of(self._problem, self.elapsed)
+        return why_not(progress, self._knowledge.world, forbidden, (*left.domain.constraints, *left.constraints))
 
-    def _cancel_timers(self) -> None:
-        for timer in (self._next_look, self._limit):
-            if timer:
-                timer.cancel()
+    def _exceeded(self, seconds: float) -> None:
+        self._stop(Code.TIMED_OUT, f"the limit of {seconds:g} s is reached")
+
+    def _end_looking(self) -> None:
+        if self._next_look:
+            self._next_look.cancel()

@@ -181,6 +181,7 @@ class _WrittenTask:
 
     async def _perform(self, performer: Performer, parameters: Mapping[str, object]) -> PlanResult:
         performance = performer.perform(self.name, parameters, self.observer)
+        await performer.check(performance)
         self.observer.generated(self._program.machine, self._program.proof)
         await self.site.share(performer.prefix, performer.knowledge_of, performer.source or Sources())
         await performer.prepare()

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import Final, TypeAlias
 
 from pnm.machine import OnFailure, PetriNetMachine, Region
@@ -57,9 +58,10 @@ class Anatomy:
         for region in machine.regions:
             self._add(region)
         self._check_nesting()
-        for place in machine.net.places:
-            if self._is_between(place):
-                self._check_channel(place)
+        self.between = frozenset(filter(self._is_between, machine.net.places))
+        """Places that connect blocks, or should."""
+        for place in self.between:
+            self._check_channel(place)
         for region in (*self.first.values(), *self.last.values()):
             self._check_entry(region)
 
@@ -73,10 +75,10 @@ class Anatomy:
         return found
 
     def _is_between(self, place: str) -> bool:
-        """Tell whether the place connects blocks, or should."""
         if place in self.machine.resource_places:
             return False
-        between = self.readers[place] != self.writers[place] or len(self.readers[place]) != 1
+        readers = self.readers[place]
+        between = len(readers) != 1 or readers != self.writers[place]
         return between or place in self.machine.orderings or place in self.first or place in self.last
 
     def _add(self, region: Region) -> None:
@@ -144,13 +146,13 @@ class Anatomy:
         left_out = machine.restart_places.keys() - set(own_records) if owner is None else frozenset[str]()
         own = (step_of(machine, name) for name in self.transitions[owner])
         steps = (*(one for one in own if left_out.isdisjoint(one.inputs)), *self._inside(regions))
-        places = dict.fromkeys(place for step in steps for place in (*step.inputs, *step.outputs))
+        places = dict.fromkeys(chain.from_iterable(connected for step in steps for connected in (step.inputs, step.outputs)))
         held = {place for region in regions for place in (*region.first, *region.last)}
         finals = frozenset((machine.goal_place, machine.failed_place)) if owner is None else frozenset[str]()
-        between = [one for one in places if self._connects(one) and one not in held]
+        between = [one for one in places if one in self.between and one not in held and one not in machine.restart_places]
         inputs = [one for one in between if owner in self.readers[one] and self.writers[one] - {owner}]
         outputs = [one for one in between if self._is_output(one, owner) and one not in finals]
-        given = {place for step in steps for place in step.outputs}
+        given = frozenset(chain.from_iterable(step.outputs for step in steps))
         first = tuple(one for one in inputs if one not in given)
         rest = tuple(one for one in inputs if one in given)
         _check_together((first, rest), steps)
@@ -182,11 +184,6 @@ class Anatomy:
     def _is_output(self, place: str, owner: Owner) -> bool:
         final = place in (self.machine.goal_place, self.machine.failed_place)
         return owner in self.writers[place] and (final or bool(self.readers[place] - {owner}))
-
-    def _connects(self, place: str) -> bool:
-        """Tell whether the place connects a block with others, those places left out that many may connect."""
-        machine = self.machine
-        return place in self.readers and self._is_between(place) and place not in machine.restart_places
 
     @cached_property
     def _restarts(self) -> tuple[str, ...]:

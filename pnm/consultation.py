@@ -130,12 +130,24 @@ class Consultation:
 
 
 class Questions:
-    """The questions that a run has asked outside, and their answers. The mutable state is the dictionaries."""
+    """The questions that a run has asked outside, and their answers.
+
+    What people have said to a run is known to the one that succeeds it, once for every call of the same action that asks the
+    same; knowledge bases are asked again, for what they know may have changed, and nobody is troubled.
+
+    The mutable state is the dictionaries and the list.
+    """
 
     def __init__(self) -> None:
+        self._subjects: dict[int, str] = {}
+        """By place, what questions are asked for there."""
         self._answers: dict[int, dict[Question, object]] = {}
         self._silence: dict[int, list[str]] = {}
         self._asked: dict[UUID, tuple[int, Question]] = {}
+        self._inherited: list[tuple[str, Question, object]] = []
+        """What the run before was told and has not used."""
+        self._open: dict[UUID, tuple[str, Question]] = {}
+        """What the run before has asked, and this one has not come to yet."""
 
     def answers_at(self, place: int) -> Mapping[Question, object]:
         """Return what is known for the decision at a place."""
@@ -150,8 +162,9 @@ class Questions:
         """Whether a person has been asked and has not answered yet."""
         return any(question.layer is Layer.PERSON for _, question in self._asked.values())
 
-    def ask(self, identity: UUID, place: int, question: Question) -> None:
-        """Note that the question is being asked."""
+    def ask(self, identity: UUID, place: int, subject: str, question: Question) -> None:
+        """Note that the question is being asked, for the sake of the subject."""
+        self._subjects[place] = subject
         self._asked[identity] = (place, question)
 
     def silence_at(self, place: int | None) -> Sequence[str]:
@@ -160,6 +173,8 @@ class Questions:
 
     def answered(self, identity: UUID, value: object, message: str) -> int | None:
         """Note an answer, or why there is none; return the place that waits for it, if any still does."""
+        if identity in self._open:
+            self._keep(*self._open.pop(identity), value)
         place, question = self._asked.pop(identity, (None, None))
         if place is not None and question is not None:
             self._answers.setdefault(place, {})[question] = value
@@ -174,3 +189,36 @@ class Questions:
         for identity in [one for one, (where, _) in self._asked.items() if where == place]:
             del self._asked[identity]
             yield identity
+
+    # --- from one run to the next ---------------------------------------------------------------
+
+    def inherit(self, old: Questions, subjects: frozenset[str]) -> frozenset[UUID]:
+        """Know what people have told the run before for the sake of these subjects; return what they are still being asked."""
+        given = [(old._subjects[place], *one) for place, answers in old._answers.items() for one in answers.items()]
+        for subject, question, value in (*given, *old._inherited):
+            if subject in subjects:
+                self._keep(subject, question, value)
+        asked = {identity: (old._subjects[place], question) for identity, (place, question) in old._asked.items()}
+        for identity, (subject, question) in {**old._open, **asked}.items():
+            if subject in subjects and question.layer is Layer.PERSON:
+                self._open[identity] = subject, question
+        return frozenset(self._open)
+
+    def take_up(self, place: int, subject: str, question: Question) -> bool:
+        """Have the decision at the place know what was asked by the run before; tell whether it was."""
+        for number, (its, known, value) in enumerate(self._inherited):
+            if (its, known) == (subject, question):
+                del self._inherited[number]
+                self._subjects[place] = subject
+                self._answers.setdefault(place, {})[question] = value
+                return True
+        for identity, asked in self._open.items():
+            if asked == (subject, question):
+                del self._open[identity]
+                self.ask(identity, place, subject, question)
+                return True
+        return False
+
+    def _keep(self, subject: str, question: Question, value: object) -> None:
+        if question.layer is Layer.PERSON and value is not MISSING:
+            self._inherited.append((subject, question, value))

@@ -8,6 +8,7 @@ from uuid import UUID
 
 from pnm.calls import Calls, UnderWay
 from pnm.checks import already_true
+from pnm.claims import Claims
 from pnm.conditions import Condition, evaluate, failing, ground, names, observed
 from pnm.consultation import Consultation, Questions
 from pnm.machine import (
@@ -30,6 +31,7 @@ from pnm.machine import (
     Rule,
 )
 from pnm.plan_graph import Loop
+from pnm.resources import Claim
 from pnm.situation import Situation
 
 NEVER: Final = float("inf")
@@ -43,9 +45,10 @@ class Decision:
     The mutable state is what the constructor sets under "state".
     """
 
-    def __init__(self, situation: Situation, calls: Calls, questions: Questions, adopted: Mapping[int, UnderWay]) -> None:
+    def __init__(self, situation: Situation, calls: Calls, claims: Claims, questions: Questions, adopted: Mapping[int, UnderWay]) -> None:
         self._situation = situation
         self._calls = calls
+        self._claims = claims
         self._questions = questions
         # state
         self.place: int | None = None
@@ -107,6 +110,26 @@ class Decision:
             self._denied_since.pop(transition, None)
             return NEVER
         return self._denied_since.setdefault(transition, self._situation.now) + lag
+
+    def lacks_resources(self, transition: int) -> bool:
+        """Tell whether the transition would be enabled if no call of the run had what it needs for itself."""
+        return self._situation.engine.lacking(transition) <= self._situation.roles.resources
+
+    def has_resources(self, transition: int, place: int) -> bool:
+        """Tell whether the call can have what the transition needs for it; if not, it waits for that."""
+        if not self._claims.are_free(place, self.claim(transition)):
+            return False
+        if not self._situation.engine.is_enabled(transition):
+            self._claims.wait_for_own(place)
+            return False
+        return True
+
+    def claim(self, transition: int) -> Claim:
+        """Return what the transition needs for its call."""
+        rule = self._situation.roles.rules[transition]
+        assert rule.call is not None, "only calls have resources"
+        request, action = self._calls.claiming(rule.call, rule.deed, self.consult(rule.call))
+        return self._claims.claim(request, self._calls.resources(action))
 
     def left(self, place: int) -> Iterator[UUID]:
         """Forget what the decision at the place was made from; yield the questions whose answers are no longer needed."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Collection, Coroutine, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import assert_never, cast
@@ -83,7 +83,8 @@ class Executor:
     def succeed(self, run: Run) -> None:
         """Go on with another run in the place of this one, at once. Not to be called by observers.
 
-        Reports about requests that it takes over reach it, those included that have come but not been handled yet.
+        Reports about requests that it takes over reach it, those included that have come but not been handled yet; and so do
+        answers of people to what it would ask them as well.
 
         Raises:
             RunError: this run is not being carried out, or was told to stop; or something of it is under way that
@@ -94,7 +95,7 @@ class Executor:
         _check_succession(self.run, run)
         old, self.run = self.run, run
         self._asker = replace(self._asker, run=run.id)
-        self._leave()
+        self._leave(run.inherit(old))
         old.retire(run.open_requests)
         if old.pausing:
             run.handle(old.pausing, asyncio.get_running_loop().time())
@@ -140,13 +141,14 @@ class Executor:
         self._leaving = [layer.listen(self._changed) for layer in (knowledge.world, knowledge.local)]
         self._leaving.append(resources.listen(partial(self._put_once, ResourcesChanged())))
 
-    def _leave(self) -> None:
-        """Listen no longer, and have nothing asked or waited for."""
+    def _leave(self, asked: Collection[UUID] = ()) -> None:
+        """Listen no longer, and have nothing waited for, nor asked but these questions."""
         for stop in self._leaving:
             stop()
         self._leaving = []
-        for talk in self._talks.values():
-            talk.cancel()
+        for identity, talk in self._talks.items():
+            if identity not in asked:
+                talk.cancel()
         self._wake_at(None)
         self._announce()
 

@@ -138,13 +138,16 @@ class NetBuilder:
         return name
 
     def _weights(self, name: str, connected: dict[str, int] | Iterable[str]) -> Weights:
-        weights = dict(connected) if isinstance(connected, dict) else dict.fromkeys(connected, 1)
-        if not weights.keys() <= self._places.keys():
-            unknown = next(place for place in weights if place not in self._places)
-            raise NetError(f"{name!r} is connected to {unknown!r}, which is not a place")
-        for place, weight in weights.items():
-            if weight < 1:
-                raise NetError(f"the arc between {name!r} and {place!r} weighs {weight}; at least 1 expected")
+        if isinstance(connected, dict):
+            weights = dict(connected)
+            for place, weight in weights.items():
+                if weight < 1:
+                    raise NetError(f"the arc between {name!r} and {place!r} weighs {weight}; at least 1 expected")
+        else:
+            weights = dict.fromkeys(connected, 1)
+        for place in weights:
+            if place not in self._places:
+                raise NetError(f"{name!r} is connected to {place!r}, which is not a place")
         return weights
 
     def build(self) -> PetriNet:

@@ -12,6 +12,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from math import inf
 from uuid import UUID, uuid4
 
 from pnm.actions.base import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Report, Reporter, Request
@@ -26,12 +27,14 @@ from pnm.machine import PetriNetMachine
 from pnm.nearest import meant
 from pnm.observer import Observer
 from pnm.plan_graph import GroundAction
+from pnm.plan_parameters import check_names, check_values
 from pnm.queries import MISSING
 from pnm.resources import Resources
 from pnm.results import RunResult
 from pnm.run import Run
 from pnm.sites import Site
 from pnm.sources.base import Asker, Source
+from pnm.time_limit import TimeLimit
 
 _log = logging.getLogger(__name__)
 
@@ -66,6 +69,15 @@ class Performance:
     executor: Executor
     client: PlansClient
     result: RunResult | None = None
+    limit: TimeLimit = field(init=False)
+    """The time that the plan has."""
+
+    def __post_init__(self) -> None:
+        seconds = self.program.plan.timeout
+        self.limit = TimeLimit(inf if seconds is None else seconds, self._exceeded)
+
+    def _exceeded(self, seconds: float) -> None:
+        self.executor.stop(reason=f"the plan's limit of {seconds:g} s is reached")
 
     @property
     def running(self) -> tuple[str, ...]:
@@ -159,7 +171,7 @@ class Performer:
             hint = meant(name, self.programs) or f"expected one of {', '.join(self.programs) or 'none, for none is loaded'}"
             raise InputError(f"there is no plan {name!r}; {hint}")
         program, given = self.programs[name], dict(parameters or {})
-        _check_parameters(program.plan, given)
+        check_names(program.plan, given)
         knowledge = Layered(self.world, KnowledgeBase(variables={**program.plan.variables, **given}))
         identity = UUID(bytes=self.prefix + uuid4().bytes[4:])
         client = PlansClient(self, observer, task or identity, priority)
@@ -177,21 +189,25 @@ class Performer:
         )
         return Performance(program, Executor(run, client, self.source, name), client)
 
+    async def check(self, performance: Performance) -> None:
+        """See to it that every parameter of the plan has a value, before it is carried out; see `check_values`.
+
+        Raises:
+            InputError: one has none.
+        """
+        run, plan = performance.executor.run, performance.program.plan
+        await check_values(plan, run.knowledge, self.source, Asker(run.id, plan.name))
+
     async def execute(self, performance: Performance) -> RunResult:
         """Carry the plan out, within its time."""
         self.going_on.append(performance)
-        limit = performance.program.plan.timeout
-        timer = None
-        if limit is not None:
-            over = partial(performance.executor.stop, reason=f"the plan's limit of {limit:g} s is reached")
-            timer = asyncio.get_running_loop().call_later(limit, over)
+        performance.limit.begin()
         try:
             performance.result = await performance.executor.execute()
             return performance.result
         finally:
             self.going_on.remove(performance)
-            if timer:
-                timer.cancel()
+            performance.limit.close()
 
     def knowledge_of(self, request: UUID) -> tuple[Layered, Asker] | None:
         """Return what the run knows whose request this is, and whom it asks as; None when it is not, or no longer, open."""
@@ -209,14 +225,6 @@ def _capacities(plans: Iterable[HandWrittenPlan]) -> dict[str, int]:
         for name, capacity in plan.graph.capacities.items():
             found[name] = min(capacity, found.get(name, capacity))
     return found
-
-
-def _check_parameters(plan: HandWrittenPlan, given: Mapping[str, object]) -> None:
-    known = plan.parameters
-    for name in given:
-        if known is not None and name not in known:
-            hint = meant(name, known) or f"expected {', '.join(known) or 'none'}"
-            raise InputError(f"{plan.name} has no parameter {name!r}; {hint}")
 
 
 class PlansClient:

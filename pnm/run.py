@@ -45,9 +45,9 @@ from pnm.ledger import Ledger
 from pnm.machine import Accepts, Deed, Ends, PetriNetMachine, Rule
 from pnm.marking import Marking
 from pnm.observer import Observer
-from pnm.plan_graph import ActionCall, GroundAction
+from pnm.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.queries import Question, Unanswered
-from pnm.resources import Claim, Resources
+from pnm.resources import Resources
 from pnm.results import RunResult
 from pnm.roles import Roles
 from pnm.situation import Situation
@@ -121,8 +121,8 @@ class Run:
         self._calls = Calls(id, machine.plan, knowledge, bindings or Bindings(), goal_fields, asks=asks)
         self._ledger = Ledger(machine.plan)
         self._situation = Situation(self._engine, self._roles, self._ledger, origin)
-        self._decision = Decision(self._situation, self._calls, self._questions, adopted)
         self._claims = Claims(self.resources, self.task, priority)
+        self._decision = Decision(self._situation, self._calls, self._claims, self._questions, adopted)
         self._early: list[Report] = []
         """Reports about requests taken over that came before the beginning."""
         self._adopt(adopted)
@@ -199,6 +199,10 @@ class Run:
         """The calls whose requests are not over, as far as is known, as they were sent."""
         return {request: self._calls.as_sent(call) for request, call in self._calls.open.items()}
 
+    def arguments(self, call: ActionCall) -> tuple[str, ...]:
+        """Return what the parameters of a call would have for values if it were sent now, as far as that is known; else their names."""
+        return self._calls.arguments(call.index)
+
     def result(self) -> RunResult:
         """Return how the run ended."""
         if not self.over:
@@ -218,6 +222,11 @@ class Run:
     def retire(self, kept: Collection[UUID] = ()) -> None:
         """Give back all resources but what these requests have: the run is not carried on."""
         self._claims.end(kept)
+
+    def inherit(self, old: Run) -> frozenset[UUID]:
+        """Know what people have answered the run that this one succeeds; return the questions that shall remain asked."""
+        subjects = (_subject(self.machine.plan, call.index) for call in self.machine.plan.calls)
+        return self._questions.inherit(old._questions, frozenset(subjects))
 
     def told(self) -> RunResult:
         """Return how far the run has come, for one that is succeeded by another."""
@@ -343,7 +352,7 @@ class Run:
         self._decision.place = place
         again, waiting, takes = NEVER, False, self._roles.takes
         for transition, _ in self._engine.compiled.consumers[place]:
-            if not self._engine.is_enabled(transition) and not (transition in takes and self._lacks_resources(transition)):
+            if not self._engine.is_enabled(transition) and not (transition in takes and self._decision.lacks_resources(transition)):
                 continue
             try:
                 if (transition in takes or self._situation.pause) and self._is_put_off(transition, place):
@@ -353,7 +362,7 @@ class Run:
                 if opens <= self._situation.now and (call := self._roles.rules[transition].call) is not None:
                     self._calls.foresee(self._roles.rules[transition].deed, call, self._decision.consult(call))
             except Unanswered as needed:  # and so are all rules after this one
-                self._ask(place, needed.question)
+                self._ask(place, self._roles.rules[transition].call, needed.question)
                 self._leave_line(place)
                 waiting = True
                 break
@@ -371,44 +380,29 @@ class Run:
 
     # --- resources ----------------------------------------------------------------------------
 
-    def _lacks_resources(self, transition: int) -> bool:
-        """Tell whether the transition would be enabled if no call had what it needs for itself."""
-        return self._engine.lacking(transition) <= self._roles.resources
-
     def _is_put_off(self, transition: int, place: int) -> bool:
         """Tell whether the transition must wait: for the end of a pause, or for what the call needs for itself."""
         takes = transition in self._roles.takes
         if self._situation.pause and (takes or self._roles.rules[transition].deed is Deed.SEND):
             self._leave_line(place)
             return True
-        return takes and not self._has_resources(transition, place)
-
-    def _has_resources(self, transition: int, place: int) -> bool:
-        """Tell whether the call can have what the transition needs for it; if not, it waits for that."""
-        if not self._claims.are_free(place, self._claim(transition)):
-            return False
-        if not self._engine.is_enabled(transition):
-            self._claims.wait_for_own(place)
-            return False
-        return True
-
-    def _claim(self, transition: int) -> Claim:
-        rule = self._roles.rules[transition]
-        assert rule.call is not None, "only calls have resources"
-        request, action = self._calls.claiming(rule.call, rule.deed, self._decision.consult(rule.call))
-        return self._claims.claim(request, self._calls.resources(action))
+        return takes and not self._decision.has_resources(transition, place)
 
     def _leave_line(self, place: int) -> None:
         """No longer wait for resources at the place; whoever waits behind it may have them now."""
         if self._claims.leave(place):
             self._agenda.extend(self._claims.served())
 
-    def _ask(self, place: int, question: Question) -> None:
-        if not self._questions.is_asked(place, question):
-            self._asked += 1
-            identity = self._calls.identity(f"question {self._asked}")
-            self._questions.ask(identity, place, question)
-            self._commands.append(Ask(identity, question))
+    def _ask(self, place: int, call: int | None, question: Question) -> None:
+        if self._questions.is_asked(place, question):
+            return
+        if self._questions.take_up(place, _subject(self.machine.plan, call), question):
+            self._agenda.append(place)
+            return
+        self._asked += 1
+        identity = self._calls.identity(f"question {self._asked}")
+        self._questions.ask(identity, place, _subject(self.machine.plan, call), question)
+        self._commands.append(Ask(identity, question))
 
     # --- firing -------------------------------------------------------------------------------
 
@@ -416,7 +410,7 @@ class Run:
         compiled, rule = self._engine.compiled, self._roles.rules[transition]
         fails = [place for place, _ in compiled.outputs[transition] if place in self._roles.failures]
         if transition in self._roles.takes and rule.call is not None:
-            self._claims.take(rule.call, self._claim(transition))
+            self._claims.take(rule.call, self._decision.claim(transition))
         if rule.call is not None and rule.call < len(self.machine.plan.calls):
             self._note(rule, rule.call, bool(fails))
             if rule.deed is not None:
@@ -484,6 +478,11 @@ _BEFORE_ACCEPTANCE: Final = frozenset({OutcomeKind.REJECTED, OutcomeKind.UNAVAIL
 
 _GIVEN_UP: Final = frozenset({"unheard", "unconfirmed", "unconfirmed_stop", "unconfirmed_pause"})
 """The transitions after which a request is no longer waited for."""
+
+
+def _subject(plan: PlanGraph, call: int | None) -> str:
+    """Say what a question is asked for: the action as the plan has it."""
+    return "" if call is None or call >= len(plan.calls) else str(plan.calls[call].action)
 
 
 def _admits(rule: Rule, report: Report) -> bool:

@@ -78,6 +78,8 @@ class Stage(TaskListener):
     def ended(self, task: UUID, ending: TaskEnding) -> None:
         self._is_not_over(task, "ended")
         self.endings[task] = ending
+        if self.state(task) is not TaskState.OVER:
+            self.wrong.append(f"the status of {self.goals[task]} does not say that it is over")
         text = self.goals[task]
         is_goal = text.startswith("(") and not any(text.startswith(f"({name}") for name in self.problem.domain.actions)
         if is_goal and ending.code is Code.GOAL_REACHED:

@@ -126,6 +126,34 @@ def test_calls_and_restarts_of_a_plan_are_counted_and_told(tmp_path: Path) -> No
     assert {running for *_, running in told.statuses} == {(), ("go(a)",), ("go(b)",)}
 
 
+def test_a_pause_does_not_use_up_the_time_of_a_plan(tmp_path: Path) -> None:
+    file = tmp_path / "plan.yaml"
+    file.write_text("actions: {go: {params: [place], duration: 5}}\nname: tour\ntimeout: 20\nplan: [go: {place: a}, go: {place: b}]\n")
+    (plan,) = read_plans(file).values()
+    performer = Performer({"tour": Program.of(plan)}, simulated_site(plan, together([plan])), KnowledgeBase())
+    over: list[Code] = []
+
+    class Told(TaskListener):
+        def ended(self, task: UUID, ending: TaskEnding) -> None:
+            over.append(ending.code)
+
+    async def go() -> None:
+        await performer.site.open(performer.world)
+        master = TaskMaster(NOTHING, performer.world, performer.site, Settings(), _no_goal, performer=performer)
+        master.listen(Told())
+        master.begin(Wanted(UUID(int=1), "tour", is_plan=True))
+        await asyncio.sleep(1.0)
+        await master.pause(UUID(int=1), at_once=True)
+        await asyncio.sleep(100.0)
+        await master.resume(UUID(int=1))
+        await asyncio.sleep(15.0)
+        await master.close()
+        await performer.site.close()
+
+    run_async(go(), virtual=True)
+    assert over == [Code.GOAL_REACHED]
+
+
 def _no_goal(text: str) -> Condition:
     raise InputError(f"not a goal: {text!r}")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from uuid import UUID
 
 import pytest
@@ -22,9 +22,12 @@ from pnm.expressions import Constant
 from pnm.generation import generate
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, PlanGraphError
+from pnm.queries import MISSING, Layer, Question
 from pnm.resources import Resources
 from pnm.results import RunResult
 from pnm.run import Run, RunError
+from pnm.sources.base import Asker, Source
+from pnm.sources.people import question_text
 from tests.machines import ordering
 from tests.robots import Log, move
 from tests.test_machine import check_proof_of_mutants
@@ -64,8 +67,8 @@ def successor(
     machine = generate(plan(*calls, orders=orders), bindings)
     verify(machine)
     adopted = dict(enumerate(there))
-    options = {"resources": old.resources, **options}
-    return Run(machine, old.knowledge, id=UUID(int=2), bindings=bindings, adopted=adopted, **options)  # type: ignore[arg-type]
+    options = {"resources": old.resources, "id": UUID(int=2), **options}
+    return Run(machine, old.knowledge, bindings=bindings, adopted=adopted, **options)  # type: ignore[arg-type]
 
 
 def sent(commands: list[Command]) -> list[str]:
@@ -244,12 +247,15 @@ class Server:
         report(Ended(request.id, outcome))
 
 
-def carried(story: Callable[[Executor, Server], object], *actions: GroundAction, bindings: Bindings | None = None) -> RunResult:
+def carried(
+    story: Callable[[Executor, Server], object], *actions: GroundAction, bindings: Bindings | None = None, source: Source | None = None
+) -> RunResult:
     """Have a run of these actions carried out, and something done to it after a second."""
     graph = plan(*(ActionCall(index, action) for index, action in enumerate(actions)))
     server = Server()
     world = KnowledgeBase(sensed={"seen": 2.0})
-    executor = Executor(Run(generate(graph, bindings), Layered(world), id=UUID(int=1), bindings=bindings, observer=Log()), server)
+    run = Run(generate(graph, bindings), Layered(world), id=UUID(int=1), bindings=bindings, observer=Log(), asks=source is not None)
+    executor = Executor(run, server, source)
 
     async def main() -> RunResult:
         task = asyncio.ensure_future(executor.execute())
@@ -315,6 +321,134 @@ def test_a_pause_goes_on_in_the_successor() -> None:
     states: list[object] = []
     assert carried(story, ACT).goal
     assert states == [(True, ["act"])]
+
+
+# --- questions -----------------------------------------------------------------------------
+
+ASKING = Bindings({"greet": Binding(goal={"word": "$word"}, ask={"word": "What shall I say to {whom}?"})})
+
+
+def greet(whom: str) -> GroundAction:
+    return GroundAction("greet", (whom,), parameters=("whom",))
+
+
+@dataclass
+class Person:
+    """Is asked, and answers when told to. The mutable state is what was asked and is not answered."""
+
+    asked: list[str] = field(default_factory=list)
+    open: dict[str, asyncio.Future[object]] = field(default_factory=dict)
+
+    async def query(self, question: Question, asker: Asker, /) -> object:
+        if question.layer is not Layer.PERSON:
+            return MISSING
+        words = question_text(question)
+        self.asked.append(words)
+        answer = self.open[words] = asyncio.get_running_loop().create_future()
+        try:
+            return await answer
+        finally:
+            del self.open[words]
+
+    async def update(self, question: Question, value: object, asker: Asker, /) -> None: ...
+
+    async def close(self) -> None: ...
+
+    def answer(self, whom: str, word: str) -> None:
+        self.open[f"What shall I say to {whom}?"].set_result(word)
+
+
+async def settle() -> None:
+    for _ in range(10):
+        await asyncio.sleep(0)
+
+
+@pytest.mark.parametrize("moment", ["handled", "in the inbox", "later, while it is paused", "later"])
+def test_what_a_person_is_asked_is_asked_once_whichever_run_goes_on(moment: str) -> None:
+    person, loops = Person(), list[asyncio.Task[None]]()
+
+    def story(executor: Executor, server: Server) -> None:
+        loops.append(asyncio.ensure_future(tell(executor, server)))
+
+    async def tell(executor: Executor, server: Server) -> None:
+        def succeed() -> None:
+            executor.succeed(successor(executor.run, GroundAction("first"), greet("ann"), orders=("1e<2s",), bindings=ASKING, asks=True))
+
+        executor.pause()
+        await settle()
+        if moment == "handled":
+            person.answer("ann", "hello")
+            await settle()
+        elif moment == "in the inbox":
+            person.answer("ann", "hello")
+            await asyncio.sleep(0)
+        succeed()
+        await settle()
+        if moment == "later, while it is paused":
+            person.answer("ann", "hello")
+            await settle()
+        executor.succeed(successor_of_successor(executor.run))
+        executor.resume()
+        await settle()
+        server.end("act")
+        server.end("first")
+        await settle()
+        if moment == "later":
+            person.answer("ann", "hello")
+            await settle()
+        assert server.reporters["greet"][0].goal["word"] == "hello"
+        server.end("greet")
+
+    def successor_of_successor(run: Run) -> Run:
+        return successor(run, GroundAction("first"), greet("ann"), orders=("1e<2s",), bindings=ASKING, asks=True, id=UUID(int=3))
+
+    assert carried(story, ACT, greet("ann"), bindings=ASKING, source=person).goal
+    assert person.asked == ["What shall I say to ann?"]
+    assert not person.open
+    loops[0].result()
+
+
+def test_a_question_that_the_successor_does_not_ask_is_withdrawn() -> None:
+    person = Person()
+
+    def story(executor: Executor, server: Server) -> None:
+        executor.succeed(successor(executor.run, greet("bob"), bindings=ASKING, asks=True))
+        asyncio.get_running_loop().call_later(1, lambda: open_then.extend(person.open))
+        asyncio.get_running_loop().call_later(2, person.answer, "bob", "good day")
+        asyncio.get_running_loop().call_later(3, server.end, "act")
+        asyncio.get_running_loop().call_later(3, server.end, "greet")
+
+    open_then: list[str] = []
+    assert carried(story, ACT, greet("ann"), bindings=ASKING, source=person).goal
+    assert open_then == ["What shall I say to bob?"]
+    assert person.asked == ["What shall I say to ann?", "What shall I say to bob?"]
+
+
+def test_an_answer_does_for_one_call() -> None:
+    person = Person()
+
+    def story(executor: Executor, server: Server) -> None:
+        executor.pause()
+        loop = asyncio.get_running_loop()
+        loop.call_later(1, person.answer, "ann", "hello")
+        loop.call_later(2, lambda: executor.succeed(two(executor.run)))
+        loop.call_later(3, executor.resume)
+        loop.call_later(4, lambda: server.end("greet"))
+        loop.call_later(5, person.answer, "ann", "hello again")
+        loop.call_later(6, lambda: words.append(server.reporters["greet"][0].goal["word"]))
+        loop.call_later(7, lambda: server.end("greet"))
+        loop.call_later(8, lambda: server.end("act"))
+
+    def two(run: Run) -> Run:
+        return successor(run, greet("ann"), greet("ann"), orders=("1e<2s",), bindings=ASKING, asks=True)
+
+    words: list[object] = []
+    assert carried(story, ACT, greet("ann"), bindings=ASKING, source=person).goal
+    assert person.asked == ["What shall I say to ann?"] * 2
+    assert words == ["hello again"]
+
+
+# --- what is refused -----------------------------------------------------------------------
 
 
 def refusing(match: str, change: Callable[[Executor, Server], Run]) -> Callable[[Executor, Server], None]:

@@ -264,6 +264,81 @@ async def test_a_task_whose_plan_does_not_work_any_more_after_a_pause_finds_anot
     assert stage.sent(task)[1:] == ["move(r0, a3, a2)"]
 
 
+async def resumed_beside(stage: Stage, goal: str, other: str, **how: object) -> tuple[UUID, UUID]:
+    """Have a task be resumed when another one has begun with what is in conflict with it."""
+    task = await stage.begun(goal, **how)
+    await stage.master.pause(task, at_once=False)
+    newcomer = await stage.begun(other)
+    assert not stage.seen(newcomer, "state", "waits"), "what is paused keeps nobody waiting"
+    await stage.master.resume(task)
+    return task, newcomer
+
+
+@pytest.mark.parametrize(("goal", "how"), [("(at r0 a3)", {}), ("(move r0 a0 a1)\n(move r0 a1 a2)\n(move r0 a2 a3)", {"is_plan": True})])
+@on_stage(fleet(places=8))
+async def test_a_task_that_is_resumed_waits_for_those_that_have_begun_meanwhile_what_is_in_its_way(
+    stage: Stage, goal: str, how: dict[str, object]
+):
+    task, newcomer = await resumed_beside(stage, goal, "(and (has r0 p1) (at r0 a1))", **how)
+    await stage.sees(task, "state", "queued: waits for")
+    count = len(stage.sent(task))
+    await stage.reaches(newcomer)
+    assert len(stage.sent(task)) == count, "nothing of it began meanwhile"
+    assert not stage.seen(newcomer, "failed")
+    await stage.reaches(task)
+
+
+@on_stage(fleet(places=8))
+async def test_a_task_that_is_resumed_plans_around_those_that_have_begun_meanwhile(stage: Stage):
+    task, newcomer = await resumed_beside(stage, "(in p1 a7)", "(and (at r1 a4) (has r1 p3))")
+    await stage.reaches(task, newcomer)
+    assert not stage.seen(task, "failed")
+    assert not stage.seen(newcomer, "failed")
+    assert robots_of(stage, newcomer) == {"r1"}
+    assert stage.sent(task)[-1].startswith("drop(r0")
+
+
+@on_stage(fleet(places=8))
+async def test_a_task_that_is_resumed_is_refused_beside_others_if_that_is_the_policy(stage: Stage):
+    task, newcomer = await resumed_beside(stage, "(at r0 a3)", "(and (has r0 p1) (at r0 a1))", on_conflict=OnConflict.REFUSE)
+    assert await stage.ended_with(task, newcomer) == [Code.CONFLICT, Code.GOAL_REACHED]
+    assert "which the other" in stage.endings[task].message
+
+
+@on_stage(fleet(places=8))
+async def test_those_of_lower_priority_make_way_for_a_task_that_is_resumed(stage: Stage):
+    task, newcomer = await resumed_beside(stage, "(at r0 a3)", "(and (has r0 p1) (at r0 a1))", priority=1)
+    await stage.ended_with(task)
+    assert newcomer not in stage.endings
+    assert stage.seen(newcomer, "conflict", "makes way")
+    await stage.reaches(task, newcomer)
+
+
+@pytest.mark.parametrize("at_once", [False, True])
+@on_stage(fleet(places=8), chosen=replace(USUAL, limits=Limits(seconds=20.0)))
+async def test_a_pause_does_not_use_up_the_time_of_the_task(stage: Stage, at_once: bool):
+    task = await stage.begun("(at r0 a4)")
+    for _ in range(2):
+        await stage.master.pause(task, at_once=at_once)
+        await asyncio.sleep(100.0)
+        await stage.master.resume(task)
+    await stage.reaches(task)
+
+
+@on_stage(fleet(places=8), chosen=replace(USUAL, limits=Limits(seconds=20.0)))
+async def test_a_pause_gives_the_task_no_more_time_than_it_had(stage: Stage):
+    task = stage.want("(at r0 a4)")
+    await stage.sees(task, "ended")
+    await stage.master.pause(task, at_once=False)
+    await asyncio.sleep(100.0)
+    stage.site.robots.faults = Faults((Fault("move", FaultKind.HANG),))
+    resumed = asyncio.get_running_loop().time()
+    await stage.master.resume(task)
+    assert await stage.ended_with(task) == [Code.TIMED_OUT]
+    assert stage.endings[task].message == "the limit of 20 s is reached"
+    assert 15.0 < asyncio.get_running_loop().time() - resumed < 20.0, "what it used before the pause counts"
+
+
 @on_stage()
 async def test_a_paused_task_can_be_cancelled_and_misses_its_deadline(stage: Stage):
     one, two = stage.want("(at r0 a2)"), stage.want("(at r1 a3)", deadline=50.0)

@@ -53,11 +53,14 @@ from pnm.machine import (
 from pnm.plan_graph import ActionCall, Cause, GroundAction, Moment, PlanEvent
 from pnm.rules import Rules
 
+_ANY = frozenset(OutcomeKind)
 _SUCCEEDED = frozenset({OutcomeKind.SUCCEEDED})
-_UNSUCCESSFUL = frozenset(OutcomeKind) - _SUCCEEDED
+_UNSUCCESSFUL = _ANY - _SUCCEEDED
 _EARLY = {OutcomeKind.REJECTED: Cause.REJECTED, OutcomeKind.UNAVAILABLE: Cause.UNAVAILABLE, OutcomeKind.LOST: Cause.LOST}
 """How a request may end before anybody has said that it was accepted."""
+_NOT_EARLY = _ANY - frozenset(_EARLY)
 _LATE = {OutcomeKind.ABORTED: Cause.ABORTED, OutcomeKind.CANCELED: Cause.CANCELED, OutcomeKind.LOST: Cause.LOST}
+_ODD = _UNSUCCESSFUL - frozenset(_LATE)
 _ALIVE = ("requested", "withdrawing", "again requested", "again withdrawing", "running", "overdue", "stopping", "suspending")
 """Places of a call whose request may be alive."""
 
@@ -163,9 +166,9 @@ class CallBlock(Block[ActionCall]):
             name = f"{kind.value}{'_early' if kind is OutcomeKind.LOST else ''}"
             add(name, Ends(call, frozenset({kind})), requested, self._after(cause, [recover]))
         unavailable = self._after(Cause.UNAVAILABLE, [recover])
-        add("ended_early", Ends(call, frozenset(OutcomeKind) - frozenset(_EARLY)), requested, unavailable)
+        add("ended_early", Ends(call, _NOT_EARLY), requested, unavailable)
         add("unanswered", After(self.binding.accept), requested, [withdrawing], Deed.CANCEL)
-        add("withdrawn", Ends(call, frozenset(OutcomeKind)), withdrawing, unavailable)
+        add("withdrawn", Ends(call, _ANY), withdrawing, unavailable)
         add("unheard", After(self.binding.cancel), withdrawing, failed)
 
         abandon(self, "recover", *announced, phase=phase)
@@ -196,8 +199,7 @@ class CallBlock(Block[ActionCall]):
         self.fire("succeeded", Ends(call, _SUCCEEDED), "running", returned)
         for kind, cause in _LATE.items():
             self._outcome(kind.value, Ends(call, frozenset({kind})), "running", cause, recover)
-        others = _UNSUCCESSFUL - frozenset(_LATE)
-        self._outcome("ended_oddly", Ends(call, others), "running", Cause.ABORTED, recover)
+        self._outcome("ended_oddly", Ends(call, _ODD), "running", Cause.ABORTED, recover)
         self.fire("stop", CancelAsked(), "running", "stopping", deed=Deed.CANCEL)
         self.fire("suspend", PauseAsked(), "running", "suspending", deed=Deed.CANCEL)
         if self.step.action.invariant != TRUE:

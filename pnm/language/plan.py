@@ -15,7 +15,7 @@ from pnm.expressions import Fluent, Value
 from pnm.language.actions import LanguageAction
 from pnm.language.calls import Facts
 from pnm.language.data import read_literal
-from pnm.language.declarations import read_facts
+from pnm.language.declarations import NOTHING_DECLARED, Declared, read_facts
 from pnm.language.domain import LanguageDomain, read_goal
 from pnm.language.drafts import Draft, drafts, drafts_in, read_domain
 from pnm.language.files import parse_documents
@@ -58,6 +58,8 @@ class HandWrittenPlan:
     """The other plans it calls."""
     warnings: tuple[Tolerated, ...] = ()
     """What in the files was not as it should be."""
+    declared: Declared = NOTHING_DECLARED
+    """The names that its domain declares."""
     domain_file: str = ""
     """Where its domain was read from; empty if it has none."""
 
@@ -146,6 +148,7 @@ def _plan(draft: Draft, others: Mapping[str, Draft]) -> HandWrittenPlan:
         sources=domain.sources,
         calls=frozenset(call.action.name for call in graph.calls) & others.keys(),
         warnings=draft.warnings,
+        declared=domain.declared,
         domain_file=domain.file,
     )
 
