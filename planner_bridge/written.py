@@ -192,7 +192,7 @@ class _WrittenTask:
                 result = await performer.execute(performance)
         finally:
             stop_time()
-        code = code_of_run(result, Code.CANCELLED)
+        code = code_of_run(result, Code.TIMED_OUT if performance.limit.is_used_up else Code.CANCELLED)
         task = TaskResult(code, result.reason, 0, (Episode(self._program.machine, result),), self.seconds.seconds, began)
         if any(failure.replan for failure in result.failures):
             task = await self._replanned(task, performer.world)

@@ -31,6 +31,7 @@ from pnm.sites import schedule
 from pnm.sources.base import Asker
 from pnm.sources.chain import Sources
 from pnm.sources.memory import MemoryKnowledge
+from pnm.tasking import Code
 
 GUIDE = """
 actions:
@@ -327,6 +328,7 @@ def test_effects_that_depend_on_a_question_do_not_happen_when_the_run_is_stopped
     text = "timeout: 2\n" + CONDITIONAL % "act"
     task = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite").task
     assert "limit of 2 s" in task.reason
+    assert task.code is Code.TIMED_OUT
 
 
 class Cancelled:

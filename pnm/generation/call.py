@@ -27,7 +27,7 @@ from math import isfinite
 
 from pnm.actions.base import OutcomeKind
 from pnm.bindings import Binding
-from pnm.conditions import TRUE, All, Condition, conjuncts, names
+from pnm.conditions import TRUE, All, Condition, conjunction, conjuncts, names
 from pnm.effects import names_written
 from pnm.generation.block import Block
 from pnm.generation.recovery import Recoveries, abandon, build_recoveries
@@ -144,7 +144,7 @@ class CallBlock(Block[ActionCall]):
         ready, requested, recover, withdrawing = (self.name(phase + name) for name in ("ready", "requested", "recover", "withdrawing"))
         out = [self.name("done"), *announced]
         failed = [*out, self.name("failed")]
-        may_start = _conjunction(action.precondition, _before_invariant(action, self.builder.plan.rules))
+        may_start = conjunction((action.precondition, _before_invariant(action, self.builder.plan.rules)))
 
         def add(name: str, guard: Guard, source: str, outputs: Iterable[str], deed: Deed | None = None) -> None:
             self.add(phase + name, guard, [source], outputs, deed)
@@ -253,8 +253,3 @@ def _before_invariant(action: GroundAction, rules: Rules) -> Condition:
     """Return what of the over-all condition can be checked before the start: all that the start does not itself change."""
     changed = names_written(action.start_effects)
     return All(tuple(part for part in conjuncts(action.invariant) if not rules.base(names(part)) & changed))
-
-
-def _conjunction(*conditions: Condition) -> Condition:
-    real = tuple(part for condition in conditions for part in conjuncts(condition))
-    return real[0] if len(real) == 1 else All(real)
