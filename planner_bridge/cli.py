@@ -30,14 +30,29 @@ from planner_bridge.cli_options import (
     tell,
     write,
 )
-from planner_bridge.cli_serve import serve
 from pnm.errors import InputError
 
 if TYPE_CHECKING:
     from planner_bridge.pipeline import Where
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+class Commands(click.Group):
+    """The commands, of which `serve` is looked for only when somebody asks for it: its options tell of much that others do not need."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return their names."""
+        return sorted((*super().list_commands(ctx), "serve"))
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return a command by its name."""
+        if cmd_name != "serve":
+            return super().get_command(ctx, cmd_name)
+        from planner_bridge.cli_serve import serve
+
+        return serve
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="petri-net-machines", prog_name="pnm")
 def app() -> None:
     """Run robots from goals: PDDL goal, plan, Petri Net Machine, ROS 2 actions, and a new plan when something fails."""
@@ -177,9 +192,6 @@ def run(
     if name or given or knowledge:
         raise InputError("--name, --set and --knowledge belong to hand-written plans; expected --plan and a file")
     return run_problem(*chosen, others, actions=actions, settings=settings, as_json=as_json)
-
-
-app.add_command(serve)
 
 
 @app.command()
