@@ -223,6 +223,42 @@ def test_a_server_that_does_not_confirm_is_given_up_after_its_limit():
     play(scene, faults=faults)
 
 
+def test_what_a_request_has_that_was_given_up_is_not_used_by_others_and_they_find_another_way():
+    faults = Faults((Fault("move(r0, a0, a1)", FaultKind.HANG, ignores_cancel=True),))
+
+    async def scene(stage: Stage) -> None:
+        first = stage.want("(at r0 a1)")
+        await stage.sees(first, "sent")
+        await stage.master.cancel(first)
+        assert stage.seen(first, "withheld", "keeps r0 until its server says that it is over")
+        second = stage.want("(in p0 a1)")
+        assert await stage.ended_with(second) == [Code.GOAL_REACHED]
+        (failure,) = stage.seen(second, "failed")
+        assert f"r0 is kept by move(r0, a0, a1) of task {first.hex[:8]}, which has not confirmed that it is over" in failure.text
+        assert {word.split("(")[1].split(",")[0] for word in stage.sent(second)} == {"r1"}
+        third = stage.want("(has r0 p0)")
+        assert await stage.ended_with(third) == [Code.SERVER_UNAVAILABLE], "no other robot will do"
+        assert "move(r0, ?, ?)" in stage.endings[third].message
+        assert not stage.sent(third)
+
+    play(scene, faults=faults)
+
+
+def test_what_a_request_has_that_was_given_up_is_free_when_its_server_reports_late():
+    faults = Faults((Fault("move(r0, a0, a1)", FaultKind.SLOW, ignores_cancel=True, times=1),))
+    slow = Bindings({name: Binding(resources=("{r}",), retries=0, cancel=2.0) for name in ("move", "pick", "drop")})
+
+    async def scene(stage: Stage) -> None:
+        first = stage.want("(at r0 a1)")
+        await stage.sees(first, "sent")
+        await stage.master.cancel(first)
+        second = stage.want("(has r0 p0)")
+        assert await stage.ended_with(second) == [Code.GOAL_REACHED]
+        assert stage.seen(second, "sent")[0].time >= 10.0 - 0.1, "when the first one has ended indeed"
+
+    play(scene, faults=faults, chosen=replace(EAGER, bindings=slow))
+
+
 def test_what_is_not_there_cannot_be_paused_resumed_or_cancelled():
     async def scene(stage: Stage) -> None:
         task = stage.want("(at r0 a0)")
