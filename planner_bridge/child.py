@@ -22,7 +22,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final
 
-from planner_bridge.engines import require
+from planner_bridge.engines import ENGINES, require
 from planner_bridge.model import Problem
 from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.plan import Plan, PlanningResult, PlanningStatus, PlanStep, Stop
@@ -63,6 +63,26 @@ def solve_in_child(problem: Problem, engine: str, timeout: float, cancel: Stop) 
             return PlanningResult(PlanningStatus.OUT_OF_MEMORY, message=f"the system killed {engine}, which it does for want of memory")
         words = " ".join((folder / "output.txt").read_text(errors="replace").split())
         return PlanningResult(PlanningStatus.CRASHED, message=f"{engine}: {words[-300:] or f'exit status {status}'}")
+
+
+def check_engine(engine: str, cancel: Stop) -> None:
+    """See to it that there is an engine of that name; one that is not among `ENGINES` is asked for in a child process.
+
+    Raises:
+        InputError: there is none, or something has to be installed first.
+    """
+    if engine in ENGINES:
+        require(engine)
+        return
+    with tempfile.TemporaryDirectory(prefix="pnm-", ignore_cleanup_errors=True) as name:
+        folder = Path(name).resolve()
+        with _group([sys.executable, "-m", "planner_bridge.up", engine], folder) as child:
+            _wait(child, folder, START, cancel)
+        if (folder / ANSWER).exists():
+            _known(json.loads((folder / ANSWER).read_text(encoding="utf-8")))
+        elif not cancel.is_set():
+            words = " ".join((folder / "output.txt").read_text(errors="replace").split())
+            raise InputError(f"unified-planning does not say whether there is a planner {engine!r}: {words[-300:] or 'no answer'}")
 
 
 @contextmanager
@@ -143,9 +163,13 @@ def die_with_parent() -> None:
 # --- the answer ----------------------------------------------------------------------------
 
 
-def _read(answer: dict[str, Any], problem: Problem) -> PlanningResult:
+def _known(answer: dict[str, Any]) -> None:
     if "unknown" in answer:
         raise InputError(answer["unknown"])
+
+
+def _read(answer: dict[str, Any], problem: Problem) -> PlanningResult:
+    _known(answer)
     status, message = PlanningStatus[answer["status"]], answer["message"]
     if status is not PlanningStatus.SOLVED:
         return PlanningResult(status, message=message)

@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Final
 
 from planner_bridge.forbidding import ANY, ForbiddenCall
 from planner_bridge.plan import Plan, PlanningResult
 from planner_bridge.replanning import Decision, GiveUp, History, PlanAgain, Resume
 from planner_bridge.tasks import Episode
 from pnm.machine import PetriNetMachine
+from pnm.plan_graph import ActionCall
 from pnm.results import Failure, RunResult
 from pnm.trajectory import Constraint
+
+_DEEDS: Final = {
+    "aborted": "was aborted",
+    "canceled": "was cancelled",
+    "rejected": "was rejected",
+    "timed_out": "timed out",
+    "unavailable": "found no server",
+    "lost": "lost its server",
+    "withheld": "has waited in vain for what others keep",
+}
+"""What has happened to a call, by the cause of its failure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,14 +62,15 @@ class Chronicle:
     def _add(self, machine: PetriNetMachine, result: RunResult, decision: Decision | None) -> None:
         self.episodes.append(Episode(machine, result, decision))
 
-    def last_failure(self, missing: tuple[Constraint, ...]) -> str:
-        """Say, behind the reason for an end, what failed last and which constraints are not fulfilled."""
-        if not self.episodes:
-            return ""
-        result = self.episodes[-1].result
-        failure = "" if result.goal else f"; last failure: {result.reason}"
+    @property
+    def last_failure(self) -> str:
+        """What failed last; empty when nothing has."""
+        return "" if not self.episodes or self.episodes[-1].result.goal else f"last failure: {self.episodes[-1].result.reason}"
+
+    def unfulfilled(self, missing: tuple[Constraint, ...]) -> str:
+        """Say which constraints are not fulfilled after what was done; empty when all are, or nothing was done."""
         more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
-        return failure + (f"; not fulfilled: {', '.join(map(str, missing[:3]))}{more}" if missing else "")
+        return f"not fulfilled: {', '.join(map(str, missing[:3]))}{more}" if self.episodes and missing else ""
 
 
 def no_plan(found: PlanningResult, forbidden: frozenset[ForbiddenCall]) -> str:
@@ -68,3 +82,18 @@ def no_plan(found: PlanningResult, forbidden: frozenset[ForbiddenCall]) -> str:
         *([f" without {', '.join(lacking)}, which would need what others keep"] if lacking else []),
     ]
     return f"no plan{' and'.join(without)}: {found.reason}"
+
+
+def tries_again(seconds: float, result: RunResult) -> str:
+    """Say that there is a pause before what follows a run, and why the run has failed."""
+    return f"tries again in {seconds:g} s after {_happened(result.failures[-1]) if result.failures else result.reason}"
+
+
+def _happened(failure: Failure) -> str:
+    subject = failure.call.action if isinstance(failure.call, ActionCall) else failure.call
+    return f"{subject} {_DEEDS.get(failure.cause, f'failed: {failure.cause}')}"
+
+
+def sentence(*parts: str) -> str:
+    """Join what there is to be said."""
+    return "; ".join(filter(None, parts))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,6 +25,7 @@ from planner_bridge.cli_options import (
     files_or_plan,
     knowledge_option,
     planning,
+    problem_in,
     sensing_option,
     tell,
     write,
@@ -34,10 +34,7 @@ from planner_bridge.cli_serve import serve
 from pnm.errors import InputError
 
 if TYPE_CHECKING:
-    from planner_bridge.model import Problem
     from planner_bridge.pipeline import Where
-    from pnm.actions.faults import Faults
-    from pnm.bindings import Bindings
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -56,7 +53,7 @@ def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: boo
     from planner_bridge.plan import PlanningStatus
     from planner_bridge.planning import solve
 
-    found = solve(_load(domain, problem), planner=planner, timeout=timeout)
+    found = solve(problem_in(domain, problem), planner=planner, timeout=timeout)
     if as_json:
         steps = [
             {"action": step.action, "arguments": list(step.arguments), "start": step.start, "duration": step.duration}
@@ -95,6 +92,7 @@ def net(
     timeout: float,
 ) -> int:
     """Plan, and write the machine; or write that of a plan that somebody has written."""
+    from planner_bridge.cli_files import bindings_for
     from planner_bridge.planning import solve
     from planner_bridge.plans import plan_graph
     from pnm.export.dot import to_dot
@@ -107,8 +105,8 @@ def net(
 
         machine = machine_of(chosen, name, bindings)
     else:
-        loaded = _load(*chosen)
-        bound = _bindings(bindings, chosen[0], loaded)
+        loaded = problem_in(*chosen)
+        bound = bindings_for(loaded, chosen[0], bindings)
         found = solve(loaded, planner=planner, timeout=timeout)
         if found.plan is None:
             print(f"no plan: {found.reason}", file=sys.stderr)
@@ -145,7 +143,7 @@ def run(
     plan_file: Path | None,
     name: str | None,
     given: tuple[str, ...],
-    actions: str,
+    actions: Where,
     bindings: Path | None,
     faults: Path | None,
     knowledge: Path | None,
@@ -158,51 +156,27 @@ def run(
     as_json: bool,
 ) -> int:
     """Plan, execute, and replan until the goal holds; or carry out a plan that somebody has written."""
-    from planner_bridge.console import ConsoleObserver, Terminal, print_result
-    from planner_bridge.pipeline import achieve
+    from planner_bridge.cli_files import Files
+    from planner_bridge.cli_run import run_problem
     from planner_bridge.replanning import Limits
-    from planner_bridge.stopwatch import Stopwatch
-    from planner_bridge.tasks import Settings, TaskObserver
+    from planner_bridge.tasks import Settings
     from pnm.machine import OnFailure
-    from pnm.sensing import NO_SENSING
-    from pnm.sensing_file import read_sensing
 
     if faults and actions == "ros2":
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
     if sensing and actions != "ros2":
         raise InputError("--sensing tells of topics and services of ROS 2; expected --actions ros2")
-    where: Where = "ros2" if actions == "ros2" else "simulated"
-    limits = Limits(replans=replans, seconds=seconds)
-    settings = Settings(planner, timeout, limits=limits, on_failure=OnFailure(on_failure or "drain"))
+    others = Files(bindings, faults, knowledge, sensing)
+    policy = OnFailure(on_failure) if on_failure else None
+    settings = Settings(planner, timeout, limits=Limits(replans=replans, seconds=seconds), on_failure=policy or OnFailure.DRAIN)
     chosen = chosen_files(domain, problem, plan_file)
     if isinstance(chosen, Path):
-        from planner_bridge.cli_written import Files, run_written
+        from planner_bridge.cli_written import run_written
 
-        ends = None if on_failure is None else settings.on_failure
-        files = Files(bindings, faults, knowledge, sensing)
-        return run_written(chosen, name, given, files, actions=where, settings=settings, on_failure=ends, as_json=as_json)
+        return run_written(chosen, name, given, others, actions=actions, settings=settings, on_failure=policy, as_json=as_json)
     if name or given or knowledge:
         raise InputError("--name, --set and --knowledge belong to hand-written plans; expected --plan and a file")
-    stopwatch = Stopwatch()
-    with stopwatch.of("parse"):
-        loaded = _load(*chosen)
-        sensors = read_sensing(sensing, loaded.vocabulary) if sensing else NO_SENSING
-        settings = replace(settings, bindings=_bindings(bindings, chosen[0], loaded), sensing=sensors)
-    console = Terminal()
-    result = achieve(
-        None,
-        loaded,
-        actions=where,
-        faults=_faults(faults, loaded),
-        settings=settings,
-        observer=TaskObserver() if as_json else ConsoleObserver(console),
-        stopwatch=stopwatch,
-    )
-    if as_json:
-        print(json.dumps(result.as_json()), flush=True)
-    else:
-        print_result(console, result)
-    return 0 if result.goal_reached else 1
+    return run_problem(*chosen, others, actions=actions, settings=settings, as_json=as_json)
 
 
 app.add_command(serve)
@@ -217,10 +191,12 @@ app.add_command(serve)
 @command
 def simulate(domain: Path, problem: Path, bindings: Path | None, faults: Path | None, speed: float | None, log: Path | None) -> int:
     """Play the robots: offer a ROS 2 action server per action, and publish what sensors see."""
+    from planner_bridge.cli_files import bindings_for, faults_for
     from planner_bridge.simulate import play
 
-    loaded = _load(domain, problem)
-    return play(loaded, _bindings(bindings, domain, loaded), _faults(faults, loaded), speed or (1.0 if loaded.timed else 20.0), log)
+    loaded = problem_in(domain, problem)
+    bound, wrong = bindings_for(loaded, domain, bindings), faults_for(loaded, faults)
+    return play(loaded, bound, wrong, speed or (1.0 if loaded.timed else 20.0), log)
 
 
 @app.command()
@@ -284,30 +260,6 @@ def demo(story: str) -> int:
     from planner_bridge.console import Terminal
 
     return mall_demo.show(Terminal()) if story == "mall" else demo.show(Terminal())
-
-
-def _load(domain: Path, problem: Path) -> Problem:
-    """Read the problem, and say on stderr what in its files was not as it should be."""
-    from planner_bridge.loading import load
-
-    loaded = load(domain, problem)
-    tell(loaded.warnings)
-    return loaded
-
-
-def _faults(file: Path | None, problem: Problem) -> Faults:
-    from pnm.actions.faults import NO_FAULTS, read_faults
-
-    return read_faults(file, problem.vocabulary) if file else NO_FAULTS
-
-
-def _bindings(file: Path | None, domain: Path, problem: Problem) -> Bindings:
-    from pnm.bindings import Bindings, read_bindings
-
-    beside = domain.parent / "bindings.yaml"
-    if file is None and not beside.is_file():
-        return Bindings()
-    return read_bindings(file or beside, problem.vocabulary)
 
 
 def main() -> None:

@@ -13,7 +13,8 @@ from typing import Any, ParamSpec
 
 import click
 
-from planner_bridge.loading import told
+from planner_bridge.loading import load, told
+from planner_bridge.model import Problem
 from pnm.errors import InputError, PnmError, Tolerated
 
 P = ParamSpec("P")
@@ -109,8 +110,23 @@ def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | No
     return domain, problem
 
 
+def problem_in(domain: Path, problem: Path) -> Problem:
+    """Read a problem, and say on stderr what in its files was not as it should be.
+
+    Raises:
+        InputError: a file is wrong, or cannot be read.
+    """
+    loaded = load(domain, problem)
+    tell(loaded.warnings)
+    return loaded
+
+
 def write(path: Path | None, text: str) -> None:
-    """Write a file, or on the terminal when there is none."""
+    """Write a file, or on the terminal when there is none.
+
+    Raises:
+        InputError: it cannot be written.
+    """
     if path is None:
         print(text, end="")
         return

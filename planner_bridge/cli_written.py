@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
+from planner_bridge.cli_files import Files
 from planner_bridge.cli_options import tell
-from planner_bridge.console import ConsoleObserver, Terminal, print_result
+from planner_bridge.cli_run import print_ending
+from planner_bridge.console import ConsoleObserver, Terminal
 from planner_bridge.pipeline import Where
+from planner_bridge.planning import check_planner
 from planner_bridge.tasks import Settings, TaskObserver
 from planner_bridge.written import carry_out, chosen_plan
 from pnm.actions.faults import NO_FAULTS, read_faults
@@ -33,16 +36,6 @@ def machine_of(file: Path, name: str | None, bindings: Path | None) -> PetriNetM
     return generate(plan.graph, chosen, on_failure=plan.on_failure)
 
 
-@dataclass(frozen=True, slots=True)
-class Files:
-    """Files that come besides the plan's own."""
-
-    bindings: Path | None
-    faults: Path | None
-    knowledge: Path | None
-    sensing: Path | None
-
-
 def run_written(
     file: Path,
     name: str | None,
@@ -54,7 +47,12 @@ def run_written(
     on_failure: OnFailure | None,
     as_json: bool,
 ) -> int:
-    """Carry out a hand-written plan, tell how it went, and return the exit status."""
+    """Carry out a hand-written plan, tell how it went, and return the exit status.
+
+    Raises:
+        InputError: a file or a parameter is wrong; nothing was started.
+    """
+    check_planner(settings.planner)  # now, not when a plan is given up that took an hour
     console = Terminal()
     if files.bindings:
         settings = replace(settings, bindings=read_bindings(files.bindings))
@@ -72,11 +70,7 @@ def run_written(
         knowledge=files.knowledge,
         warn=tell,
     )
-    if as_json:
-        print(json.dumps(result.as_json(), default=str), flush=True)
-    else:
-        print_result(console, result.task)
-    return 0 if result.task.goal_reached else 1
+    return print_ending(result.task, console, result.as_json() if as_json else None)
 
 
 def _parameters(given: tuple[str, ...]) -> dict[str, object]:

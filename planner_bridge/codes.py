@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from planner_bridge.plan import PlanningStatus
-from pnm.results import Failure
+from pnm.results import Failure, RunResult
 from pnm.tasking import Code
 
 _PLANNING: Final = {
@@ -34,6 +34,18 @@ def code_of_planning(status: PlanningStatus, failures: Sequence[Failure]) -> Cod
     """Return the code of a task for which no plan was found, after these failures: they are why there is none any more."""
     code = _PLANNING.get(status, Code.PLANNER_ERROR)
     return code_of_failures(failures) if failures and code is Code.NO_PLAN else code
+
+
+def code_of_run(result: RunResult, stopped: Code) -> Code:
+    """Return the code of a task that ends with this run of its plan.
+
+    Args:
+        result: how the run ended.
+        stopped: the code if it was told to stop.
+    """
+    if result.goal:
+        return Code.GOAL_REACHED
+    return stopped if result.stopped else code_of_failures(result.failures)
 
 
 def code_of_failures(failures: Sequence[Failure]) -> Code:

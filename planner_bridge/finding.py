@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
-from planner_bridge.chronicle import Chronicle, no_plan
+from planner_bridge.chronicle import Chronicle, no_plan, sentence
 from planner_bridge.circumstances import Conflict
 from planner_bridge.codes import code_of_planning
 from planner_bridge.footprints import Footprint, footprint
@@ -141,8 +141,8 @@ class Finding:
         found, conflicts = await self._search.find(now, [one.call for one in under_way], self._supervision.limit.left, given)
         self._standing.check()
         if found.plan is None:
-            missing = self._supervision.missing
-            reason = no_plan(found, forbidden) + self._chronicle.last_failure(missing)
+            unfulfilled = self._chronicle.unfulfilled(self._supervision.missing)
+            reason = sentence(self._chronicle.last_failure, no_plan(found, forbidden), unfulfilled)
             raise Over(code_of_planning(found.status, self._chronicle.failures), reason)
         return (None, conflicts) if conflicts else (found.plan, ())
 

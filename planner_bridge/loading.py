@@ -16,7 +16,12 @@ _SHOWN: Final = 20
 
 
 def load(domain: Path | str | Domain | None, problem: Path | str | Problem | Any) -> Problem:
-    """Return the problem, read from files where files are named."""
+    """Return the problem, read from files where files are named.
+
+    Raises:
+        InputError: a file is wrong, or cannot be read.
+        TypeError: a file is named for the problem, and nothing for its domain.
+    """
     if isinstance(problem, Problem):
         return problem
     if not isinstance(problem, Path | str):

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 DEFAULT_PLANNER: Final = "kairos"
 RACE: Final = "race"
+_RACE_OF: Final = f"{RACE}:"
 _POLL: Final = 0.05
 _PATIENCE: Final = 1.0
 """Seconds that must pass without a better plan until the last one is good enough, where preferences are weighed."""
@@ -67,12 +68,41 @@ def solve(
         InputError: the planner refuses the problem, is not known, or is not installed.
     """
     stop = cancel or threading.Event()
-    if planner == RACE or planner.startswith(f"{RACE}:"):
+    if planner == RACE or planner.startswith(_RACE_OF):
         from planner_bridge.race import race  # here, because most searches are no races
 
-        named = tuple(name.strip() for name in planner.removeprefix(f"{RACE}:").split(","))
-        return race(problem, planners=None if planner == RACE else named, timeout=timeout, executor=executor, cancel=stop)
+        named = None if planner == RACE else _named(planner)
+        return race(problem, planners=named, timeout=timeout, executor=executor, cancel=stop)
+    if planner == DEFAULT_PLANNER and not _has_tasks(problem):
+        loaded = _accepted(problem)
+        return validated(problem, _found(loaded, problem, timeout, stop), loaded)
     return validated(problem, search(problem, planner, timeout, stop))
+
+
+def check_planner(planner: str, cancel: Stop | None = None) -> None:
+    """See to it that there is such a planner, before anybody needs it; one that we do not know ourselves takes some seconds.
+
+    Args:
+        planner: as for `solve`.
+        cancel: set from elsewhere when nobody wants to know any more.
+
+    Raises:
+        InputError: it is not known, or something has to be installed first.
+    """
+    if planner in (DEFAULT_PLANNER, RACE):
+        return
+    if planner.startswith(_RACE_OF):
+        from planner_bridge.race import check_entrants  # here and below, because Kairos needs neither
+
+        check_entrants(_named(planner))
+    else:
+        from planner_bridge.child import check_engine
+
+        check_engine(planner, cancel or threading.Event())
+
+
+def _named(race: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in race.removeprefix(_RACE_OF).split(","))
 
 
 def search(problem: Problem, planner: str, timeout: float, cancel: Stop) -> PlanningResult:
@@ -81,8 +111,11 @@ def search(problem: Problem, planner: str, timeout: float, cancel: Stop) -> Plan
     Raises:
         InputError: as `solve`.
     """
+    if planner == DEFAULT_PLANNER and _has_tasks(problem):
+        message = "task networks, which aries plans for (--planner aries)"
+        return PlanningResult(PlanningStatus.UNSUPPORTED, message=message, planner=planner)
     if planner == DEFAULT_PLANNER:
-        return replace(_solve_with_kairos(problem, timeout, cancel), planner=planner)
+        return _found(_accepted(problem), problem, timeout, cancel)
     from planner_bridge.child import solve_in_child  # here, because Kairos needs no child
 
     return replace(solve_in_child(problem, planner, timeout, cancel), planner=planner)
@@ -91,11 +124,17 @@ def search(problem: Problem, planner: str, timeout: float, cancel: Stop) -> Plan
 # --- validation ----------------------------------------------------------------------------
 
 
-def validated(problem: Problem, found: PlanningResult) -> PlanningResult:
-    """Return what was found if there is no plan or all validators accept it; every plan goes through here."""
+def validated(problem: Problem, found: PlanningResult, loaded: kairos.Problem | None = None) -> PlanningResult:
+    """Return what was found if there is no plan or all validators accept it; every plan goes through here.
+
+    Args:
+        problem: what was to be solved.
+        found: what a planner says.
+        loaded: the problem, if Kairos has it already.
+    """
     if found.plan is None:
         return found
-    verdicts = {"Kairos' validator": validate(problem, found.plan), "our own": why_invalid(problem, found.plan)}
+    verdicts = {"Kairos' validator": validate(problem, found.plan, loaded), "our own": why_invalid(problem, found.plan)}
     if not any(verdicts.values()):
         return found
     status = PlanningStatus.INVALID_PLAN if all(verdicts.values()) else PlanningStatus.DISAGREEMENT
@@ -103,10 +142,10 @@ def validated(problem: Problem, found: PlanningResult) -> PlanningResult:
     return PlanningResult(status, message=f"{said}; the plan: {' '.join(plan_text(found.plan).split())}", planner=found.planner)
 
 
-def validate(problem: Problem, plan: Plan) -> str:
+def validate(problem: Problem, plan: Plan, loaded: kairos.Problem | None = None) -> str:
     """Return why the plan does not solve the problem by Kairos' validator; empty when it does."""
     try:
-        report = kairos.validate(_load(_without_tasks(problem)), kairos.parse_plan(plan_text(plan)))
+        report = kairos.validate(loaded or _load(_without_tasks(problem)), kairos.parse_plan(plan_text(plan)))
     except kairos.PddlError as error:
         return str(error)
     return "" if report.valid else _told(report.diagnostics) or str(report.status)
@@ -137,13 +176,24 @@ def _without_tasks(problem: Problem) -> Problem:
     return replace(problem, domain=replace(problem.domain, hierarchy=()), network="")
 
 
-def _solve_with_kairos(problem: Problem, timeout: float, cancel: Stop) -> PlanningResult:
-    if problem.network or problem.domain.hierarchy:
-        return PlanningResult(PlanningStatus.UNSUPPORTED, message="task networks, which aries plans for (--planner aries)")
+def _has_tasks(problem: Problem) -> bool:
+    return bool(problem.network or problem.domain.hierarchy)
+
+
+def _accepted(problem: Problem) -> kairos.Problem:
+    """Hand the problem to Kairos.
+
+    Raises:
+        InputError: it refuses the problem.
+    """
     try:
-        loaded = _load(problem)
+        return _load(problem)
     except kairos.PddlError as error:
         raise InputError(f"the planner refuses the problem: {error}") from error
+
+
+def _found(loaded: kairos.Problem, problem: Problem, timeout: float, cancel: Stop) -> PlanningResult:
+    """Search for a plan until the timeout, or until nobody wants it any more."""
     weighs = _has_preferences(problem)  # else the first plan will do: robots wait
     search = kairos.Planner().start(  # type: ignore[no-untyped-call]
         loaded, timeout=timeout, anytime=weighs, threads=_THREADS
@@ -151,16 +201,17 @@ def _solve_with_kairos(problem: Problem, timeout: float, cancel: Stop) -> Planni
     enough = inf
     while search.running() and not cancel.is_set() and time.monotonic() < enough:
         if search.next_plan(_POLL):
-            enough = time.monotonic() + (_PATIENCE if weighs else inf)
+            enough = time.monotonic() + (_PATIENCE if weighs else 0.0)
     search.stop()
+    best = search.best()
+    if best is not None:  # its end, which takes Kairos some milliseconds more, would not tell us anything
+        return PlanningResult(PlanningStatus.SOLVED, _plan(best, problem), planner=DEFAULT_PLANNER)
     result = search.wait()
     status = _STATUS[result.status]
     if status is PlanningStatus.UNSOLVABLE and any(function.values for function in problem.domain.functions.values()):
         status = PlanningStatus.NO_PLAN  # Kairos 1.0.6 calls some such problems unsolvable although its validator accepts a plan
     message = "" if status is PlanningStatus.CANCELLED else _told(result.diagnostics)
-    if result.plan is None:
-        return PlanningResult(PlanningStatus.NO_PLAN if status is PlanningStatus.SOLVED else status, message=message)
-    return PlanningResult(PlanningStatus.SOLVED, _plan(result.plan, problem))
+    return PlanningResult(PlanningStatus.NO_PLAN if status is PlanningStatus.SOLVED else status, message=message, planner=DEFAULT_PLANNER)
 
 
 def _has_preferences(problem: Problem) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from typing import cast
 
-from planner_bridge.chronicle import Chronicle, Way
+from planner_bridge.chronicle import Chronicle, Way, sentence, tries_again
 from planner_bridge.codes import code_of_failures
 from planner_bridge.finding import Finding
 from planner_bridge.footprints import Footprint
@@ -107,20 +107,10 @@ class Pursuit:
                 self._relay.stop(reason)
 
     async def pause(self, reason: str, *, at_once: bool) -> None:
-        """Start nothing more; return when nothing is under way.
-
-        Args:
-            reason: why.
-            at_once: cancel what is under way, to begin it anew later.
-        """
-        self._standing.pause()
-        if self.is_paused:
+        """Start nothing more; return when nothing is under way."""
+        if not self._standing.stopped:
             self._supervision.limit.pause()
-            self._standing.enter(TaskState.PAUSING, reason)
-            if self._relay:
-                await self._relay.pause(at_once=at_once)
-        if self.is_paused:
-            self._standing.enter(TaskState.PAUSED, reason)
+        await self._standing.pause(reason, self._relay.executor if self._relay else None, at_once=at_once)
 
     def resume(self) -> None:
         """Go on where the task was if the rest of its plan still works, and else find another way."""
@@ -207,10 +197,13 @@ class Pursuit:
         decision = decide(self._supervision.now(), Progress(machine.plan, result.calls), world, history, limits)
         if isinstance(decision, GiveUp):
             self._chronicle.end(machine, result, decision)
-            raise Over(Code.REPLAN_LIMIT, decision.reason + self._chronicle.last_failure(self._supervision.missing))
+            unfulfilled = self._chronicle.unfulfilled(self._supervision.missing)
+            raise Over(Code.REPLAN_LIMIT, sentence(decision.reason, self._chronicle.last_failure, unfulfilled))
         self._chronicle.follow(Way(decision, history), machine, result)
         self._mission.observer.replanning(decision, result)
-        await self._standing.wait(history.pause(limits))
+        if pause := history.pause(limits):
+            self._standing.enter(TaskState.REPLANNING, tries_again(pause, result))
+            await self._standing.wait(pause)
         if isinstance(decision, Resume) and not self._lacks_room:
             return decision.rest
         if self._given is None:

@@ -33,6 +33,7 @@ from planner_bridge.pddl.writer import write_domain, write_problem
 from planner_bridge.plan import PlanningResult, PlanningStatus, Stop
 from planner_bridge.planning import DEFAULT_PLANNER, search, validated
 from pnm.errors import InputError
+from pnm.nearest import meant
 
 _GRACE: Final = 2.0
 """Seconds that a process gets to end by itself when the race is over."""
@@ -76,8 +77,7 @@ def race(
     if not names:
         return PlanningResult(PlanningStatus.UNSUPPORTED, message="no planner that is installed here suits the problem")
     if executor is None:
-        for name in names:
-            require(name)
+        check_entrants(names)
     texts = write_domain(problem.domain), write_problem(problem)
     folder = Path(tempfile.mkdtemp(prefix="pnm-race-"))
     over = folder / "over"
@@ -101,6 +101,16 @@ def entrants(problem: Problem) -> tuple[str, ...]:
     asked = features(problem)
     kairos = () if Feature.TASKS in asked else (DEFAULT_PLANNER,)
     return (*kairos, *(engine.name for engine in ENGINES.values() if asked <= engine.takes and engine.is_there))
+
+
+def check_entrants(planners: tuple[str, ...]) -> None:
+    """See to it that these planners can take part in a race here.
+
+    Raises:
+        InputError: one of them is not known, or is not installed here.
+    """
+    for name in _known(planners):
+        require(name)
 
 
 def compete(domain: str, problem: str, planner: str, timeout: float, over: str) -> PlanningResult:
@@ -153,7 +163,9 @@ def _known(planners: tuple[str, ...]) -> tuple[str, ...]:
     """
     for name in planners:
         if name != DEFAULT_PLANNER and name not in ENGINES:
-            raise InputError(f"{name!r} cannot take part in a race; these can: {', '.join((DEFAULT_PLANNER, *ENGINES))}")
+            able = (DEFAULT_PLANNER, *ENGINES)
+            hint = meant(name, able)
+            raise InputError(f"{name!r} cannot take part in a race; these can: {', '.join(able)}{f'; {hint}' if hint else ''}")
     return tuple(dict.fromkeys(planners))
 
 

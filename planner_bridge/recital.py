@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from planner_bridge.codes import code_of_failures
+from planner_bridge.codes import code_of_run
 from planner_bridge.footprints import Footprint, footprint
+from planner_bridge.standing import Over, Standing
 from planner_bridge.task import Task
+from pnm.errors import InputError
 from pnm.performing import Performance, Performer
 from pnm.results import RunResult
 from pnm.run import Run
@@ -15,8 +17,6 @@ class Recital:
     """One run of a hand-written plan.
 
     When it is paused at once, a plan that it calls is cancelled and begins anew later.
-
-    The mutable state is whether it is paused, and why it has been stopped.
 
     Args:
         performer: carries out the plan.
@@ -31,18 +31,18 @@ class Recital:
         self._performer = performer
         self._task = task
         self._performance: Performance = performer.perform(wanted.text, wanted.parameters, task, task=wanted.id, priority=wanted.priority)
-        self._is_paused = False
-        self._stopped: tuple[Code, str] | None = None
+        self._standing = Standing(task, TaskState.RUNNING)
 
     async def perform(self) -> TaskEnding:
         """Carry the plan out and return how it ended."""
         program = self._performance.program
+        try:
+            await self._performer.check(self._performance)
+        except InputError as error:
+            return TaskEnding(Code.INVALID_GOAL, str(error))
         self._task.generated(program.machine, program.proof)
-        self._task.enter(TaskState.RUNNING)
-        result = await self._performer.execute(self._performance)
-        code, reason = self._ending(result)
-        cause = "" if result.goal or result.stopped else result.failures[0].cause if result.failures else "goal_false"
-        return TaskEnding(code, reason, results=self._performance.results, cause=cause)
+        self._standing.enter(TaskState.RUNNING)
+        return self._ending(await self._performer.execute(self._performance))
 
     @property
     def run(self) -> Run:
@@ -67,7 +67,7 @@ class Recital:
     @property
     def is_paused(self) -> bool:
         """Whether it was told to pause."""
-        return self._is_paused
+        return self._standing.is_paused
 
     @property
     def awaits_answers(self) -> bool:
@@ -76,34 +76,25 @@ class Recital:
 
     def stop(self, code: Code, reason: str) -> None:
         """End it; what is under way is cancelled, and confirms it or is given up after its limit."""
-        if self._stopped is None:
-            self._stopped = code, reason
-            self._is_paused = False
-            self._task.enter(TaskState.CANCELLING, reason)
+        if self._standing.stop(Over(code, reason)):
+            self._standing.enter(TaskState.CANCELLING, reason)
             self._performance.executor.stop(reason=reason)
 
     async def pause(self, reason: str, *, at_once: bool) -> None:
         """Start nothing more; return when nothing is under way."""
-        if self._stopped:
-            return
-        executor, self._is_paused = self._performance.executor, True
-        self._task.enter(TaskState.PAUSING, reason)
-        self._performance.pause(at_once=at_once)
-        while self._is_paused and not (executor.paused or executor.run.over):
-            await executor.happens()
-        if self._is_paused:
-            self._task.enter(TaskState.PAUSED, reason)
+        if not self._standing.stopped:
+            self._performance.limit.pause()
+        await self._standing.pause(reason, self._performance.executor, at_once=at_once)
 
     def resume(self) -> None:
         """Go on."""
-        if self._is_paused:
-            self._is_paused = False
-            self._task.enter(TaskState.RUNNING)
-            self._performance.resume()
+        if self.is_paused:
+            self._performance.limit.go_on()
+            self._standing.go_on()
+            self._performance.executor.resume()
 
-    def _ending(self, result: RunResult) -> tuple[Code, str]:
-        if result.goal:
-            return Code.GOAL_REACHED, result.reason
-        if result.stopped:
-            return self._stopped or (Code.TIMED_OUT, result.reason)
-        return code_of_failures(result.failures), result.reason
+    def _ending(self, result: RunResult) -> TaskEnding:
+        over = self._standing.stopped or Over(Code.TIMED_OUT, result.reason)  # who else stops it is its own limit
+        reason = over.reason if result.stopped and not result.goal else result.reason
+        cause = "" if result.goal or result.stopped else result.failures[0].cause if result.failures else "goal_false"
+        return TaskEnding(code_of_run(result, over.code), reason, results=self._performance.results, cause=cause)

@@ -132,12 +132,6 @@ class Relay:
         """Start nothing more, and cancel what is under way."""
         self.executor.stop(reason=reason)
 
-    async def pause(self, *, at_once: bool) -> None:
-        """Start nothing more; return when nothing is under way, or the task is not paused any more."""
-        self.executor.pause(at_once=at_once)
-        while self._standing.is_paused and not (self.executor.paused or self.run.over):
-            await self.executor.happens()
-
     def go_on(self) -> None:
         """Go on after a pause; if the plan does not work any more, or is in the way of others, look for another way first."""
         self.lacks_room = bool(self._mission.circumstances.neighbours.newcomers(self.footprint))

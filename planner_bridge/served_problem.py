@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -13,10 +13,11 @@ from planner_bridge.problem_files import load_texts, write_inside
 from planner_bridge.shared_world import SharedWorld
 from planner_bridge.state import initial_knowledge
 from planner_bridge.tasks import Settings
+from planner_bridge.world_of_plans import with_names_of, world_of_plans
 from pnm.conditions import Condition
 from pnm.errors import InputError
-from pnm.expressions import Fluent, Unknown, Value
 from pnm.knowledge import KnowledgeBase
+from pnm.language.plan import HandWrittenPlan
 from pnm.tasking import MadePlan
 
 NOTHING: Final = Problem("nothing", Domain("nothing"))
@@ -34,13 +35,23 @@ class ServedProblem:
         goals: texts of goals by name.
         settings: planner and limit for plans that nobody carries out.
         folder: where problems are saved, and loaded from.
+        plans: whose world it is while there is no problem.
     """
 
-    def __init__(self, problem: Problem, knowledge: KnowledgeBase, goals: Mapping[str, str], settings: Settings, folder: Path) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        knowledge: KnowledgeBase,
+        goals: Mapping[str, str],
+        settings: Settings,
+        folder: Path,
+        plans: Iterable[HandWrittenPlan] = (),
+    ) -> None:
         self._knowledge = knowledge
         self._goals = goals
         self._settings = settings
         self._folder = folder
+        self._plans = tuple(plans)
         self.begins_anew: Callable[[Problem], None] = lambda _: None
         """Is told of another problem before it is begun; raises an `InputError` when that cannot be."""
         self._begin(problem)
@@ -48,15 +59,23 @@ class ServedProblem:
     def _begin(self, problem: Problem) -> None:
         loop = asyncio.get_running_loop()
         began = loop.time()
-        goals = {} if problem is NOTHING else self._goals
-        self._world = SharedWorld(problem, self._knowledge, goals, elapsed=lambda: loop.time() - began)
+        self._is_loaded = problem is not NOTHING
+        goals = self._goals if self._is_loaded else {}
+        world = problem if self._is_loaded else world_of_plans(self._plans)
+        self._world = SharedWorld(world, self._knowledge, goals, elapsed=lambda: loop.time() - began)
         self._maker = Maker(problem, self._knowledge, self._settings, self.read_goal, began)
 
     @property
     def _loaded(self) -> SharedWorld:
-        if self._world.problem is NOTHING:
+        if not self._is_loaded:
             raise InputError("no domain and problem are loaded, only plans; expected them when the node starts, or by problem/load")
         return self._world
+
+    def _world_of(self, texts: Sequence[str]) -> SharedWorld:
+        """Return the world in which texts are read."""
+        if self._is_loaded:
+            return self._world
+        return SharedWorld(with_names_of(self._world.problem, self._plans, texts), self._knowledge)
 
     def read_goal(self, text: str) -> Condition:
         """Return the goal that is meant.
@@ -72,11 +91,11 @@ class ServedProblem:
 
     async def query(self, questions: Sequence[str], /) -> list[tuple[str, str]]:
         """Return what is known of each question, in order; of everything that is known, when there are none."""
-        return (self._loaded if questions else self._world).query(questions)
+        return self._world_of(questions).query(questions)
 
     async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
         """Record all of it at once or nothing; return how many of the facts are news."""
-        return self._loaded.update(add, remove, forget)
+        return self._world_of((*add, *remove, *forget)).update(add, remove, forget)
 
     async def get(self) -> tuple[str, str]:
         """Return domain and problem in PDDL, the problem as the world is now."""
@@ -88,7 +107,7 @@ class ServedProblem:
 
     async def load(self, domain: str, problem: str, /) -> None:
         """Begin anew with another domain or problem; goals with names must make sense in it as well."""
-        known = self._world.problem.domain if domain else self._loaded.problem.domain
+        known = self._world.problem.domain if domain.strip() else self._loaded.problem.domain
         loaded = await asyncio.to_thread(load_texts, domain, problem, self._folder, known)
         SharedWorld(loaded, initial_knowledge(loaded), self._goals)
         self.begins_anew(loaded)
@@ -96,6 +115,7 @@ class ServedProblem:
         self._knowledge.begin_anew(world.facts(), world.objects_by_type(), world.rules)
         self._begin(loaded)
 
-    def changes(self, batch: Mapping[Fluent, Value | Unknown], /) -> Mapping[str, object]:
-        """Return what has changed, as fields of a message."""
-        return self._world.changes(batch)
+    def follow(self, tell: Callable[[Mapping[str, object]], None], /) -> Callable[[], None]:
+        """Tell what changes from now on, as fields of a message; return what stops that."""
+        self._world.attend()
+        return self._knowledge.listen(lambda batch: tell(self._world.changes(batch)) if batch else None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import signal
+import threading
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from planner_bridge.common_knowledge import common_knowledge
 from planner_bridge.console import Terminal
 from planner_bridge.loading import load
 from planner_bridge.model import Problem
+from planner_bridge.planning import check_planner
 from planner_bridge.replanning import Limits
 from planner_bridge.served_problem import NOTHING, ServedProblem
 from planner_bridge.serving_options import PARAMETERS, Options
@@ -30,6 +32,7 @@ from pnm.errors import InputError, Tolerated
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.language.world import read_world
 from pnm.parameter import ParameterValue
+from pnm.pauses import short_pauses
 from pnm.performing import Performer, Program
 from pnm.sensing import NO_SENSING
 from pnm.sensing_file import read_sensing
@@ -90,7 +93,8 @@ async def open_tasks(room: Room) -> Opened:
     goals = read_goals(options.goals) if options.goals else {}
     problem = room.problem or NOTHING
     try:
-        world = ServedProblem(problem, room.knowledge, goals, settings, options.problems)
+        plans = [program.plan for program in room.performer.programs.values()]
+        world = ServedProblem(problem, room.knowledge, goals, settings, options.problems, plans)
     except InputError as error:
         raise InputError(f"{options.goals}: {error}") from error
     places = Places(options.max_tasks, options.max_queue, options.on_conflict)
@@ -146,7 +150,8 @@ async def _live(ros: Any, given: Mapping[str, ParameterValue], terminal: Termina
             await lifecycle.change("activate")
         else:
             terminal.print("unconfigured: waits for its transitions", highlight=False)
-        await lifecycle.finalized.wait()
+        with short_pauses():
+            await lifecycle.finalized.wait()
     finally:
         await lifecycle.close()
 
@@ -189,6 +194,7 @@ class Serving:
 
     async def _room(self, stack: AsyncExitStack) -> Room:
         options = self._options
+        await _check_planner(options.planner)
         world = read_world(options.world, options.world_name) if options.world else None
         plans = tuple(world.plans.values()) if world else ()
         problem = load(options.domain, options.problem) if options.domain and options.problem else None
@@ -217,7 +223,7 @@ class Serving:
         opened = await open_tasks(room)
         await self._share(room, opened)
         await self._prepare(room.performer, stack)
-        self._tasks = TaskNode(self._ros, opened.tasks, opened.make, opened.world, room.knowledge, plans)
+        self._tasks = TaskNode(self._ros, opened.tasks, opened.make, opened.world, plans)
         stack.push_async_callback(_let_go, opened.close)
         stack.callback(opened.tasks.listen(TaskConsole(self._terminal, opened.tasks)))
         stack.push_async_callback(self._tasks.close, room.options.cancel)
@@ -252,6 +258,14 @@ class Serving:
 
     def _say(self, text: str) -> None:
         self._terminal.print(text, highlight=False, soft_wrap=True, markup=False)
+
+
+async def _check_planner(planner: str) -> None:
+    cancel = threading.Event()
+    try:
+        await asyncio.to_thread(check_planner, planner, cancel)
+    finally:
+        cancel.set()
 
 
 async def _let_go(close: Callable[[], Awaitable[None]]) -> None:

@@ -73,7 +73,8 @@ class SharedWorld:
         derived = frozenset(rule.name for rule in problem.domain.rules)
         self._scope = Scope(Names(problem.domain, problem.objects, Requirements(problem.domain.requirements), derived=derived))
         self._goals = {name: self._condition(text, f"goal {name}") for name, text in (goals or {}).items()}
-        self._objects = {fluent: value for fluent, value in knowledge.facts().items() if isinstance(value, str)}
+        self._objects: dict[Fluent, str] = {}
+        self.attend()
 
     def __repr__(self) -> str:
         return f"<SharedWorld {self.problem.name}: {self._knowledge!r}>"
@@ -118,6 +119,12 @@ class SharedWorld:
                     raise wrong(node, f"another one of the changes says something else of {show(fluent)}")
         return len(self._knowledge.update(changes))
 
+    def attend(self) -> None:
+        """Note which functions have which objects now: what is told to `changes` follows it."""
+        self._objects = {
+            fluent: value for fluent, value in self._knowledge.facts().items() if isinstance(value, str) and value != UNDEFINED
+        }
+
     def changes(self, batch: Mapping[Fluent, Value | Unknown]) -> dict[str, object]:
         """Return what has changed as fields of a ``pnm_interfaces/msg/KnowledgeChange``; to be called with every batch in order."""
         added: list[str] = []
@@ -135,8 +142,9 @@ class SharedWorld:
                     (added if value else removed).append(show(fluent))
                 case str():
                     if value != UNDEFINED:
-                        added.append(show_statement(fluent, value))
                         self._objects[fluent] = value
+                    if value != UNDEFINED or before == UNDEFINED:  # nobody knew whether it has an object: it has none
+                        added.append(show_statement(fluent, value))
                 case _:
                     numbers[show(fluent)] = float(value)
         return {"added": added, "removed": removed, "unknown": unknown, "fluents": [*numbers], "values": [*numbers.values()]}

@@ -8,6 +8,7 @@ from contextlib import suppress
 from typing import Final
 
 from planner_bridge.tasks import TaskObserver
+from pnm.executor import Executor
 from pnm.tasking import Code, TaskState
 
 _ALWAYS_SHOWN: Final = frozenset({TaskState.PAUSING, TaskState.PAUSED, TaskState.CANCELLING, TaskState.OVER})
@@ -23,16 +24,17 @@ class Over(Exception):
 
 
 class Standing:
-    """What whoever pursues a goal has been told, and what others are told of it. Everything in it is mutable state.
+    """What whoever does a task has been told, and what others are told of it. Everything in it is mutable state.
 
     Args:
         observer: is told in which state the task is.
+        first: what it does first.
     """
 
-    def __init__(self, observer: TaskObserver) -> None:
+    def __init__(self, observer: TaskObserver, first: TaskState = TaskState.PLANNING) -> None:
         self._observer = observer
         self._shown = TaskState.QUEUED, ""
-        self._doing = TaskState.PLANNING, ""
+        self._doing = first, ""
         """What it does, or will do after a pause."""
         self.stopped: Over | None = None
         """Why the task is over before its goal is reached."""
@@ -55,10 +57,24 @@ class Standing:
         self._may_go.set()
         return True
 
-    def pause(self) -> None:
-        """Be paused from now on, unless the task is to end."""
-        if not self.stopped:
-            self._may_go.clear()
+    async def pause(self, reason: str, executor: Executor | None, *, at_once: bool) -> None:
+        """Be paused from now on, unless the task is to end; return when nothing is under way, or it is not paused any more.
+
+        Args:
+            reason: why.
+            executor: what carries out the plan, if there is one.
+            at_once: cancel what is under way, to begin it anew later.
+        """
+        if self.stopped:
+            return
+        self._may_go.clear()
+        self.enter(TaskState.PAUSING, reason)
+        if executor:
+            executor.pause(at_once=at_once)
+            while self.is_paused and not (executor.paused or executor.run.over):
+                await executor.happens()
+        if self.is_paused:
+            self.enter(TaskState.PAUSED, reason)
 
     def go_on(self) -> None:
         """Be paused no longer."""

@@ -91,8 +91,8 @@ class Supervision:
 
     def why_not(self, progress: Progress, forbidden: frozenset[ForbiddenCall]) -> str:
         """Say why the rest of a plan does not lead from here to its goal; empty when it does."""
-        now = self.now()
-        return why_not(progress, self._knowledge.world, forbidden, (*now.domain.constraints, *now.constraints))
+        left = self.monitor.rest_of(self._problem, self.elapsed)
+        return why_not(progress, self._knowledge.world, forbidden, (*left.domain.constraints, *left.constraints))
 
     def _exceeded(self, seconds: float) -> None:
         self._stop(Code.TIMED_OUT, f"the limit of {seconds:g} s is reached")

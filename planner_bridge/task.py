@@ -140,8 +140,8 @@ class Task(TaskObserver):
     def status(self) -> Status:
         """How it is doing."""
         running = self.doing.running if self.doing and self.ending is None else ()
-        counts = self.ended_calls, self.replans, self.restarts
-        return Status(self.id, self.wanted.text or self.meant, self.wanted.priority, self.state, self.why, running, *counts)
+        counts, wanted = (self.ended_calls, self.replans, self.restarts), self.wanted
+        return Status(self.id, wanted.text or self.meant, wanted.priority, self.state, self.why, running, *counts, wanted.parameters)
 
     @property
     def steps(self) -> tuple[Step, ...]:
@@ -154,11 +154,13 @@ class Task(TaskObserver):
         for ordering in graph.orderings:
             if ordering.before.call < len(graph.calls) and ordering.after.call < len(graph.calls):
                 before.setdefault(ordering.after.call, []).append(ordering.before.call)
-        states = {one.call.index: _STATES.get(one.outcome, StepState.FAILED) for one in run.told().calls}
+        told = {one.call.index: one for one in run.told().calls}
+        states = {index: _STATES.get(one.outcome, StepState.FAILED) for index, one in told.items()}
+        begun = {index: one.call.action.arguments for index, one in told.items() if one.started is not None}
         return tuple(
             Step(
                 call.action.name,
-                call.action.arguments,
+                begun[call.index] if call.index in begun else run.arguments(call),
                 call.planned,
                 call.action.duration or 0.0,
                 states.get(call.index, StepState.WAITING),

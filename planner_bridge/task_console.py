@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from typing import Final
 from uuid import UUID
 
 from planner_bridge.console import ConsoleObserver, Terminal
-from pnm.tasking import Code, Moment, TaskEnding, TaskListener, Tasks
+from pnm.tasking import Code, Moment, Status, TaskEnding, TaskListener, Tasks
 
 _SHOWN: Final = 200
 """Characters of a goal, of parameters or of results that a line shows."""
@@ -45,9 +46,17 @@ class TaskConsole(TaskListener):
     def _lines_of(self, task: UUID) -> ConsoleObserver:
         if task not in self._lines:
             lines = self._lines[task] = ConsoleObserver(self._terminal, f"{task.hex[:8]}  ", self._began)
-            goals = [status.goal for status in self._tasks.status() if status.id == task]
+            goals = [_goal(status) for status in self._tasks.status() if status.id == task]
             lines.line(self._loop.time(), "[bold]goal[/]  ", shortened("".join(goals)))
         return self._lines[task]
+
+
+def _goal(status: Status) -> str:
+    given = (
+        f"{name}: {value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)}"
+        for name, value in status.parameters.items()
+    )
+    return f"{status.goal}({', '.join(given)})" if status.parameters else status.goal
 
 
 def shortened(text: str) -> str:

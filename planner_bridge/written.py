@@ -12,7 +12,7 @@ from functools import reduce
 from math import isfinite
 from pathlib import Path
 
-from planner_bridge.codes import code_of_failures
+from planner_bridge.codes import code_of_run
 from planner_bridge.forbidding import ForbiddenCall
 from planner_bridge.model import Problem
 from planner_bridge.pipeline import Where, pursue_on
@@ -34,7 +34,6 @@ from pnm.ledger import UNCONFIRMED
 from pnm.machine import OnFailure
 from pnm.performing import Performer, Program
 from pnm.plan_graph import ActionCall
-from pnm.results import RunResult
 from pnm.sites import RobotsSite, Ros2Site, Site, schedule
 from pnm.sources.chain import Sources
 from pnm.sources.registry import Choice, Surroundings, open_sources
@@ -182,6 +181,7 @@ class _WrittenTask:
 
     async def _perform(self, performer: Performer, parameters: Mapping[str, object]) -> PlanResult:
         performance = performer.perform(self.name, parameters, self.observer)
+        await performer.check(performance)
         self.observer.generated(self._program.machine, self._program.proof)
         await self.site.share(performer.prefix, performer.knowledge_of, performer.source or Sources())
         await performer.prepare()
@@ -192,7 +192,8 @@ class _WrittenTask:
                 result = await performer.execute(performance)
         finally:
             stop_time()
-        task = TaskResult(_code(result), result.reason, 0, (Episode(self._program.machine, result),), self.seconds.seconds, began)
+        code = code_of_run(result, Code.TIMED_OUT if performance.limit.is_used_up else Code.CANCELLED)
+        task = TaskResult(code, result.reason, 0, (Episode(self._program.machine, result),), self.seconds.seconds, began)
         if any(failure.replan for failure in result.failures):
             task = await self._replanned(task, performer.world)
         return PlanResult(task, performance.results, performance.variables)
@@ -209,12 +210,6 @@ class _WrittenTask:
         history = History(given_up, frozenset(ForbiddenCall.of(one.call.action) for one in task.calls if one.outcome == UNCONFIRMED))
         rest = await pursue_on(problem, self.site, self.settings, self.observer, self.seconds, knowledge=world, history=history)
         return replace(rest, episodes=(*task.episodes, *rest.episodes), began=task.began)
-
-
-def _code(result: RunResult) -> Code:
-    if result.goal:
-        return Code.GOAL_REACHED
-    return Code.CANCELLED if result.stopped else code_of_failures(result.failures)
 
 
 def problem_of(plan: HandWrittenPlan, world: KnowledgeBase) -> Problem:

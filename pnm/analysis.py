@@ -25,19 +25,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
-from math import isfinite
 from typing import Final
 
 from pnm.actions.base import OutcomeKind
 from pnm.blocks import Anatomy, Event, step_of
-from pnm.conditions import Condition
 from pnm.machine import (
     Accepts,
-    After,
     Always,
     Deed,
     Denied,
-    Due,
     EffectsMissing,
     EffectsSeen,
     Ends,
@@ -46,6 +42,7 @@ from pnm.machine import (
     OnFailure,
     PetriNetMachine,
 )
+from pnm.shapes import is_timed, shape_of
 from pnm.state_space import Inside, Part, Unsound, explore_part
 
 _REMEMBERED: Final = 1000
@@ -76,20 +73,25 @@ def verify(machine: PetriNetMachine) -> Proof:
     anatomy = Anatomy(machine)
     shapes: dict[object, int] = {}
     waits: dict[Event, set[Event]] = {}
+    _check_failures(anatomy)
     for owner, names in anatomy.transitions.items():
+        _check_rules(anatomy, owner, names)
         block = anatomy.block(owner)
-        _check_exits(block.part)
-        _check_rules(machine, owner, names)
         anatomy.note_waits(block, waits)
-        shape = _shape(block.part)
-        shapes[shape] = _explored(shape, block.part)
+        shape = shape_of(block.part)
+        shapes[shape] = _proved(shape, block.part)
     _check_order(waits)
     return Proof(len(machine.plan.calls), len(shapes), sum(shapes.values()))
 
 
-def _explored(shape: object, part: Part) -> int:
-    """Explore a block, unless one of its shape has been found good before: a task proves many machines of the same few shapes."""
+def _proved(shape: object, part: Part) -> int:
+    """Prove a block, unless one of its shape was found good before: a task proves many machines of the same few shapes.
+
+    Returns:
+        How many states it has.
+    """
     if shape not in _FOUND_GOOD:
+        _check_exits(part)
         states = explore_part(part)
         if len(_FOUND_GOOD) == _REMEMBERED:
             _FOUND_GOOD.pop(next(iter(_FOUND_GOOD)))
@@ -105,9 +107,6 @@ def explore(machine: PetriNetMachine) -> int:
     """
     goal, failed = machine.goal_place, machine.failed_place
 
-    def is_proper(left: Mapping[str, int]) -> str:
-        return "" if left in ({goal: 1}, {failed: 1}) else f"it ends in {dict(left)}"
-
     steps = tuple(step_of(machine, name) for name in machine.rules)
     records = machine.record_places
     return explore_part(
@@ -120,7 +119,8 @@ def explore(machine: PetriNetMachine) -> int:
             records,
             machine.counter_places,
             machine.on_failure is OnFailure.CANCEL,
-            is_proper,
+            frozenset(),
+            frozenset((goal, failed)),
             restarts=frozenset(machine.restart_places),
             resources=machine.resource_places,
         )
@@ -141,7 +141,7 @@ def _check_exits(part: Part) -> None:
         outcomes = [guard.kinds for guard in guards if isinstance(guard, Ends)]
         if outcomes and frozenset().union(*outcomes) != frozenset(OutcomeKind):
             raise Unsound(f"{place} has no exit for {set(OutcomeKind) - frozenset().union(*outcomes)}")
-        if any(isinstance(guard, Always) or _is_timed(guard) or _completes(guard, guards) for guard in guards):
+        if any(isinstance(guard, Always) or is_timed(guard) or _completes(guard, guards) for guard in guards):
             continue
         for guard in guards:
             if isinstance(guard, Holding):
@@ -162,29 +162,25 @@ def _completes(guard: Guard, guards: list[Guard]) -> bool:
             return False
 
 
-def _is_timed(guard: Guard) -> bool:
-    match guard:
-        case After(seconds):
-            return isfinite(seconds)
-        case Due(seconds, since):
-            return all(map(isfinite, (seconds, *(delay for _, delay in since))))
-        case _:
-            return False
-
-
-def _check_rules(machine: PetriNetMachine, call: int | None, names: list[str]) -> None:
+def _check_rules(anatomy: Anatomy, call: int | None, names: list[str]) -> None:
     """Check that the rules of a block speak of its own call, and that requests and the goal are what they seem."""
-    waiting = {place for name in names if isinstance(machine.rules[name].guard, Accepts) for place in machine.net.inputs[name]}
+    machine = anatomy.machine
+    rules, net, goal = machine.rules, machine.net, machine.goal_place
+    waiting = {place for name in names if isinstance(rules[name].guard, Accepts) for place in net.inputs[name]}
     for name in names:
-        rule, outputs = machine.rules[name], machine.net.outputs[name]
+        rule, outputs = rules[name], net.outputs[name]
         if getattr(rule.guard, "call", call) != call:
             raise Unsound(f"{name} listens to another call")
-        if (rule.deed is Deed.SEND) is not bool(waiting & set(outputs)):
+        if (rule.deed is Deed.SEND) is waiting.isdisjoint(outputs):
             raise Unsound(f"{name} does not send the request that is waited for, or sends one that is not")
-        if any(machine.failure_places.get(place, call) != call for place in outputs):
-            raise Unsound(f"{name} marks the failure of another call")
-        if machine.goal_place in outputs and rule.guard != Holding(machine.plan.goal):
+        if goal in outputs and rule.guard != Holding(machine.plan.goal):
             raise Unsound(f"{name} marks the goal place without asking for the goal")
+
+
+def _check_failures(anatomy: Anatomy) -> None:
+    for place, call in anatomy.machine.failure_places.items():
+        if anatomy.writers[place] - {call}:
+            raise Unsound(f"{place} marks the failure of another call than its own")
 
 
 def _check_order(waits: Mapping[Event, set[Event]]) -> None:
@@ -192,31 +188,3 @@ def _check_order(waits: Mapping[Event, set[Event]]) -> None:
         TopologicalSorter(waits).prepare()
     except CycleError as error:
         raise Unsound(f"blocks wait for each other: {error.args[1]}") from error
-
-
-def _shape(part: Part) -> object:
-    """Return what two blocks that behave alike have in common: everything but names, times and what conditions say."""
-    number = {place: index for index, place in enumerate(part.places)}
-    conditions: dict[Condition, int] = {}
-    for step in part.steps:
-        if isinstance(step.guard, Holding | Denied):
-            conditions.setdefault(step.guard.condition, len(conditions))
-    steps = tuple(
-        (
-            type(step.guard).__name__,
-            conditions[step.guard.condition] if isinstance(step.guard, Holding | Denied) else None,
-            tuple((number[place], weight) for place, weight in step.inputs.items()),
-            tuple((number[place], weight) for place, weight in step.outputs.items()),
-        )
-        for step in part.steps
-    )
-    marked = tuple((number[place], tokens) for place, tokens in part.initial.items())
-    roles = tuple(
-        (
-            *(place in part.records, place in part.counters, place in part.failures, place in part.early, place in part.restarts),
-            place in part.resources,
-        )
-        for place in part.places
-    )
-    supplies = tuple(tuple(number[place] for place in supply) for supply in part.supplies)
-    return steps, marked, roles, supplies, part.cancels, part.others_restart, part.repeats

@@ -5,9 +5,10 @@ Nothing that a machine says of its regions is believed: it is compared with the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import Final, TypeAlias
 
 from pnm.machine import OnFailure, PetriNetMachine, Region
@@ -57,19 +58,28 @@ class Anatomy:
         for region in machine.regions:
             self._add(region)
         self._check_nesting()
-        for place in machine.net.places:
-            if place not in machine.resource_places:
-                self._check_channel(place)
+        self.between = frozenset(filter(self._is_between, machine.net.places))
+        """Places that connect blocks, or should."""
+        for place in self.between:
+            self._check_channel(place)
         for region in (*self.first.values(), *self.last.values()):
             self._check_entry(region)
 
-    def _owners(self, weights: Mapping[str, Weights]) -> dict[str, frozenset[Owner]]:
+    def _owners(self, weights: Mapping[str, Weights]) -> dict[str, set[Owner]]:
         """Return, for every place, the blocks whose transitions write it, or read it."""
         found: dict[str, set[Owner]] = {place: set() for place in self.machine.net.places}
         for transition, connected in weights.items():
+            owner = self.machine.rules[transition].call
             for place in connected:
-                found[place].add(self.machine.rules[transition].call)
-        return {place: frozenset(owners) for place, owners in found.items()}
+                found[place].add(owner)
+        return found
+
+    def _is_between(self, place: str) -> bool:
+        if place in self.machine.resource_places:
+            return False
+        readers = self.readers[place]
+        between = len(readers) != 1 or readers != self.writers[place]
+        return between or place in self.machine.orderings or place in self.first or place in self.last
 
     def _add(self, region: Region) -> None:
         for step in region.steps:
@@ -133,37 +143,47 @@ class Anatomy:
         machine = self.machine
         regions = self.regions.get(owner, [])
         own_records = self._restarts if owner is None else ()
-        left_out = self.machine.restart_places.keys() - set(own_records) if owner is None else set()
+        left_out = machine.restart_places.keys() - set(own_records) if owner is None else frozenset[str]()
         own = (step_of(machine, name) for name in self.transitions[owner])
-        steps = (*(one for one in own if not one.inputs.keys() & left_out), *self._inside(regions))
-        places = tuple(dict.fromkeys(place for step in steps for place in (*step.inputs, *step.outputs)))
+        steps = (*(one for one in own if left_out.isdisjoint(one.inputs)), *self._inside(regions))
+        places = dict.fromkeys(chain.from_iterable(connected for step in steps for connected in (step.inputs, step.outputs)))
         held = {place for region in regions for place in (*region.first, *region.last)}
-        shared = machine.resource_places | frozenset(machine.restart_places)
-        inputs = [one for one in places if owner in self.readers.get(one, ()) and self.writers[one] - {owner} and one not in held | shared]
-        outputs = [one for one in places if self._is_output(one, owner) and one not in held | shared]
-        first = tuple(one for one in inputs if not any(one in step.outputs for step in steps))
-        rest = tuple(one for one in inputs if one not in first)
+        finals = frozenset((machine.goal_place, machine.failed_place)) if owner is None else frozenset[str]()
+        between = [one for one in places if one in self.between and one not in held and one not in machine.restart_places]
+        inputs = [one for one in between if owner in self.readers[one] and self.writers[one] - {owner}]
+        outputs = [one for one in between if self._is_output(one, owner) and one not in finals]
+        given = frozenset(chain.from_iterable(step.outputs for step in steps))
+        first = tuple(one for one in inputs if one not in given)
+        rest = tuple(one for one in inputs if one in given)
         _check_together((first, rest), steps)
         early = frozenset(one for one in outputs if one in machine.orderings and machine.orderings[one].before.moment is Moment.START)
-        taken = _resources(steps, machine.resource_places)
-        initial = {place: machine.initial[place] for place in places if machine.initial[place] and place not in machine.resource_places}
+        resources = machine.resource_places & places.keys()
+        taken = _resources(steps, resources)
+        initial = {place: machine.initial[place] for place in places if machine.initial[place] and place not in resources}
+        counters = (machine.counter_places & places.keys()) | frozenset(map(_may_come, own_records))
+        steps, initial = _counted(steps, initial, counters)
         part = Part(
-            places,
-            steps,
-            {**initial, **taken, **{_may_come(one): ENOUGH for one in own_records}},
-            tuple(together for together in (first, rest) if together),
-            frozenset(place for place in places if place in machine.failure_places),
-            machine.counter_places & frozenset(places) | {_may_come(one) for one in own_records},
-            machine.counter_places & frozenset(places) | {_may_come(one) for one in own_records},
-            machine.on_failure is OnFailure.CANCEL,
-            _proper(outputs, taken, (machine.goal_place, machine.failed_place) if owner is None else ()),
-            early if rest else frozenset(),
-            frozenset(own_records),
-            bool(machine.restart_places) and owner is not None,
-            owner is not None and (bool(machine.restart_places) or self.region_of[owner].owner is not None),
-            machine.resource_places & frozenset(places),
+            places=tuple(places),
+            steps=steps,
+            initial={**initial, **taken, **{_may_come(one): ENOUGH for one in own_records}},
+            supplies=tuple(together for together in (first, rest) if together),
+            failures=frozenset(places.keys() & machine.failure_places.keys()),
+            records=counters,
+            counters=counters,
+            cancels=machine.on_failure is OnFailure.CANCEL,
+            outputs=frozenset(outputs),
+            finals=finals,
+            early=early if rest else frozenset(),
+            restarts=frozenset(own_records),
+            others_restart=bool(machine.restart_places) and owner is not None,
+            repeats=owner is not None and (bool(machine.restart_places) or self.region_of[owner].owner is not None),
+            resources=resources,
         )
-        return Block(owner, _counted(part), first, rest, early)
+        return Block(owner, part, first, rest, early)
+
+    def _is_output(self, place: str, owner: Owner) -> bool:
+        final = place in (self.machine.goal_place, self.machine.failed_place)
+        return owner in self.writers[place] and (final or bool(self.readers[place] - {owner}))
 
     @cached_property
     def _restarts(self) -> tuple[str, ...]:
@@ -187,10 +207,6 @@ class Anatomy:
         stand_together = not numbers or numbers == [*range(numbers[0], numbers[-1] + 1)]
         return tuple(places)[:ENOUGH] if are_alike and stand_together else tuple(places)
 
-    def _is_output(self, place: str, owner: Owner) -> bool:
-        final = place in (self.machine.goal_place, self.machine.failed_place)
-        return owner in self.writers.get(place, ()) and (final or bool(self.readers[place] - {owner}))
-
     def _inside(self, regions: Iterable[Region]) -> Iterable[Step]:
         """Return one step in the place of all that happens inside each region."""
         for region in regions:
@@ -209,7 +225,7 @@ class Anatomy:
                 (writer,) = self.writers[place] - {block.owner}
                 if place not in self.first:
                     waits.setdefault(event, set()).add((writer, f"start of {place}"))
-        for place in block.part.places:
+        for place in block.part.outputs:
             waits.setdefault((block.owner, f"start of {place}"), set()).add(start if place in block.early else end)
 
 
@@ -223,11 +239,12 @@ def _may_come(place: str) -> str:
     return f"{place} may come"
 
 
-def _check_together(supplies: Iterable[tuple[str, ...]], steps: Iterable[Step]) -> None:
+def _check_together(supplies: Iterable[tuple[str, ...]], steps: Sequence[Step]) -> None:
     for together in supplies:
-        for step in steps:
-            if 0 < sum(place in step.inputs for place in together) < len(together):
-                raise Unsound(f"{step.name} takes only some of the inputs {list(together)}")
+        if len(together) > 1:
+            for step in steps:
+                if 0 < sum(place in step.inputs for place in together) < len(together):
+                    raise Unsound(f"{step.name} takes only some of the inputs {list(together)}")
 
 
 def _resources(steps: Iterable[Step], resources: frozenset[str]) -> dict[str, int]:
@@ -236,6 +253,8 @@ def _resources(steps: Iterable[Step], resources: frozenset[str]) -> dict[str, in
     That it has none of it when it does, is explored: there is only so much for it.
     """
     taken: dict[str, int] = {}
+    if not resources:
+        return taken
     for step in steps:
         wanted = {place: weight for place, weight in step.inputs.items() if place in resources}
         if wanted and taken not in ({}, wanted):
@@ -244,29 +263,17 @@ def _resources(steps: Iterable[Step], resources: frozenset[str]) -> dict[str, in
     return taken
 
 
-def _proper(outputs: list[str], taken: Mapping[str, int], finals: tuple[str, ...]) -> Callable[[Mapping[str, int]], str]:
-    def is_proper(left: Mapping[str, int]) -> str:
-        ends = [place for place in left if place in finals]
-        expected = {**taken, **dict.fromkeys((place for place in outputs if place not in finals), 1), **dict.fromkeys(ends[:1], 1)}
-        if finals and (len(ends) != 1 or left != expected):
-            return f"it ends in {dict(left)}"
-        return "" if left == expected else f"it leaves {dict(left)} in place of {expected}"
-
-    return is_proper
-
-
-def _counted(part: Part) -> Part:
-    """Return the part with large counters made small, which changes nothing that can happen but how often.
+def _counted(steps: tuple[Step, ...], initial: dict[str, int], counters: frozenset[str]) -> tuple[tuple[Step, ...], dict[str, int]]:
+    """Return steps and tokens with large counters made small, which changes nothing that can happen but how often.
 
     A counter is a pair of places whose tokens move one at a time from one to the other and back; whoever asks for more than one
     asks for all of them.
     """
-    large = {tokens for place, tokens in part.initial.items() if place in part.records and tokens > ENOUGH}
+    large = {tokens for place, tokens in initial.items() if place in counters and tokens > ENOUGH}
     if not large:
-        return part
+        return steps, initial
 
     def scaled(weights: Weights) -> dict[str, int]:
-        return {place: ENOUGH if weight in large and place in part.records else weight for place, weight in weights.items()}
+        return {place: ENOUGH if weight in large and place in counters else weight for place, weight in weights.items()}
 
-    steps = tuple(Step(step.name, step.guard, scaled(step.inputs), scaled(step.outputs)) for step in part.steps)
-    return replace(part, steps=steps, initial=scaled(part.initial))
+    return tuple(Step(step.name, step.guard, scaled(step.inputs), scaled(step.outputs)) for step in steps), scaled(initial)

@@ -86,6 +86,11 @@ class Calls:
         """Return the call with what its parameters had for values when it was sent last."""
         return replace(self._plan.calls[call], action=self.action(call))
 
+    def arguments(self, call: int) -> tuple[str, ...]:
+        """Return what its parameters would have for values if it were sent now, as far as nobody has to be asked; else their names."""
+        values = self.consult(call, None).environment()
+        return tuple(values.get(argument, argument) for argument in self._plan.calls[call].action.arguments)
+
     def binding(self, call: int) -> Binding:
         """Return the binding of the call's action."""
         return self._bindings.of(self._plan.calls[call].action.name)

@@ -10,7 +10,10 @@ import asyncio
 import selectors
 from collections.abc import Callable, Coroutine
 from concurrent.futures import Executor
+from contextlib import nullcontext
 from typing import Any, TypeVar
+
+from pnm.pauses import short_pauses
 
 T = TypeVar("T")
 
@@ -55,6 +58,6 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
 
 
 def run_async(main: Coroutine[Any, Any, T], *, virtual: bool) -> T:
-    """Run a coroutine to its end under virtual or real time."""
-    with asyncio.Runner(loop_factory=VirtualTimeLoop if virtual else None) as runner:
+    """Run a coroutine to its end under virtual time, or under real time, in which robots wait: pauses are short then."""
+    with nullcontext() if virtual else short_pauses(), asyncio.Runner(loop_factory=VirtualTimeLoop if virtual else None) as runner:
         return runner.run(main)

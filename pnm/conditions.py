@@ -10,7 +10,7 @@ say what an undefined object fluent is equal to: here, as for planners, to nothi
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, Protocol, TypeAlias, assert_never
 
@@ -349,6 +349,12 @@ def conjuncts(condition: Condition) -> tuple[Condition, ...]:
     if isinstance(condition, All):
         return tuple(part for operand in condition.operands for part in conjuncts(operand))
     return (condition,)
+
+
+def conjunction(parts: Iterable[Condition]) -> Condition:
+    """Join conditions by ``and``: nested ones flattened, a single one left alone."""
+    flat = conjuncts(All(tuple(parts)))
+    return flat[0] if len(flat) == 1 else All(flat)
 
 
 def failing(condition: Condition, state: State) -> tuple[Condition, ...]:

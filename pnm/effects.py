@@ -111,7 +111,7 @@ def changes(effects: Effects, state: State, env: Environment = NOTHING) -> Chang
 
 def decided(effects: Effects, state: State) -> Effects:
     """Return what is left of the end effects of an action that starts in the state: the early conditions are decided."""
-    if not any(map(_is_early, effects)):
+    if not any(map(is_early, effects)):
         return effects
     result: list[Effect] = []
     for effect in effects:
@@ -131,9 +131,9 @@ def decided(effects: Effects, state: State) -> Effects:
     return tuple(result)
 
 
-def _is_early(effect: Effect) -> bool:
+def is_early(effect: Effect) -> bool:
     """Tell whether some condition in the effect is decided before it happens."""
-    return not isinstance(effect, Set) and ((isinstance(effect, When) and effect.early) or any(map(_is_early, effect.effects)))
+    return not isinstance(effect, Set) and ((isinstance(effect, When) and effect.early) or any(map(is_early, effect.effects)))
 
 
 def assignments(effects: Effects, state: State, env: Environment = NOTHING) -> Iterator[tuple[Fluent, Set, Environment]]:

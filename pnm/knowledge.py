@@ -251,7 +251,11 @@ _EQUAL = re.compile(r"\(\s*=\s+(\(.*\))\s+([^\s()]+)\s*\)\Z", re.DOTALL)
 
 
 def parse_fluent(text: str) -> Fluent:
-    """Read ``(at r1 kitchen)``."""
+    """Read ``(at r1 kitchen)``.
+
+    Raises:
+        InputError: it is something else.
+    """
     found = _FLUENT.match(text.strip())
     if not found:
         raise InputError(f"not a fact: {text!r}; expected something like (at r1 kitchen)")
@@ -259,7 +263,11 @@ def parse_fluent(text: str) -> Fluent:
 
 
 def parse_statement(text: str) -> tuple[Fluent, Value]:
-    """Read ``(at r1 kitchen)``, ``(not (at r1 kitchen))``, ``(= (battery r1) 80)`` or ``(= (location r1) kitchen)``."""
+    """Read ``(at r1 kitchen)``, ``(not (at r1 kitchen))``, ``(= (battery r1) 80)`` or ``(= (location r1) kitchen)``.
+
+    Raises:
+        InputError: it is something else.
+    """
     text = text.strip()
     if found := _NOT.match(text):
         return parse_fluent(found[1]), False

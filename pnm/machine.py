@@ -12,10 +12,10 @@ and the first open one fires.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from pnm.actions.base import OutcomeKind
 from pnm.compiled import CompiledNet
@@ -172,13 +172,12 @@ class Deed(Enum):
     UNDO = "take the assumed start effects back"
 
 
-@dataclass(frozen=True, slots=True)
-class Rule:
+class Rule(NamedTuple):
     """δ̂ for one transition."""
 
     name: str
     """What happens, such as ``start`` or ``aborted``; the same for every call."""
-    guard: Guard = field(default_factory=Always)
+    guard: Guard = Always()
     call: int | None = None
     """The number of the step it belongs to, which most often is a call; None for the frame around all steps."""
     deed: Deed | None = None

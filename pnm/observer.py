@@ -9,7 +9,7 @@ from pnm.results import Failure
 
 
 class Observer:
-    """Does nothing; override what is of interest. Must not raise and must not block."""
+    """Does nothing; override what is of interest. Must not raise and must not block. `now` is in seconds of the event loop."""
 
     def fired(self, transition: str, rule: Rule, now: float) -> None:
         """Note that a transition has fired."""

@@ -27,6 +27,7 @@ from pnm.machine import PetriNetMachine
 from pnm.nearest import meant
 from pnm.observer import Observer
 from pnm.plan_graph import GroundAction
+from pnm.plan_parameters import check_names, check_values
 from pnm.queries import MISSING
 from pnm.resources import Resources
 from pnm.results import RunResult
@@ -74,16 +75,6 @@ class Performance:
     def __post_init__(self) -> None:
         seconds = self.program.plan.timeout
         self.limit = TimeLimit(inf if seconds is None else seconds, self._exceeded)
-
-    def pause(self, *, at_once: bool) -> None:
-        """Start nothing more for now; the time that passes is not the plan's own."""
-        self.limit.pause()
-        self.executor.pause(at_once=at_once)
-
-    def resume(self) -> None:
-        """Go on after a pause."""
-        self.limit.go_on()
-        self.executor.resume()
 
     def _exceeded(self, seconds: float) -> None:
         self.executor.stop(reason=f"the plan's limit of {seconds:g} s is reached")
@@ -180,7 +171,7 @@ class Performer:
             hint = meant(name, self.programs) or f"expected one of {', '.join(self.programs) or 'none, for none is loaded'}"
             raise InputError(f"there is no plan {name!r}; {hint}")
         program, given = self.programs[name], dict(parameters or {})
-        _check_parameters(program.plan, given)
+        check_names(program.plan, given)
         knowledge = Layered(self.world, KnowledgeBase(variables={**program.plan.variables, **given}))
         identity = UUID(bytes=self.prefix + uuid4().bytes[4:])
         client = PlansClient(self, observer, task or identity, priority)
@@ -197,6 +188,15 @@ class Performer:
             priority=priority,
         )
         return Performance(program, Executor(run, client, self.source, name), client)
+
+    async def check(self, performance: Performance) -> None:
+        """See to it that every parameter of the plan has a value, before it is carried out; see `check_values`.
+
+        Raises:
+            InputError: one has none.
+        """
+        run, plan = performance.executor.run, performance.program.plan
+        await check_values(plan, run.knowledge, self.source, Asker(run.id, plan.name))
 
     async def execute(self, performance: Performance) -> RunResult:
         """Carry the plan out, within its time."""
@@ -225,14 +225,6 @@ def _capacities(plans: Iterable[HandWrittenPlan]) -> dict[str, int]:
         for name, capacity in plan.graph.capacities.items():
             found[name] = min(capacity, found.get(name, capacity))
     return found
-
-
-def _check_parameters(plan: HandWrittenPlan, given: Mapping[str, object]) -> None:
-    known = plan.parameters
-    for name in given:
-        if known is not None and name not in known:
-            hint = meant(name, known) or f"expected {', '.join(known) or 'none'}"
-            raise InputError(f"{plan.name} has no parameter {name!r}; {hint}")
 
 
 class PlansClient:

@@ -187,6 +187,10 @@ class Run:
         """The calls whose requests are not over, as far as is known, as they were sent."""
         return {request: self._calls.as_sent(call) for request, call in self._calls.open.items()}
 
+    def arguments(self, call: ActionCall) -> tuple[str, ...]:
+        """Return what the parameters of a call would have for values if it were sent now, as far as that is known; else their names."""
+        return self._calls.arguments(call.index)
+
     def result(self) -> RunResult:
         """Return how the run ended."""
         if not self.over:

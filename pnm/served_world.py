@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
-
-from pnm.expressions import Fluent, Unknown, Value
 
 
 class ServedWorld(Protocol):
@@ -33,5 +31,5 @@ class ServedWorld(Protocol):
     async def load(self, domain: str, problem: str, /) -> None:
         """Begin anew with another domain or problem, each PDDL as a text or the path of a file; refused while there are tasks."""
 
-    def changes(self, batch: Mapping[Fluent, Value | Unknown], /) -> Mapping[str, object]:
-        """Return what has changed, as fields of a ``pnm_interfaces/msg/KnowledgeChange``; called with every batch in order."""
+    def follow(self, tell: Callable[[Mapping[str, object]], None], /) -> Callable[[], None]:
+        """Tell whatever changes from now on, as fields of a ``pnm_interfaces/msg/KnowledgeChange``; return what stops that."""

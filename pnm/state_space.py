@@ -5,9 +5,9 @@ A part is a whole machine, or a block of it with its inputs supplied from outsid
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from pnm.errors import PnmError
 from pnm.machine import Adopted, After, Always, CancelAsked, Denied, Due, Ending, Failing, Guard, Holding, PauseAsked
@@ -29,8 +29,7 @@ class Inside:
     """In the place of a guard: what happens inside a region, which takes its time but comes to an end."""
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
+class Step(NamedTuple):
     """A transition of a part of a net, or all that happens inside a region."""
 
     name: str
@@ -58,8 +57,10 @@ class Part:
     """Those of them from which nothing starts: what takes from them is asked for at other places."""
     cancels: bool
     """Whether a failure has running calls cancelled."""
-    is_proper: Callable[[Mapping[str, int]], str]
-    """Tell what is wrong with a final marking of all but record places; empty when it is proper."""
+    outputs: frozenset[str]
+    """Places that are marked in the end, each once: others take from them."""
+    finals: frozenset[str]
+    """Places of which exactly one is marked in the end, if there are any."""
     early: frozenset[str] = frozenset()
     """Places that must be marked once nothing more can happen without the last supply."""
     restarts: frozenset[str] = frozenset()
@@ -238,7 +239,17 @@ class _Explorer:
         left = {
             place: state.tokens[number] for place, number in self.index.items() if state.tokens[number] and place not in self.part.records
         }
-        return self.part.is_proper(left)
+        return self._why_improper(left)
+
+    def _why_improper(self, left: Mapping[str, int]) -> str:
+        """Tell what is wrong with a final marking of all but record places; empty when it is proper."""
+        part = self.part
+        kept = {place: part.initial[place] for place in part.resources - part.records if place in part.initial}
+        ends = [place for place in left if place in part.finals]
+        expected = {**kept, **dict.fromkeys(part.outputs, 1), **dict.fromkeys(ends[:1], 1)}
+        if part.finals and (len(ends) != 1 or left != expected):
+            return f"it ends in {dict(left)}"
+        return "" if left == expected else f"it leaves {dict(left)} in place of {expected}"
 
 
 _Trace: TypeAlias = "tuple[_Trace, str] | None"

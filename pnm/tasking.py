@@ -111,6 +111,8 @@ class Status:
     replans: int = 0
     restarts: int = 0
     """How often a plan that is loaded was begun anew."""
+    parameters: Mapping[str, object] = field(default_factory=dict)
+    """What a plan that is loaded was given."""
 
 
 @dataclass(frozen=True, slots=True)

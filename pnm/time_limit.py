@@ -28,6 +28,8 @@ class TimeLimit:
         self._has_begun = False
         self._is_paused = False
         self._timer: asyncio.TimerHandle | None = None
+        self.is_used_up = False
+        """Whether the function was called."""
 
     def begin(self) -> None:
         """Have time count from now on, or from the end of the pause."""
@@ -66,7 +68,11 @@ class TimeLimit:
             loop = asyncio.get_running_loop()
             self._since = loop.time()
             if isfinite(self._seconds):
-                self._timer = loop.call_later(self.left, self._over, self._seconds)
+                self._timer = loop.call_later(self.left, self._end)
+
+    def _end(self) -> None:
+        self.is_used_up = True
+        self._over(self._seconds)
 
     def _stop(self) -> None:
         if self._since is not None:

@@ -32,7 +32,7 @@ class Signature:
 
 @dataclass(frozen=True, slots=True)
 class Vocabulary:
-    """What a domain and its problem declare."""
+    """What a domain and its problem declare. Whatever checks a name raises InputError, with the position and the nearest name."""
 
     actions: Mapping[str, tuple[str, ...]]
     """For every action, the names of its parameters, without ``?``."""

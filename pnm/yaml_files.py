@@ -86,7 +86,7 @@ def _plain(node: yaml.Node, file: str) -> object:
 
 @dataclass(frozen=True, slots=True)
 class Mapped:
-    """A mapping read from a file; asking for a key checks its kind and knows its position."""
+    """A mapping read from a file. Whatever is asked of it raises InputError, with the position, when it is something else."""
 
     file: str
     start: Position
@@ -191,6 +191,12 @@ class Mapped:
     def node(self, key: str) -> Node | None:
         """Return the value as it stands, or None when the key is not there."""
         return Node(self.file, self.nodes[key][1]) if key in self.nodes else None
+
+    def needed(self, key: str) -> Node:
+        """Return the value of a key that must be there."""
+        if key not in self.nodes:
+            raise InputError(f"the key {key!r} is missing", self.start)
+        return Node(self.file, self.nodes[key][1])
 
     def entries(self) -> tuple[tuple[str, Position, Node], ...]:
         """Return every key with where it stands and its value, merged ones first."""

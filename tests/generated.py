@@ -16,11 +16,10 @@ from hypothesis import strategies as st
 
 from planner_bridge.grounding import modelled_duration
 from planner_bridge.model import ActionSchema, Declaration, Domain, DurationConstraint, Problem
-from planner_bridge.pddl.conditions import conjunction
 from planner_bridge.plan import Plan, PlanStep
 from planner_bridge.state import initial_knowledge
 from planner_bridge.validation import why_invalid
-from pnm.conditions import TRUE, All, Compare, Condition, Exists, ForAll, Holds, Implies, Not
+from pnm.conditions import TRUE, All, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
 from pnm.conditions import Any as AnyOf
 from pnm.effects import Effect, Effects, ForEach, Set, TimedChange, When
 from pnm.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, Value, ValueOf, Variable

@@ -184,7 +184,10 @@ class ScriptedWorld:
     async def load(self, domain: str, problem: str, /) -> None:
         raise InputError("problem:1:1: expected (define")
 
-    def changes(self, batch: Mapping[Fluent, Value | Unknown], /) -> Mapping[str, object]:
+    def follow(self, tell: Callable[[Mapping[str, object]], None], /) -> Callable[[], None]:
+        return self.knowledge.listen(lambda batch: tell(self._fields(batch)))
+
+    def _fields(self, batch: Mapping[Fluent, Value | Unknown]) -> Mapping[str, object]:
         numbers = {show(fluent): value for fluent, value in batch.items() if isinstance(value, float)}
         added = [show(fluent) for fluent, value in batch.items() if value is True]
         return {"added": added, "fluents": [*numbers], "values": [*numbers.values()]}

@@ -78,6 +78,8 @@ class Stage(TaskListener):
     def ended(self, task: UUID, ending: TaskEnding) -> None:
         self._is_not_over(task, "ended")
         self.endings[task] = ending
+        if self.state(task) is not TaskState.OVER:
+            self.wrong.append(f"the status of {self.goals[task]} does not say that it is over")
         text = self.goals[task]
         is_goal = text.startswith("(") and not any(text.startswith(f"({name}") for name in self.problem.domain.actions)
         if is_goal and ending.code is Code.GOAL_REACHED:
@@ -111,6 +113,12 @@ class Stage(TaskListener):
         self.master.begin(wanted)
         return wanted.id
 
+    async def begun(self, text: str, **how: object) -> UUID:
+        """Want a task, and wait until its first call is sent."""
+        task = self.want(text, **how)
+        await self.sees(task, "sent")
+        return task
+
     async def until(self, happens: Callable[[], object]) -> None:
         async with asyncio.timeout(LIMIT):
             while not happens():
@@ -119,6 +127,11 @@ class Stage(TaskListener):
     async def ended_with(self, *tasks: UUID) -> list[Code]:
         await self.until(lambda: all(task in self.endings for task in tasks))
         return [self.endings[task].code for task in tasks]
+
+    async def reaches(self, *tasks: UUID) -> None:
+        """See that these tasks reach their goals."""
+        codes = await self.ended_with(*tasks)
+        assert set(codes) == {Code.GOAL_REACHED}, [(self.goals[task], self.endings[task].message) for task in tasks]
 
     async def sees(self, task: UUID, kind: str, subject: str = "", times: int = 1) -> None:
         await self.until(lambda: len(self.seen(task, kind, subject)) >= times)
@@ -131,6 +144,12 @@ class Stage(TaskListener):
 
     def sent(self, task: UUID) -> list[str]:
         return [one.subject for one in self.seen(task, "sent")]
+
+    def sent_at(self, task: UUID) -> float:
+        return self.seen(task, "sent")[0].time
+
+    def ended_at(self, task: UUID) -> float:
+        return self.endings[task].trace[-1].time
 
     def holds(self, text: str) -> bool:
         return self.site.robots.world.holds(self.read(text))

@@ -20,7 +20,7 @@ from planner_bridge.engines import require
 from planner_bridge.model import Metric, Problem
 from planner_bridge.pipeline import achieve
 from planner_bridge.plan import PlanningResult, PlanningStatus
-from planner_bridge.planning import solve, validate
+from planner_bridge.planning import check_planner, solve, validate
 from pnm.errors import InputError
 from pnm.expressions import ValueOf
 from tests.domains import hard, matches, rooms, tanks
@@ -94,10 +94,37 @@ def test_an_unknown_engine_is_an_input_error() -> None:
         solve(rooms(), planner="nobody")
 
 
+@pytest.mark.parametrize(
+    ("planner", "said"),
+    [
+        ("kairoos", r"there is no planner 'kairoos'; installed: kairos, .*; did you mean 'kairos'\?$"),
+        ("tamer", r"^the planner tamer is not installed: pip install up-tamer$"),
+        ("race:kairos,areis", r"'areis' cannot take part in a race; these can: kairos, .*; did you mean 'aries'\?"),
+        ("race:", "'' cannot take part in a race"),
+    ],
+)
+def test_a_planner_that_is_not_there_is_told_of_before_it_is_needed(planner: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        check_planner(planner)
+
+
+@pytest.mark.parametrize("planner", ["kairos", "race", "race:kairos, aries", "fast-downward-opt"])
+def test_a_planner_that_is_there_can_be_chosen(planner: str) -> None:
+    check_planner(planner)
+
+
+def test_nobody_waits_for_an_engine_to_be_looked_for() -> None:
+    cancel = threading.Event()
+    cancel.set()
+    check_planner("nobody", cancel)
+
+
 def test_a_package_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "path", [])
     with pytest.raises(InputError, match=r"aries is not installed: pip install up-aries, or 'petri-net-machines\[planners\]'"):
         require("aries")
+    with pytest.raises(InputError, match="aries is not installed"):
+        check_planner("race:kairos,aries")
 
 
 def test_a_program_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -115,7 +115,7 @@ def lost(machine: PetriNetMachine, name: str) -> PetriNetMachine:
 
 
 def ruled(machine: PetriNetMachine, name: str, **changes: object) -> PetriNetMachine:
-    return replace(machine, rules={**machine.rules, name: replace(machine.rules[name], **changes)})  # type: ignore[arg-type]
+    return replace(machine, rules={**machine.rules, name: machine.rules[name]._replace(**changes)})  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", ["timed_out", "unconfirmed", "unconfirmed_stop", "unanswered", "unheard"])

@@ -323,7 +323,7 @@ def test_only_pauses_may_have_a_call_begin_anew_for_ever(guard: Always | CancelA
     machine = generate(plan(1))
     explore(machine)
     (name,) = [name for name, rule in machine.rules.items() if isinstance(rule.guard, PauseAsked)]
-    mutant = replace(machine, rules={**machine.rules, name: replace(machine.rules[name], guard=guard)})
+    mutant = replace(machine, rules={**machine.rules, name: machine.rules[name]._replace(guard=guard)})
     for prove in (explore, verify):
         if isinstance(guard, CancelAsked):
             # behind `stop`, which is open whenever it is: it never fires

@@ -7,10 +7,12 @@ import json
 from io import StringIO
 from math import inf
 from pathlib import Path
+from uuid import uuid4
 
 import pytest
 
-from planner_bridge.cli_written import Files, run_written
+from planner_bridge.cli_files import Files
+from planner_bridge.cli_written import run_written
 from planner_bridge.console import Terminal
 from planner_bridge.replanning import Limits
 from planner_bridge.tasks import Settings
@@ -19,15 +21,17 @@ from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.bindings import Binding, Bindings
 from pnm.clock import run_async
 from pnm.errors import InputError
-from pnm.knowledge import KnowledgeBase
+from pnm.knowledge import KnowledgeBase, Layered
 from pnm.language.plan import read_plans
 from pnm.machine import OnFailure
 from pnm.performing import Performer, Program
-from pnm.queries import Question
+from pnm.plan_parameters import check_values
+from pnm.queries import Layer, Question
 from pnm.sites import schedule
 from pnm.sources.base import Asker
 from pnm.sources.chain import Sources
 from pnm.sources.memory import MemoryKnowledge
+from pnm.tasking import Code
 
 GUIDE = """
 actions:
@@ -75,9 +79,43 @@ def test_a_plan_that_is_called_and_fails_says_why(tmp_path: Path) -> None:
     assert "go(pharmacy)#1: aborted" in failure.observed
 
 
-def test_a_parameter_that_nobody_gives_is_a_failure_by_name(tmp_path: Path) -> None:
-    result = carry_out(written(tmp_path, GUIDE))
-    assert [(one.cause, one.expected) for one in result.task.failures] == [("data_missing", "values for place")]
+def test_a_parameter_that_nobody_gives_is_refused_by_name_before_anything_begins(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"^outer needs a value for its parameter 'shop'; expected one such as {shop: …} among the param"):
+        carry_out(written(tmp_path, GUIDE))
+
+
+@pytest.mark.parametrize(
+    "somewhere",
+    [
+        pytest.param(GUIDE.replace("params: [shop]", "params: [shop]\n  initial_knowledge: {shop: null}"), id="null-is-a-value"),
+        pytest.param(GUIDE.replace("  params: [shop]\n", ""), id="parameters-that-are-not-declared"),
+        pytest.param(GUIDE.replace("duration: 5}", "duration: 5, ask: {shop: Where to}}"), id="a-person-may-be-asked"),
+        pytest.param(
+            GUIDE.replace("duration: 5}", "duration: 5, ask: {place: Where to}}").replace(
+                "- go: {place: door}", "- go: {place: {LocalQuery: shop}}"
+            ),
+            id="a-person-may-be-asked-in-its-place",
+        ),
+    ],
+)
+def test_a_plan_begins_without_values_that_it_may_have_later(tmp_path: Path, somewhere: str) -> None:
+    assert somewhere != GUIDE
+    (plan,) = (plan for plan in read_plans(written(tmp_path, somewhere)).values() if plan.name == "outer")
+    knowledge = Layered(KnowledgeBase(), KnowledgeBase(variables=plan.variables))
+    run_async(check_values(plan, knowledge, None, Asker(uuid4())), virtual=True)
+
+
+def test_a_parameter_may_be_in_the_global_knowledge(tmp_path: Path) -> None:
+    plan = read_plans(written(tmp_path, GUIDE))["outer"]
+    source, asker = MemoryKnowledge(), Asker(uuid4())
+
+    async def scene() -> None:
+        with pytest.raises(InputError, match="outer needs a value for its parameter 'shop'"):
+            await check_values(plan, Layered(KnowledgeBase()), source, asker)
+        await source.update(Question("shop", Layer.GLOBAL, "null"), "bakery", asker)
+        await check_values(plan, Layered(KnowledgeBase()), source, asker)
+
+    run_async(scene(), virtual=True)
 
 
 def test_a_plan_has_a_limit(tmp_path: Path) -> None:
@@ -290,6 +328,7 @@ def test_effects_that_depend_on_a_question_do_not_happen_when_the_run_is_stopped
     text = "timeout: 2\n" + CONDITIONAL % "act"
     task = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite").task
     assert "limit of 2 s" in task.reason
+    assert task.code is Code.TIMED_OUT
 
 
 class Cancelled:
@@ -379,9 +418,16 @@ def test_a_result_is_json_whatever_is_in_it(tmp_path: Path) -> None:
 
 
 def test_parameters_of_the_command_line_are_finite() -> None:
-    given, none = ("x=[1, .nan]",), Files(None, None, None, None)
+    given = ("x=[1, .nan]",)
     with pytest.raises(InputError, match=r"expected finite numbers after --set x, found '\[1, .nan\]'"):
-        run_written(Path("no.yaml"), None, given, none, actions="simulated", settings=Settings(), on_failure=None, as_json=True)
+        run_written(Path("no.yaml"), None, given, Files(), actions="simulated", settings=Settings(), on_failure=None, as_json=True)
+
+
+def test_a_planner_that_is_not_there_is_refused_before_the_plan_begins(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    none, settings = Files(None, None, None, None), Settings(planner="race:kairoos")
+    with pytest.raises(InputError, match=r"'kairoos' cannot take part in a race; .*; did you mean 'kairos'\?"):
+        run_written(written(tmp_path, "plan: []"), None, (), none, actions="simulated", settings=settings, on_failure=None, as_json=True)
+    assert capsys.readouterr().out == ""
 
 
 def test_a_terminal_is_told_nothing_that_makes_it_do_something() -> None:

@@ -25,6 +25,7 @@ from pnm.expressions import Variable
 from pnm.knowledge import KnowledgeBase
 from pnm.plan_graph import ActionCall, GroundAction
 from pnm.results import CallResult, Failure
+from pnm.tasking import TaskState
 from pnm.trajectory import Constraint
 from tests.domains import ROOMS, matches, rooms
 
@@ -78,7 +79,8 @@ def test_a_ground_action_that_failed_twice_is_planned_around() -> None:
 def test_without_another_way_the_reason_names_what_failed() -> None:
     result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc"), aborts("move(r1, b, c)"))
     assert not result.goal_reached
-    assert result.reason.startswith("no plan without move(r1, b, c), which failed too often: proved unsolvable")
+    failure = "last failure: move(r1, b, c)#0: aborted: expected success; observed the action failed"
+    assert result.reason.startswith(f"{failure}; no plan without move(r1, b, c), which failed too often: proved unsolvable")
 
 
 def test_a_fact_changed_behind_the_robots_back_leads_to_a_new_plan() -> None:
@@ -125,6 +127,18 @@ def test_trying_without_progress_takes_longer_and_longer() -> None:
     assert pauses == [0.0, 0.5, 1.0, 2.0, 3.0, 3.0]
 
 
+def test_a_pause_before_another_try_is_told_with_its_reason() -> None:
+    told: list[tuple[TaskState, str]] = []
+    observer = TaskObserver()
+    observer.entered = lambda state, why: told.append((state, why))  # type: ignore[method-assign]
+    problem, limits = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc"), Limits(replans=2, forbid_after=100)
+    run_async(
+        pursue(problem, SimulatedSite(problem, Bindings(), aborts("move")), Settings(limits=limits), observer, Stopwatch()), virtual=True
+    )
+    assert (TaskState.REPLANNING, "tries again in 0.5 s after move(r1, a, b) was aborted") in told
+    assert [state.name for state, _ in told] == ["PLANNING", "RUNNING", "REPLANNING", "RUNNING", "OVER"]
+
+
 def test_a_match_burns_until_the_fuse_is_mended() -> None:
     result, _ = pursued(matches(3))
     assert result.goal_reached
@@ -153,7 +167,7 @@ def test_an_action_that_may_still_be_going_on_is_not_planned_with() -> None:
     result = run_async(task, virtual=True)
     assert result.failures[0].unconfirmed
     assert sum(call.attempts for call in result.calls) == 1
-    assert result.reason.startswith("no plan without move(r1, a, b)")
+    assert "; no plan without move(r1, a, b)" in result.reason
 
 
 def test_a_fact_that_no_action_changes_may_change_all_the_same() -> None:
@@ -318,7 +332,7 @@ def test_any_fault_ends_in_the_goal_or_in_a_named_failure(kind: FaultKind, times
     problem = rooms(goal="(and (at r1 c) (at r2 c) (clean c))")
     bindings = Bindings({"move": Binding(timeout=3.0), "sweep": Binding(timeout=3.0)})
     result, _ = pursued(problem, Faults((Fault(what, kind, times=times),)), bindings=bindings)
-    assert result.goal_reached or result.reason.startswith(("no plan", "the limit"))
+    assert result.goal_reached or "; no plan without " in result.reason or result.reason.startswith("the limit")
     assert result.goal_reached or result.failures
 
 

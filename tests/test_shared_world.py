@@ -15,8 +15,11 @@ from hypothesis import strategies as st
 from planner_bridge.loading import load
 from planner_bridge.pddl import parse_domain, parse_problem, read_problem
 from planner_bridge.problem_files import load_texts, write_inside
+from planner_bridge.served_problem import ServedProblem
 from planner_bridge.shared_world import MAX_LENGTH, MAX_TEXTS, SharedWorld, read_goals
 from planner_bridge.state import initial_knowledge, problem_now
+from planner_bridge.tasks import Settings
+from pnm.clock import run_async
 from pnm.conditions import TRUE
 from pnm.errors import InputError
 from pnm.expressions import UNDEFINED, UNKNOWN, show
@@ -212,6 +215,29 @@ def test_changes_are_told_as_texts():
         {"added": ["(= (location r1) dock)", "(= (location a1) dock)"], "removed": [], "unknown": [], "fluents": [], "values": []},
         {"added": [], "removed": [], "unknown": [], "fluents": [], "values": []},
     ]
+
+
+def test_the_object_that_a_function_no_longer_has_is_told_whatever_happened_before_anybody_followed():
+    async def scene() -> None:
+        knowledge, told = initial_knowledge(PROBLEM), []
+        served = ServedProblem(PROBLEM, knowledge, {}, Settings(), Path())
+        knowledge.update({("location", "a1"): "kitchen"})  # as sensors do while action servers are looked for
+        stop = served.follow(lambda fields: told.append((fields["added"], fields["removed"], fields["unknown"])))
+        for value in ("dock", UNKNOWN, UNDEFINED, "hall", UNDEFINED):
+            knowledge.update({("location", "a1"): value})
+        knowledge.store({"x": 1})
+        stop()
+        knowledge.update({("location", "a1"): "hall"})
+        at = "(= (location a1) {})".format
+        assert told == [
+            ([at("dock")], [at("kitchen")], []),
+            ([], [], ["(location a1)"]),
+            ([at("undefined")], [], []),
+            ([at("hall")], [], []),
+            ([], [at("hall")], []),
+        ]
+
+    run_async(scene(), virtual=True)
 
 
 # --- goals ---------------------------------------------------------------------------------

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Final
 
 from planner_bridge.pddl.nesting import unnested
 from planner_bridge.pddl.scope import Scope
 from planner_bridge.pddl.sexpr import Group, Node, tolerate, wrong
 from planner_bridge.pddl.words import operands
-from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
+from pnm.conditions import TRUE, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
 
 FALSE: Final = Any(())
 _COMPOUND: Final = ("and", "or", "not", "imply", "forall", "exists")
-
-
-def conjunction(parts: Iterable[Condition]) -> Condition:
-    """Join conditions by ``and``: nested ones flattened, a single one left alone."""
-    flat = conjuncts(All(tuple(parts)))
-    return flat[0] if len(flat) == 1 else All(flat)
 
 
 def condition(node: Node, scope: Scope) -> Condition:

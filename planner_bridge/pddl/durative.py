@@ -6,13 +6,13 @@ from collections.abc import Iterable, Mapping
 from typing import Final, Literal, TypeAlias, TypeVar, get_args
 
 from planner_bridge.model import DurationConstraint, Preference
-from planner_bridge.pddl.conditions import condition, conjunction
+from planner_bridge.pddl.conditions import condition
 from planner_bridge.pddl.effects import effects
 from planner_bridge.pddl.preferences import is_preference, preference, told_apart, under
 from planner_bridge.pddl.scope import Scope
 from planner_bridge.pddl.sexpr import Atom, Group, Node, tolerate, wrong
 from planner_bridge.pddl.words import operands, unsupported
-from pnm.conditions import TRUE, Condition, ForAll
+from pnm.conditions import TRUE, Condition, ForAll, conjunction
 from pnm.effects import OPERATIONS, Effect, Effects, ForEach, When
 from pnm.expressions import Arithmetic, Expression, ValueOf
 

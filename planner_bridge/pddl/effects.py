@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from planner_bridge.pddl.conditions import condition, conjunction
+from planner_bridge.pddl.conditions import condition
 from planner_bridge.pddl.names import TOTAL_COST
 from planner_bridge.pddl.nesting import unnested
 from planner_bridge.pddl.scope import OPERANDS, Scope
 from planner_bridge.pddl.sexpr import Atom, Group, Node, wrong
 from planner_bridge.pddl.words import operands, show_types
+from pnm.conditions import conjunction
 from pnm.effects import OPERATIONS, Effects, ForEach, Set, When
 from pnm.expressions import UNDEFINED, Constant, Expression, Fluent
 

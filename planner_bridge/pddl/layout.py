@@ -58,14 +58,16 @@ def definition_text(head: Form, sections: Iterable[Form], note: Note = NO_NOTE) 
 def flat(form: Form) -> str:
     """Write a form on one line, without comments."""
     match form:
-        case str(text) | Verbatim(text):
-            return text
+        case list():
+            return f"({' '.join([part if isinstance(part, str) else flat(part) for part in form])})"
         case Noted(inner, _):
             return flat(inner)
         case Keyed(key, inner):
             return f"{key} {flat(inner)}"
+        case Verbatim(text):
+            return text
         case _:
-            return f"({' '.join(map(flat, form))})"
+            return form
 
 
 def _comments(texts: Iterable[str], indent: int) -> Iterator[Line]:

@@ -7,11 +7,11 @@ from dataclasses import replace
 from typing import Literal, TypeVar
 
 from planner_bridge.model import Preference
-from planner_bridge.pddl.conditions import condition, conjunction
+from planner_bridge.pddl.conditions import condition
 from planner_bridge.pddl.scope import Scope
 from planner_bridge.pddl.sexpr import Atom, Group, Node, wrong
 from planner_bridge.pddl.words import counted, new_name
-from pnm.conditions import Condition, ForAll
+from pnm.conditions import Condition, ForAll, conjunction
 from pnm.expressions import Variable
 
 T = TypeVar("T")

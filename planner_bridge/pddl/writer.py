@@ -24,7 +24,7 @@ from planner_bridge.pddl.forms import (
 from planner_bridge.pddl.items import ACTION, INNER, PARTS, fact_said, hierarchy_said, is_timed, rule_said, said
 from planner_bridge.pddl.layout import Form, Keyed, Verbatim, definition_text, flat, noted
 from pnm.conditions import TRUE, Condition, conjuncts
-from pnm.effects import Effect, Effects, ForEach, Set, TimedChange, When
+from pnm.effects import Effect, Effects, ForEach, TimedChange, When, is_early
 from pnm.expressions import Constant, Fluent, Value, Variable
 from pnm.rules import Rule
 from pnm.trajectory import Constraint
@@ -71,7 +71,7 @@ def _problem(problem: Problem, notes: Notes) -> str:
     if problem.network:
         sections.append(_verbatim(problem.network, notes))  # other planners read it only in front of :init
     facts = notes.at(":init")
-    init: list[Form] = [noted(form, facts.at(fact_said(form)).take()) for form in _initial(problem)]
+    init: list[Form] = [noted(form, facts.at(fact_said(form)).take()) if facts else form for form in _initial(problem)]
     sections.append(noted([":init", *init], facts.take()))
     goal = notes.at(":goal")
     wanted = _with_preferences(problem.goal, problem.preferences)
@@ -265,10 +265,6 @@ def _timed_effect(moment: str, effect: Effect) -> Form:
 
 
 def _timed_body(moment: str, effects: Effects) -> Form:
-    if any(map(_is_early, effects)):
+    if any(map(is_early, effects)):
         return joined(_timed_effects(moment, effects))
     return ["at", moment, effects_form(effects)]
-
-
-def _is_early(effect: Effect) -> bool:
-    return not isinstance(effect, Set) and ((isinstance(effect, When) and effect.early) or any(map(_is_early, effect.effects)))

@@ -1,6 +1,6 @@
 """The child process: reads the problem where it stands, asks one engine for a plan, writes its answer.
 
-usage: python -m planner_bridge.up ENGINE SECONDS
+usage: python -m planner_bridge.up ENGINE [SECONDS]; without them, it only tells whether there is such an engine
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ def main() -> None:
     """Answer, whatever comes."""
     die_with_parent()
     _spare_what_nobody_uses()
-    from planner_bridge.up.engine import ask  # here, because it takes long, and what was spared must be so before
+    from planner_bridge.up.engine import ask, look_for  # here, because it takes long, and what was spared must be so before
 
     Path(BEGAN).touch()
-    answer = ask(sys.argv[1], float(sys.argv[2]))
+    answer = ask(sys.argv[1], float(sys.argv[2])) if len(sys.argv) > 2 else look_for(sys.argv[1])
     Path("answer").write_text(json.dumps(answer))
     os.replace("answer", ANSWER)  # whoever sees it, sees all of it
 

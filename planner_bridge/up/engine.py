@@ -13,6 +13,7 @@ from typing import Any, Final, TypeAlias
 import unified_planning.shortcuts as up
 from unified_planning.engines import PDDLPlanner
 from unified_planning.engines import PlanGenerationResultStatus as Status
+from unified_planning.engines.factory import DEFAULT_ENGINES
 from unified_planning.engines.results import PlanGenerationResult
 from unified_planning.exceptions import UPException, UPUnsupportedProblemTypeError
 from unified_planning.io import PDDLReader
@@ -25,6 +26,7 @@ from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.plan import PlanningStatus
 from planner_bridge.up.problems import Translation
 from pnm.errors import InputError
+from pnm.nearest import meant
 
 _STATUS: Final = {
     Status.UNSOLVABLE_PROVEN: PlanningStatus.UNSOLVABLE,
@@ -62,12 +64,8 @@ def ask(name: str, seconds: float) -> Answer:
 
     An engine that cannot cope with the metric is asked for any plan.
     """
-    environment = up.get_environment()
-    environment.credits_stream = None
-    known = sorted(one for one in environment.factory.engines if environment.factory.engine(one).is_oneshot_planner())
-    if name not in known:
-        planners = ", ".join(("kairos", *(one for one in known if "[" not in one)))
-        return {"unknown": f"there is no planner {name!r}; installed: {planners}"}
+    if unknown := look_for(name):
+        return unknown
     deadline = time.monotonic() + seconds
     problem = parse_problem(Path("problem.pddl").read_text(), parse_domain(Path("domain.pddl").read_text()))
     answer = _answer(name, problem, deadline)
@@ -75,6 +73,21 @@ def ask(name: str, seconds: float) -> Answer:
         return answer
     again = _answer(name, replace(problem, metric=None), deadline)
     return answer if _cannot(again) else {**again, "message": f"{again['message']} (without the metric: {answer['message']})".strip()}
+
+
+def look_for(name: str) -> Answer:
+    """Say so if there is no such engine; nothing if there is."""
+    environment = up.get_environment()
+    environment.credits_stream = None
+    there = sorted(one for one in environment.factory.engines if environment.factory.engine(one).is_oneshot_planner())
+    if name in there:
+        return {}
+    if name in DEFAULT_ENGINES:
+        package = DEFAULT_ENGINES[name][0].partition(".")[0].replace("_", "-")
+        return {"unknown": f"the planner {name} is not installed: pip install {package}"}
+    planners = ("kairos", *(one for one in there if "[" not in one))
+    hint = meant(name, (*planners, "race", *ENGINES))
+    return {"unknown": f"there is no planner {name!r}; installed: {', '.join(planners)}{f'; {hint}' if hint else ''}"}
 
 
 def _cannot(answer: Answer) -> bool:

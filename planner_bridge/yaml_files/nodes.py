@@ -16,7 +16,7 @@ from pnm.errors import InputError
 from pnm.language.data import comparison_parts, operation_parts
 from pnm.language.scope import shown
 from pnm.language.words import ARITHMETIC, COMPARISONS, TESTS, Form, form, needed_form
-from pnm.yaml_files import Mapped, Node
+from pnm.yaml_files import Node
 
 _SYMBOLS: Final = {**COMPARISONS, **ARITHMETIC, **{symbol: symbol for symbol in (*COMPARISONS.values(), *ARITHMETIC.values())}}
 _CHANGES: Final = {word.replace("-", mark): word for word in ("assign", "increase", "decrease", "scale-up", "scale-down") for mark in "-_"}
@@ -148,8 +148,8 @@ class Parts:
         """Return the variables of a quantifier, and what they are bound in."""
         entry = found.argument.mapped()
         entry.only("variables", key)
-        variables = needed(entry, "variables")
-        return self.group(self.texts(variables), self.offset(variables)), needed(entry, key)
+        variables = entry.needed("variables")
+        return self.group(self.texts(variables), self.offset(variables)), entry.needed(key)
 
     # --- expressions ---
 
@@ -209,7 +209,7 @@ class Parts:
             raise InputError("only an effect at the end of a durative action can be tested at its start", entry.nodes["at_start"][0])
         if moment:
             condition = self.headed("at start" if early else moment, (condition,), self.offset(tested))
-        return self.headed("when", (condition, self.effects(needed(entry, "effects"), moment)), offset)
+        return self.headed("when", (condition, self.effects(entry.needed("effects"), moment)), offset)
 
     # --- moments and durations ---
 
@@ -255,11 +255,3 @@ def _is_early(node: Node) -> bool:
     return any(
         key == "at_start" or (key in ("when", "forall", "effects", "and") and _is_early(value)) for key, _, value in node.mapped().entries()
     )
-
-
-def needed(entry: Mapped, key: str) -> Node:
-    """Return the value of a key that must be there."""
-    node = entry.node(key)
-    if node is None:
-        raise InputError(f"the key {key!r} is missing", entry.start)
-    return node

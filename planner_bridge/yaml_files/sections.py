@@ -13,7 +13,7 @@ from planner_bridge.pddl.sections import Definition
 from planner_bridge.pddl.sexpr import Atom, Group, Source, parse, tolerate
 from planner_bridge.pddl.sexpr import Node as Part
 from planner_bridge.pddl.words import new_name
-from planner_bridge.yaml_files.nodes import Parts, needed
+from planner_bridge.yaml_files.nodes import Parts
 from pnm.errors import InputError, Position
 from pnm.language.actions import ACTION_KEYS
 from pnm.language.domain import DOMAIN_KEYS
@@ -110,7 +110,7 @@ class _Cutter:
         yield from self._declared(top, "requirements", "types", "constants", "predicates", "functions")
         yield from self._each(top, "derived", self._rule)
         for preference in self._listed(top, "preferences"):
-            needed(preference.mapped(), "constraints")  # no state that could be preferred is known here
+            preference.mapped().needed("constraints")  # no state that could be preferred is known here
         yield from self._constraints(top)
         yield from self._each(top, "hierarchy", lambda node: self._verbatim(node, HIERARCHY))
         actions = top.node("actions")
@@ -122,7 +122,7 @@ class _Cutter:
         yield from self._declared(entry, "requirements", "objects")
         yield from self._each(entry, "network", self._network)
         if "init" in entry.nodes:
-            yield self._section(entry, "init", self._facts(needed(entry, "init")))
+            yield self._section(entry, "init", self._facts(entry.needed("init")))
         yield from self._goal(entry)
         yield from self._constraints(entry)
         metric = entry.node("metric")
@@ -152,8 +152,8 @@ class _Cutter:
     def _rule(self, node: Node) -> Group:
         entry = node.mapped()
         entry.only("fact", "condition")
-        head = self.parts.fact(needed(entry, "fact"), "a fact such as (reachable ?p - place)")
-        return self.parts.headed(":derived", (head, self.parts.condition(needed(entry, "condition"))), self.parts.offset(node))
+        head = self.parts.fact(entry.needed("fact"), "a fact such as (reachable ?p - place)")
+        return self.parts.headed(":derived", (head, self.parts.condition(entry.needed("condition"))), self.parts.offset(node))
 
     def _verbatim(self, node: Node, heads: tuple[str, ...]) -> Group:
         """Read a section that is kept as it stands; a section of its keyword and its name stands for it."""
@@ -191,7 +191,7 @@ class _Cutter:
         if found.word == "forall":
             entry = found.argument.mapped()
             entry.only("variables", "constraint")
-            return self._under(needed(entry, "variables"), self._constraint(needed(entry, "constraint")), offset)
+            return self._under(entry.needed("variables"), self._constraint(entry.needed("constraint")), offset)
         times, conditions = _OPERATORS[found.word]
         items = found.items(times + conditions) if times + conditions > 1 else (found.argument,)
         parts = [*map(self.parts.expression, items[:times]), *map(self.parts.condition, items[times:])]
@@ -210,7 +210,7 @@ class _Cutter:
         if "constraints" in entry.nodes:
             body: Part = self.parts.headed("and", map(self._constraint, self._listed(entry, "constraints")), offset)
         else:
-            body = self.parts.condition(needed(entry, "condition"))
+            body = self.parts.condition(entry.needed("condition"))
         moment = entry.string("moment")
         if moment is not None:
             known = ("at_start", "over_all", "at_end")
@@ -220,7 +220,7 @@ class _Cutter:
             body = self.parts.headed(moment.replace("_", " "), (body,), offset)
         name = [self._name(entry, "name", "", offset)] if "name" in entry.nodes else []
         found = self.parts.headed("preference", (*name, body), offset)
-        return self._under(needed(entry, "variables"), found, offset) if "variables" in entry.nodes else found
+        return self._under(entry.needed("variables"), found, offset) if "variables" in entry.nodes else found
 
     def _wanted(self, entry: Mapped, parts: list[Part]) -> list[Part]:
         """Add the preferences about states to what must hold."""
@@ -245,9 +245,9 @@ class _Cutter:
         durative = "duration" in entry.nodes
         parts: list[Part] = [self.parts.atom(name, offset)]
         if "params" in entry.nodes:
-            parts += self._part(entry, "params", ":parameters", self._parameters(needed(entry, "params")))
+            parts += self._part(entry, "params", ":parameters", self._parameters(entry.needed("params")))
         if durative:
-            parts += self._part(entry, "duration", ":duration", self.parts.duration(needed(entry, "duration")))
+            parts += self._part(entry, "duration", ":duration", self.parts.duration(entry.needed("duration")))
         wanted = self._conditions(entry, durative)
         if wanted is not None:
             key = "preconditions" if "preconditions" in entry.nodes else "preferences"
@@ -291,7 +291,7 @@ class _Cutter:
                 continue
             entry = item.mapped()
             entry.only("at", "facts")
-            time = needed(entry, "at")
+            time = entry.needed("at")
             for change in self._listed(entry, "facts"):
                 offset = self.parts.offset(change)
                 yield self.parts.headed("at", (self.parts.one(time, "a time"), self.parts.fact(change)), offset)

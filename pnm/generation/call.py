@@ -29,7 +29,7 @@ from math import isfinite
 
 from pnm.actions.base import OutcomeKind
 from pnm.bindings import Binding
-from pnm.conditions import TRUE, All, Condition, conjuncts, names
+from pnm.conditions import TRUE, All, Condition, conjunction, conjuncts, names
 from pnm.effects import names_written
 from pnm.generation.block import Block
 from pnm.generation.recovery import Recoveries, abandon, build_recoveries
@@ -57,11 +57,14 @@ from pnm.machine import (
 from pnm.plan_graph import ActionCall, Cause, GroundAction, Moment, PlanEvent
 from pnm.rules import Rules
 
+_ANY = frozenset(OutcomeKind)
 _SUCCEEDED = frozenset({OutcomeKind.SUCCEEDED})
-_UNSUCCESSFUL = frozenset(OutcomeKind) - _SUCCEEDED
+_UNSUCCESSFUL = _ANY - _SUCCEEDED
 _EARLY = {OutcomeKind.REJECTED: Cause.REJECTED, OutcomeKind.UNAVAILABLE: Cause.UNAVAILABLE, OutcomeKind.LOST: Cause.LOST}
 """How a request may end before anybody has said that it was accepted."""
+_NOT_EARLY = _ANY - frozenset(_EARLY)
 _LATE = {OutcomeKind.ABORTED: Cause.ABORTED, OutcomeKind.CANCELED: Cause.CANCELED, OutcomeKind.LOST: Cause.LOST}
+_ODD = _UNSUCCESSFUL - frozenset(_LATE)
 _ALIVE = ("requested", "withdrawing", "again requested", "again withdrawing", "running", "overdue", "stopping", "suspending")
 """Places of a call whose request may be alive."""
 
@@ -154,7 +157,7 @@ class CallBlock(Block[ActionCall]):
         ready, requested, recover, withdrawing = (self.name(phase + name) for name in ("ready", "requested", "recover", "withdrawing"))
         out = [self.name("done"), *announced]
         failed = [*out, self.name("failed")]
-        may_start = _conjunction(action.precondition, _before_invariant(action, self.builder.plan.rules))
+        may_start = conjunction((action.precondition, _before_invariant(action, self.builder.plan.rules)))
 
         def add(name: str, guard: Guard, source: str, outputs: Iterable[str], deed: Deed | None = None) -> None:
             self.add(phase + name, guard, [source], outputs, deed)
@@ -176,9 +179,9 @@ class CallBlock(Block[ActionCall]):
             name = f"{kind.value}{'_early' if kind is OutcomeKind.LOST else ''}"
             add(name, Ends(call, frozenset({kind})), requested, self._after(cause, [recover]))
         unavailable = self._after(Cause.UNAVAILABLE, [recover])
-        add("ended_early", Ends(call, frozenset(OutcomeKind) - frozenset(_EARLY)), requested, unavailable)
+        add("ended_early", Ends(call, _NOT_EARLY), requested, unavailable)
         add("unanswered", After(self.binding.accept), requested, [withdrawing], Deed.CANCEL)
-        add("withdrawn", Ends(call, frozenset(OutcomeKind)), withdrawing, unavailable)
+        add("withdrawn", Ends(call, _ANY), withdrawing, unavailable)
         add("unheard", After(self.binding.cancel), withdrawing, failed)
 
         abandon(self, "recover", *announced, phase=phase)
@@ -209,8 +212,7 @@ class CallBlock(Block[ActionCall]):
         self.fire("succeeded", Ends(call, _SUCCEEDED), "running", returned)
         for kind, cause in _LATE.items():
             self._outcome(kind.value, Ends(call, frozenset({kind})), "running", cause, recover)
-        others = _UNSUCCESSFUL - frozenset(_LATE)
-        self._outcome("ended_oddly", Ends(call, others), "running", Cause.ABORTED, recover)
+        self._outcome("ended_oddly", Ends(call, _ODD), "running", Cause.ABORTED, recover)
         self.fire("stop", CancelAsked(), "running", "stopping", deed=Deed.CANCEL)
         self.fire("suspend", PauseAsked(), "running", "suspending", deed=Deed.CANCEL)
         if self.step.action.invariant != TRUE:
@@ -264,8 +266,3 @@ def _before_invariant(action: GroundAction, rules: Rules) -> Condition:
     """Return what of the over-all condition can be checked before the start: all that the start does not itself change."""
     changed = names_written(action.start_effects)
     return All(tuple(part for part in conjuncts(action.invariant) if not rules.base(names(part)) & changed))
-
-
-def _conjunction(*conditions: Condition) -> Condition:
-    real = tuple(part for condition in conditions for part in conjuncts(condition))
-    return real[0] if len(real) == 1 else All(real)

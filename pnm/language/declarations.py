@@ -36,6 +36,8 @@ class Declared:
     """Predicates and functions with their parameters."""
     predicates: frozenset[str] = frozenset()
     """Which of them are predicates."""
+    values: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Of the functions whose values are objects, the types of these."""
 
     def scope(self, variables: Iterable[Variable] | None = None) -> Scope:
         """Return what a formula may use where these variables are bound; any if None."""
@@ -78,8 +80,11 @@ def read_declared(top: Mapped, problem: Mapped | None) -> Declared:
     types = {**{parent: ("object",) for parents in types.values() for parent in parents if parent != "object"}, **types}
     scope = Scope(types=frozenset(types) or None)
     objects = _names(top, "constants", scope) | (_names(problem, "objects", scope) if problem else {})
-    predicates = dict(_fluents(top, "predicates", scope))
-    return Declared(types, objects, {**predicates, **dict(_fluents(top, "functions", scope))}, frozenset(predicates))
+    predicates = {name: parameters for name, parameters, _ in _fluents(top, "predicates", scope)}
+    functions = [*_fluents(top, "functions", scope)]
+    fluents = {**predicates, **{name: parameters for name, parameters, _ in functions}}
+    values = {name: kinds for name, _, kinds in functions if kinds not in ((), ("number",))}
+    return Declared(types, objects, fluents, frozenset(predicates), values)
 
 
 def _names(top: Mapped, key: str, scope: Scope) -> dict[str, tuple[str, ...]]:
@@ -87,12 +92,14 @@ def _names(top: Mapped, key: str, scope: Scope) -> dict[str, tuple[str, ...]]:
     return {} if node is None or node.is_null else read_names(node, scope)
 
 
-def _fluents(top: Mapped, key: str, scope: Scope) -> Iterator[tuple[str, tuple[Variable, ...]]]:
+def _fluents(top: Mapped, key: str, scope: Scope) -> Iterator[tuple[str, tuple[Variable, ...], tuple[str, ...]]]:
+    """Yield names with their parameters, and with what stands behind them."""
     for item in _items(top.node(key)):
         found = _DECLARED.match(item.text.strip()) if item.text is not None else None
         if found is None:
             raise item.wrong("expected something like (at ?r - robot ?p - place)")
-        yield found[1], read_typed_text(found[2], item, scope, distinct=False)
+        kinds = (found[3] or "").strip("()").split()
+        yield found[1], read_typed_text(found[2], item, scope, distinct=False), tuple(kinds[kinds[:1] == ["either"] :])
 
 
 def read_derived(top: Mapped, declared: Declared) -> Rules:
@@ -104,7 +111,7 @@ def read_derived(top: Mapped, declared: Declared) -> Rules:
     rules: list[Rule] = []
     for entry in top.sequence("derived"):
         entry.only("fact", "condition")
-        fact, condition = needed(entry, "fact"), needed(entry, "condition")
+        fact, condition = entry.needed("fact"), entry.needed("condition")
         found = _DECLARED.match(fact.text.strip()) if fact.text is not None else None
         if found is None:
             raise fact.wrong("expected something like (reachable ?p - place)")
@@ -116,14 +123,6 @@ def read_derived(top: Mapped, declared: Declared) -> Rules:
         return Rules(tuple(rules))
     except UnstratifiedError as error:
         raise InputError(str(error), top.position("derived")) from error
-
-
-def needed(entry: Mapped, key: str) -> Node:
-    """Return the value of a key that must be there."""
-    node = entry.node(key)
-    if node is None:
-        raise InputError(f"the key {key!r} is missing", entry.start)
-    return node
 
 
 def read_facts(top: Mapped, key: str, scope: Scope) -> dict[Fluent, Value]:
@@ -145,7 +144,7 @@ def read_initial(problem: Mapped, scope: Scope) -> tuple[dict[Fluent, Value], tu
     timed: list[TimedChange] = []
     for entry in [item.mapped() for item in items if item.is_mapping]:
         entry.only("at", "facts")
-        needed(entry, "at")
+        entry.needed("at")
         timed.append(TimedChange(entry.number("at", 0.0), read_facts(entry, "facts", scope)))
     facts = dict([_statement(item, scope) for item in items if not item.is_mapping])
     return facts, tuple(sorted(timed, key=lambda change: change.time))

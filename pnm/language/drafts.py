@@ -11,7 +11,6 @@ from pnm.bindings import Binding
 from pnm.errors import InputError, Position, Tolerated
 from pnm.expressions import Variable
 from pnm.language.actions import ActionKind, LanguageAction, read_class
-from pnm.language.declarations import needed
 from pnm.language.domain import DOMAIN_KEYS, LanguageDomain, domain_from
 from pnm.language.files import read_documents
 from pnm.language.scope import read_typed, unknown
@@ -109,7 +108,7 @@ def _entries(document: Mapped) -> list[tuple[str, Mapped]]:
             Mapped(document.file, document.start, {key: document.nodes[key]}).only(*PLAN_KEYS, *DOMAIN_KEYS)
             continue
         recipe.only(*RECIPE_KEYS)
-        needed(recipe, "plan")
+        recipe.needed("plan")
         found.append((key, recipe))
     return found
 

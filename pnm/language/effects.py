@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from pnm.conditions import TRUE, Condition, data_in
+from pnm.conditions import TRUE, Condition, conjunction, data_in
 from pnm.effects import OPERATIONS, Effect, Effects, ForEach, Set, When
 from pnm.errors import InputError
 from pnm.expressions import Constant, Expression
-from pnm.language.formulas import conjunction, read_condition, read_expression, read_quantified
+from pnm.language.formulas import read_condition, read_expression, read_quantified
 from pnm.language.scope import ANYTHING, Scope, fluent_in, read_fluent, shown
 from pnm.language.words import TESTS, Form, form, needed_form
 from pnm.queries import Layer, Query, parts

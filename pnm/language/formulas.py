@@ -8,17 +8,15 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterable
 from typing import Final
 
-from pnm.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
-from pnm.errors import InputError
+from pnm.conditions import TRUE, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
 from pnm.expressions import DURATION, Arithmetic, Constant, Expression, ValueOf, Variable
 from pnm.language.data import comparison_parts, operation_parts, read_form
 from pnm.language.scope import ANYTHING, Scope, fluent_in, is_variable, read_fluent, read_typed, shown
 from pnm.language.words import ARITHMETIC, COMPARISONS, QUERIES, TESTS, Form, form, needed_form, read_operator
 from pnm.queries import Parameter
-from pnm.yaml_files import Mapped, Node
+from pnm.yaml_files import Node
 
 FALSE: Final = Any(())
 _NAME: Final = re.compile(r"\??[^\s()?]+\Z")
@@ -45,12 +43,6 @@ def read_condition(node: Node, scope: Scope = ANYTHING) -> Condition:
     if node.text is None or fluent_in(node.text) is None:
         raise node.wrong(f"expected a condition, such as (at ?r kitchen) or {{Exists: [Query: name]}}, found {shown(node)}")
     return Holds(read_fluent(node, scope))
-
-
-def conjunction(parts: Iterable[Condition]) -> Condition:
-    """Join conditions by ``and``: nested ones flattened, a single one left alone."""
-    flat = conjuncts(All(tuple(parts)))
-    return flat[0] if len(flat) == 1 else All(flat)
 
 
 def _condition(found: Form, scope: Scope) -> Condition:
@@ -85,14 +77,7 @@ def read_quantified(found: Form, inner: str, scope: Scope) -> tuple[tuple[Variab
     """Return the variables of a quantifier, and what is said of them under the key."""
     entry = found.argument.mapped()
     entry.only("variables", inner)
-    return read_typed(_needed(entry, "variables"), scope), _needed(entry, inner)
-
-
-def _needed(entry: Mapped, key: str) -> Node:
-    node = entry.node(key)
-    if node is None:
-        raise InputError(f"the key {key!r} is missing", entry.start)
-    return node
+    return read_typed(entry.needed("variables"), scope), entry.needed(inner)
 
 
 # --- comparisons ---------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from pnm.expressions import Fluent, Value
 from pnm.language.actions import LanguageAction
 from pnm.language.calls import Facts
 from pnm.language.data import read_literal
-from pnm.language.declarations import needed, read_facts
+from pnm.language.declarations import NOTHING_DECLARED, Declared, read_facts
 from pnm.language.domain import LanguageDomain, read_goal
 from pnm.language.drafts import Draft, drafts, drafts_in, read_domain
 from pnm.language.files import parse_documents
@@ -58,6 +58,8 @@ class HandWrittenPlan:
     """The other plans it calls."""
     warnings: tuple[Tolerated, ...] = ()
     """What in the files was not as it should be."""
+    declared: Declared = NOTHING_DECLARED
+    """The names that its domain declares."""
     domain_file: str = ""
     """Where its domain was read from; empty if it has none."""
 
@@ -122,7 +124,7 @@ def _plan(draft: Draft, others: Mapping[str, Draft]) -> HandWrittenPlan:
     entry, domain = draft.entry, draft.domain
     actions = {**domain.actions, **{name: other.action for name, other in others.items()}}
     reader = StepReader(actions, domain.declared)
-    steps = reader.steps(needed(entry, "plan"))
+    steps = reader.steps(entry.needed("plan"))
     facts = {**domain.facts, **read_facts(entry, "facts", domain.declared.scope(()))}
     recoveries: dict[str, tuple[WrittenRecovery, ...]] = {
         name: reader.recoveries(action, action.recoveries) for name, action in actions.items() if action.recoveries is not None
@@ -146,6 +148,7 @@ def _plan(draft: Draft, others: Mapping[str, Draft]) -> HandWrittenPlan:
         sources=domain.sources,
         calls=frozenset(call.action.name for call in graph.calls) & others.keys(),
         warnings=draft.warnings,
+        declared=domain.declared,
         domain_file=domain.file,
     )
 
@@ -175,7 +178,7 @@ def _check_capacities(entry: Mapped, graph: PlanGraph, actions: Mapping[str, Lan
     used = described | {name for call in graph.calls for name in call.action.resources}
     for name in graph.capacities:
         if name not in used:
-            raise unknown("resource", name, used, needed(entry, "resources").mapped().nodes[name][0])
+            raise unknown("resource", name, used, entry.needed("resources").mapped().nodes[name][0])
 
 
 def _on_failure(entry: Mapped) -> OnFailure:

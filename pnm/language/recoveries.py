@@ -11,7 +11,6 @@ from typing import Final, TypeAlias
 
 from pnm.conditions import Condition
 from pnm.errors import InputError, Position
-from pnm.language.declarations import needed
 from pnm.language.formulas import read_condition
 from pnm.language.scope import Scope, unknown
 from pnm.language.tree import SequenceStep, WrittenRecovery
@@ -87,7 +86,7 @@ def _recovery(node: Node, usual: frozenset[Cause], own: Cause | None, scope: Sco
         if times is not None and not 1 <= times <= MAX_TIMES:
             raise InputError(f"expected a number of times from 1 to {MAX_TIMES}, found {times}", entry.position("times"))
     causes = usual if when is None or own is None else frozenset({own})
-    chain, then = _chain(node if entry is None else needed(entry, "do"), read_steps)
+    chain, then = _chain(node if entry is None else entry.needed("do"), read_steps)
     if then is Then.CONTINUE and not causes <= _SENT:
         raise node.wrong("only a call whose request has ended can continue; expected another command, such as skip_action")
     return WrittenRecovery(node.position, causes, chain, then, times, when)

@@ -12,7 +12,7 @@ from pnm.bindings import read_texts
 from pnm.errors import InputError, Position
 from pnm.language.actions import OPERATION, RESERVED, ActionKind, LanguageAction
 from pnm.language.data import read_data, read_operation
-from pnm.language.declarations import Declared, needed
+from pnm.language.declarations import Declared
 from pnm.language.formulas import read_condition
 from pnm.language.recoveries import read_recoveries
 from pnm.language.scope import Scope, shown, unknown
@@ -72,13 +72,13 @@ class StepReader:
         match self._head(entry):
             case "concurrent_actions":
                 entry.only("concurrent_actions", *_PLACE)
-                return ConcurrentStep(place, self.steps(needed(entry, "concurrent_actions")).steps)
+                return ConcurrentStep(place, self.steps(entry.needed("concurrent_actions")).steps)
             case "sequence":
                 entry.only("sequence", *_PLACE)
-                return SequenceStep(place, self.steps(needed(entry, "sequence")).steps)
+                return SequenceStep(place, self.steps(entry.needed("sequence")).steps)
             case "while":
                 entry.only("while", *_PLACE)
-                return self._loop(needed(entry, "while").mapped(), place)
+                return self._loop(entry.needed("while").mapped(), place)
             case "if":
                 entry.only("if", "then", "else", *_PLACE)
                 return self._choice(entry, place)
@@ -105,16 +105,16 @@ class StepReader:
         limit = entry.whole("limit", DEFAULT_LIMIT)
         if not 1 <= limit <= MAX_LIMIT:
             raise InputError(f"expected a limit from 1 to {MAX_LIMIT}, found {limit}", entry.position("limit"))
-        body = self.steps(needed(entry, "actions"))
+        body = self.steps(entry.needed("actions"))
         if not body.steps:
             raise InputError("a loop repeats at least one step", entry.position("actions"))
-        return LoopStep(place, read_condition(needed(entry, "condition"), self.scope), body, limit)
+        return LoopStep(place, read_condition(entry.needed("condition"), self.scope), body, limit)
 
     def _choice(self, entry: Mapped, place: Place) -> ChoiceStep:
-        condition = read_condition(needed(entry, "if"), self.scope)
+        condition = read_condition(entry.needed("if"), self.scope)
         otherwise = entry.node("else")
         nothing = SequenceStep(Place(entry.start), ())
-        return ChoiceStep(place, condition, self.steps(needed(entry, "then")), nothing if otherwise is None else self.steps(otherwise))
+        return ChoiceStep(place, condition, self.steps(entry.needed("then")), nothing if otherwise is None else self.steps(otherwise))
 
     # --- calls ---
 
@@ -129,7 +129,7 @@ class StepReader:
         if name not in self.actions:
             raise self._unknown_action(name, entry.nodes[name][0])
         action = self.actions[name]
-        argument = needed(entry, name)
+        argument = entry.needed(name)
         told = Mapped(entry.file, entry.start, {}) if argument.is_null else argument.mapped()
         given = {key: self._given(action, key, where, node) for key, where, node in told.entries() if not _is_operation(action, key)}
         options = Mapped(entry.file, entry.start, {key: value for key, value in entry.nodes.items() if key != name})

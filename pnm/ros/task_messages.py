@@ -102,7 +102,7 @@ def plan_fields(task: UUID, goal: str, number: int, steps: Iterable[Step]) -> Fi
 def _step_fields(step: Step) -> Fields:
     return {
         "action": step.action,
-        "arguments": list(step.arguments),
+        "arguments": [printable(argument) for argument in step.arguments],
         "start": step.start,
         "duration": step.duration,
         "state": int(step.state),

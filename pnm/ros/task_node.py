@@ -9,7 +9,6 @@ from typing import Any, Final
 from uuid import UUID
 
 from pnm.errors import InputError
-from pnm.knowledge import KnowledgeBase
 from pnm.ros.graph import server_name
 from pnm.ros.node import RosThread
 from pnm.ros.planning_server import NAME as PLAN
@@ -33,14 +32,11 @@ class TaskNode:
     Args:
         tasks: what is done.
         make: finds plans that nobody carries out.
-        world: what others may ask and tell.
-        knowledge: whose changes are told.
+        world: what others may ask and tell, and whose changes are told.
         plans: the plans that have an action server of their own, and its full name.
     """
 
-    def __init__(
-        self, ros: RosThread, tasks: Tasks, make: Make, world: ServedWorld, knowledge: KnowledgeBase, plans: Mapping[str, str] | None = None
-    ) -> None:
+    def __init__(self, ros: RosThread, tasks: Tasks, make: Make, world: ServedWorld, plans: Mapping[str, str] | None = None) -> None:
         self._ros = ros
         self._tasks = tasks
         self._world = world
@@ -50,7 +46,7 @@ class TaskNode:
         self._is_stopped = False
         self._servers = TaskServers(ros, tasks, plans or {}, lambda: self._closed)
         self._planning = PlanningServer(ros, make, lambda: self._closed)
-        self._topics = TaskTopics(ros, tasks, world, knowledge, lambda: self._is_paused)
+        self._topics = TaskTopics(ros, tasks, world, lambda: self._is_paused)
         self._services = RequestServices(ros)
 
     def __repr__(self) -> str:

@@ -7,8 +7,6 @@ from collections.abc import Callable, Mapping
 from typing import Final
 from uuid import UUID
 
-from pnm.expressions import Fluent, Unknown, Value
-from pnm.knowledge import KnowledgeBase
 from pnm.ros.node import RosThread
 from pnm.ros.task_messages import Fields, marking_fields, moment_fields, net_fields, plan_fields, status_fields
 from pnm.ros.throttle import Throttle
@@ -27,16 +25,14 @@ class TaskTopics(TaskListener):
     soon, the nets as they were written, and how many changes of the knowledge were told.
 
     Args:
-        world: says what has changed.
-        knowledge: tells that something has changed.
+        world: says what has changed in it.
         paused: tells whether all tasks are paused.
     """
 
-    def __init__(self, ros: RosThread, tasks: Tasks, world: ServedWorld, knowledge: KnowledgeBase, paused: Callable[[], bool]) -> None:
+    def __init__(self, ros: RosThread, tasks: Tasks, world: ServedWorld, paused: Callable[[], bool]) -> None:
         self._ros = ros
         self._tasks = tasks
         self._world = world
-        self._knowledge = knowledge
         self._paused = paused
         self._loop = asyncio.get_running_loop()
         self._soon: Throttle[Callable[[], None]] = Throttle(self._loop, PERIOD, lambda tell: tell())
@@ -62,7 +58,7 @@ class TaskTopics(TaskListener):
         """Begin to tell."""
         for topic in self._topics:
             await topic.open()
-        self._stops += [self._tasks.listen(self), self._knowledge.listen(self._known)]
+        self._stops += [self._tasks.listen(self), self._world.follow(self._known)]
         self.note()
 
     async def close(self) -> None:
@@ -103,8 +99,9 @@ class TaskTopics(TaskListener):
             self._moved.note(task)
 
     def ended(self, task: UUID, ending: TaskEnding) -> None:
-        """Tell once more how things are, without the task's net."""
-        self.note()
+        """Tell how things are, at once: whoever reads the result of the task must not read later that it goes on."""
+        self._soon.at_once(self._tell_status)
+        self._soon.note(self._tell_plans)
         self._moved.forget(task)
         self._nets.pop(task, None)
         self._note_nets()
@@ -145,12 +142,10 @@ class TaskTopics(TaskListener):
             number, _, marking = found
             self._marking.publish(marking_fields(task, number, marking))
 
-    def _known(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
-        if changes:
-            self._changes += 1
-            fields = {**self._world.changes(changes), "sequence": self._changes}
-            at = self._loop.time()
-            self._change.publish(lambda: {**fields, "stamp": ahead(self._ros, self._loop) + at})
+    def _known(self, changes: Mapping[str, object]) -> None:
+        self._changes += 1
+        fields, at = {**changes, "sequence": self._changes}, self._loop.time()
+        self._change.publish(lambda: {**fields, "stamp": ahead(self._ros, self._loop) + at})
 
 
 def ahead(ros: RosThread, loop: asyncio.AbstractEventLoop) -> float:

@@ -33,7 +33,14 @@ class Throttle(Generic[K]):
         """Have it told, unless that is due already."""
         if key not in self._due:
             at = self._told[key] + self._period if key in self._told else self._loop.time()
-            self._due[key] = self._loop.call_at(at, self._call, key)
+            self._due[key] = self._loop.call_at(at, self.at_once, key)
+
+    def at_once(self, key: K) -> None:
+        """Tell it now, whenever it was told last; what was due is told with it."""
+        if key in self._due:
+            self._due.pop(key).cancel()
+        self._told[key] = self._loop.time()
+        self._tell(key)
 
     def forget(self, key: K) -> None:
         """Tell nothing more of it, and do not remember it."""
@@ -45,8 +52,3 @@ class Throttle(Generic[K]):
         """Tell nothing more."""
         for key in (*self._due, *self._told):
             self.forget(key)
-
-    def _call(self, key: K) -> None:
-        del self._due[key]
-        self._told[key] = self._loop.time()
-        self._tell(key)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from uuid import UUID
 
+import pytest
+
 from planner_bridge.loading import load
 from pnm.ros.service_client import ServiceClient
 from tests.e2e.processes import ROOT, Program
@@ -58,6 +60,19 @@ def test_a_node_tells_and_is_told_what_is_so(ros, tmp_path):
     try:
         node.until(lambda: any(line.startswith("ready") for line in node.out))
         run(main())
+    finally:
+        node.close()
+
+
+@pytest.mark.parametrize("how", [["--planner", "kairoos"], ["--ros-args", "-p", "planner:=kairoos"]])
+def test_a_planner_that_is_not_there_is_refused_at_the_start(how):
+    node = Program(["-m", "planner_bridge", "serve", str(DOMAIN), str(PROBLEM), *how], {})
+    try:
+        assert node.ended() == 2
+        assert [
+            line for line in node.err if "there is no planner 'kairoos'; installed: kairos, " in line and "did you mean 'kairos'?" in line
+        ]
+        assert not node.out
     finally:
         node.close()
 

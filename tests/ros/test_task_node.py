@@ -14,10 +14,12 @@ import pytest
 
 from pnm.errors import InputError
 from pnm.knowledge import KnowledgeBase
-from pnm.ros import request_services
+from pnm.ros import request_services, task_topics
+from pnm.ros.goal_server import GoalServer
 from pnm.ros.node import RosThread
 from pnm.ros.task_messages import TRACE, run_ending_fields
 from pnm.ros.task_node import TaskNode, action_names
+from pnm.ros.task_topics import TaskTopics
 from pnm.tasking import Code, OnConflict, TaskEnding, TaskState, Wanted
 from tests.ros.scripts import run
 from tests.ros.task_client import ABORTED, CANCELED, LIMIT, SUCCEEDED, SentGoal, TaskClient, uuid_data
@@ -53,7 +55,7 @@ class Scene:
 @asynccontextmanager
 async def scene(two: tuple[RosThread, RosThread], *, is_active: bool = True, max_queue: int = 1000) -> AsyncIterator[Scene]:
     knowledge, tasks = KnowledgeBase(), ScriptedTasks(max_queue)
-    node = TaskNode(two[0], tasks, scripted_search, ScriptedWorld(knowledge), knowledge, {"running": "running_tour"})
+    node = TaskNode(two[0], tasks, scripted_search, ScriptedWorld(knowledge), {"running": "running_tour"})
     await node.open()
     if is_active:
         await node.activate()
@@ -449,6 +451,34 @@ def test_a_plan_is_looked_for(two):
             }  # fmt: skip
             status, result = await (await one.client.send("plan", goal="no_plan")).result()
             assert (status, result["reason"], result["plan"]["steps"]) == (ABORTED, "no_plan", [])
+
+    run(main())
+
+
+def test_the_status_says_that_a_task_is_over_before_its_client_is_told(two, monkeypatch):
+    monkeypatch.setattr(task_topics, "PERIOD", 3600.0)  # whatever is only due by then is never heard
+    order: list[str] = []
+
+    def note(kind: type, method: str, name: str) -> None:
+        original = getattr(kind, method)
+        monkeypatch.setattr(
+            kind, method, lambda self, *given: (order.append(self.name if name == "answer" else name), original(self, *given))[1]
+        )
+
+    note(TaskTopics, "_tell_status", "status")
+    note(GoalServer, "answer", "answer")
+
+    async def main():
+        async with scene(two) as one:
+            status = await one.client.subscribe("executor/status")
+            goal = await one.goal("running")
+            await heard(status, lambda told: not told["tasks"])
+            order.clear()
+            one.tasks.end(goal.id, Code.GOAL_REACHED)
+            assert (await goal.result())[0] == SUCCEEDED
+            assert order[:2] == ["status", "achieve_goal"]
+            assert not (await asyncio.wait_for(status.get(), LIMIT))["tasks"]
+            assert status.empty()
 
     run(main())
 

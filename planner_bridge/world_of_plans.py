@@ -1,0 +1,153 @@
+"""The world of hand-written plans as a problem without actions: what may be asked of it, and told."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Final, TypeAlias, assert_never
+
+from planner_bridge.model import Declaration, Domain, Problem
+from pnm.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, data_in
+from pnm.effects import Effects, ForEach, Set, When
+from pnm.errors import InputError
+from pnm.expressions import DURATION, UNDEFINED, Constant, Expression, Fluent, Value, Variable, expression_fluents
+from pnm.language.plan import HandWrittenPlan
+from pnm.plan_graph import Choice, Loop
+from pnm.queries import fluents_in
+from pnm.rules import Rule
+
+_WORD: Final = re.compile(r"[^\s()]+")
+
+Use: TypeAlias = tuple[Fluent, Value | None]
+"""A fluent as it is spoken of, and a value of its kind: true for a fact; None when it may be of any."""
+
+
+def world_of_plans(plans: Iterable[HandWrittenPlan]) -> Problem:
+    """Return what the plans declare, and the names that they use where they declare none."""
+    plans = tuple(plans)
+    spoken = _Spoken()
+    types: dict[str, tuple[str, ...]] = {}
+    objects: dict[str, tuple[str, ...]] = {}
+    for plan in plans:
+        spoken.declare(plan)
+        types |= plan.declared.types
+        objects |= plan.declared.objects
+    for fluent, value in (use for plan in plans for use in _uses(plan)):
+        spoken.use(fluent, value)
+    rules = tuple({str(rule): rule for plan in plans for rule in plan.rules.rules}.values())
+    domain = Domain("plans", types=types, predicates=spoken.predicates, functions=spoken.functions, rules=rules)
+    return Problem("plans", domain, objects or dict.fromkeys(spoken.objects, ("object",)))
+
+
+def with_names_of(problem: Problem, plans: Iterable[HandWrittenPlan], texts: Iterable[str]) -> Problem:
+    """Return the problem with all words of the texts among its objects, if the plans declare none: where none are, any may be.
+
+    Raises:
+        InputError: a text speaks of all objects, or of some.
+    """
+    if any(plan.declared.objects for plan in plans):
+        return problem
+    words = dict.fromkeys(word for text in texts for word in _WORD.findall(text))
+    if quantifier := next((word for word in words if word.lower() in ("forall", "exists")), None):
+        raise InputError(f"the plans declare no objects; expected a condition without {quantifier}")
+    known = {name.lower() for name in problem.objects}
+    others = (word for word in words if word[0] != "?" and word.lower() not in known)
+    return replace(problem, own_objects={**problem.own_objects, **dict.fromkeys(others, ("object",))})
+
+
+@dataclass
+class _Spoken:
+    """The predicates and functions that plans declare or use, and the objects in them. Everything in it is mutable state."""
+
+    predicates: dict[str, Declaration] = field(default_factory=dict)
+    functions: dict[str, Declaration] = field(default_factory=dict)
+    objects: dict[str, None] = field(default_factory=dict)
+
+    def declare(self, plan: HandWrittenPlan) -> None:
+        for name, parameters in plan.declared.fluents.items():
+            is_fact = name in plan.declared.predicates
+            (self.predicates if is_fact else self.functions)[name] = Declaration(name, parameters, plan.declared.values.get(name, ()))
+
+    def use(self, fluent: Fluent, value: Value | None) -> None:
+        name, *arguments = fluent
+        values = ("object",) if isinstance(value, str) else ()
+        named = (*arguments, value) if isinstance(value, str) else arguments
+        self.objects |= dict.fromkeys(one for one in named if _WORD.fullmatch(one) and one[0] != "?" and one != UNDEFINED)
+        if value is None or name in self.predicates or name == DURATION[0]:
+            return
+        parameters = tuple(Variable(f"?x{number}") for number in range(len(arguments)))
+        declared = self.functions.get(name)
+        if isinstance(value, bool) and declared is None:
+            self.predicates[name] = Declaration(name, parameters)
+        elif declared is None or (values and not declared.values):
+            self.functions[name] = Declaration(name, declared.parameters if declared else parameters, values)
+
+
+# --- what a plan speaks of -----------------------------------------------------------------
+
+
+def _uses(plan: HandWrittenPlan) -> Iterator[Use]:
+    yield from plan.facts.items()
+    for change in plan.timed:
+        yield from change.changes.items()
+    for call in plan.graph.calls:
+        action = call.action
+        for condition in (action.precondition, action.invariant, action.end_condition, action.expected):
+            yield from _in_condition(condition)
+        yield from _in_effects((*action.start_effects, *action.end_effects))
+        yield (action.name, *action.arguments), None
+    for step in plan.graph.every_step:
+        if isinstance(step, Loop | Choice):
+            yield from _in_condition(step.condition)
+    yield from _in_condition(plan.goal)
+    for rule in plan.rules.rules:
+        yield from _in_rule(rule)
+
+
+def _in_rule(rule: Rule) -> Iterator[Use]:
+    yield (rule.name, *(variable.name for variable in rule.variables)), True
+    yield from _in_condition(rule.condition)
+
+
+def _in_condition(condition: Condition) -> Iterator[Use]:
+    match condition:
+        case Holds(fluent):
+            yield fluent, True
+        case Compare(_, left, right):
+            yield from _in_equation(left, right)
+        case Computed():
+            yield from ((fluent, None) for data in data_in(condition) for fluent in fluents_in(data))
+        case Not(operand):
+            yield from _in_condition(operand)
+        case All(operands) | Any(operands):
+            for operand in operands:
+                yield from _in_condition(operand)
+        case Implies(left, right):
+            yield from _in_condition(left)
+            yield from _in_condition(right)
+        case ForAll(_, body) | Exists(_, body):
+            yield from _in_condition(body)
+        case _:
+            assert_never(condition)
+
+
+def _in_equation(left: Expression, right: Expression) -> Iterator[Use]:
+    """Yield the functions that are compared: with an object, or else with numbers."""
+    named = [side.value for side in (left, right) if isinstance(side, Constant) and isinstance(side.value, str)]
+    yield from ((fluent, named[0] if named else 0.0) for side in (left, right) for fluent in expression_fluents(side))
+
+
+def _in_effects(effects: Effects) -> Iterator[Use]:
+    for effect in effects:
+        match effect:
+            case Set(fluent, value):
+                yield fluent, value.value if isinstance(value, Constant) else 0.0
+                yield from ((one, 0.0) for one in expression_fluents(value))
+            case When(condition, inner):
+                yield from _in_condition(condition)
+                yield from _in_effects(inner)
+            case ForEach(_, inner):
+                yield from _in_effects(inner)
+            case _:
+                assert_never(effect)

@@ -1,0 +1,68 @@
+"""When do two blocks behave alike? When they have the same shape, so that exploring one of them is enough."""
+
+from __future__ import annotations
+
+from math import isfinite
+
+from pnm.conditions import Condition
+from pnm.machine import After, Denied, Due, Ends, Guard, Holding
+from pnm.state_space import Inside, Part
+
+
+def shape_of(part: Part) -> object:
+    """Return everything about a part but names, times and what its conditions say.
+
+    Of every step it is what its guard depends on, and of every place its arcs and its roles. Places that have all of
+    this in common always hold the same tokens, so one stands for all of them; only records are told apart.
+    """
+    conditions: list[Condition] = []
+    guards = tuple(_kind(step.guard, conditions) for step in part.steps)
+    arcs: dict[str, list[tuple[int, int]]] = {place: [] for place in part.places}
+    for number, step in enumerate(part.steps):
+        for place, weight in step.inputs.items():
+            arcs[place].append((number, -weight))
+        for place, weight in step.outputs.items():
+            arcs[place].append((number, weight))
+    places = frozenset((tuple(found), *_roles(part, place, number)) for number, (place, found) in enumerate(arcs.items()))
+    return guards, places, bool(part.finals), part.cancels, part.others_restart, part.repeats
+
+
+def _roles(part: Part, place: str, number: int) -> tuple[object, ...]:
+    return (
+        part.initial.get(place, 0),
+        tuple(place in supply for supply in part.supplies),
+        number if place in part.records else None,
+        place in part.counters,
+        place in part.failures,
+        place in part.outputs,
+        place in part.finals,
+        place in part.early,
+        place in part.restarts,
+        place in part.resources,
+    )
+
+
+def _kind(guard: Guard | Inside, conditions: list[Condition]) -> object:
+    """Return what is proved of a guard: when it opens, as far as the world does not decide, and which conditions are the same."""
+    match guard:
+        case Holding(condition) | Denied(condition):
+            if condition not in conditions:
+                conditions.append(condition)
+            return type(guard), conditions.index(condition)
+        case Ends():
+            return Ends, guard.kinds
+        case After() | Due():
+            return type(guard), is_timed(guard)
+        case _:
+            return type(guard)
+
+
+def is_timed(guard: Guard | Inside) -> bool:
+    """Tell whether the guard opens by itself, in finite time."""
+    match guard:
+        case After(seconds):
+            return isfinite(seconds)
+        case Due(seconds, since):
+            return all(map(isfinite, (seconds, *(delay for _, delay in since))))
+        case _:
+            return False
