@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
-from planner_bridge.forbidding import ForbiddenCall
+from planner_bridge.forbidding import ANY, ForbiddenCall
 from planner_bridge.plan import Plan, PlanningResult
 from planner_bridge.replanning import Decision, GiveUp, History, PlanAgain, Resume
 from planner_bridge.tasks import Episode
@@ -21,6 +21,7 @@ _DEEDS: Final = {
     "timed_out": "timed out",
     "unavailable": "found no server",
     "lost": "lost its server",
+    "withheld": "has waited in vain for what others keep",
 }
 """What has happened to a call, by the cause of its failure."""
 
@@ -74,8 +75,13 @@ class Chronicle:
 
 def no_plan(found: PlanningResult, forbidden: frozenset[ForbiddenCall]) -> str:
     """Say why there is no plan."""
-    without = f" without {', '.join(sorted(map(str, forbidden)))}, which failed too often" if forbidden else ""
-    return f"no plan{without}: {found.reason}"
+    failed = sorted(str(call) for call in forbidden if ANY not in call.arguments)
+    lacking = sorted(str(call) for call in forbidden if ANY in call.arguments)
+    without = [
+        *([f" without {', '.join(failed)}, which failed too often"] if failed else []),
+        *([f" without {', '.join(lacking)}, which would need what others keep"] if lacking else []),
+    ]
+    return f"no plan{' and'.join(without)}: {found.reason}"
 
 
 def tries_again(seconds: float, result: RunResult) -> str:

@@ -66,7 +66,7 @@ class Circumstances:
         id: of the task.
         name: what people know it by.
         priority: higher ones come first.
-        resources: what calls have for themselves; its runs' own if None.
+        resources: what calls have for themselves.
         source: who is asked and told what runs do not know.
         neighbours: the other tasks.
         on_conflict: what to do about a goal that cannot be pursued beside theirs.
@@ -76,7 +76,7 @@ class Circumstances:
     id: UUID = field(default_factory=uuid4)
     name: str = ""
     priority: int = 0
-    resources: Resources | None = None
+    resources: Resources = field(default_factory=Resources)
     source: Source | None = None
     neighbours: Neighbours = ALONE
     on_conflict: OnConflict = OnConflict.PLAN_AROUND

@@ -24,6 +24,7 @@ _CAUSES: Final = {
     "too_late": Code.TIMED_OUT,
     "deadline_missed": Code.TIMED_OUT,
     "unavailable": Code.SERVER_UNAVAILABLE,
+    "withheld": Code.SERVER_UNAVAILABLE,
     "rejected": Code.SERVER_UNAVAILABLE,
     "lost": Code.SERVER_UNAVAILABLE,
 }

@@ -71,6 +71,9 @@ class _Alarmed(Observer):
         self._observer.failed(failure, now)
         self._alarm()
 
+    def withheld(self, call: ActionCall, names: tuple[str, ...], now: float) -> None:
+        self._observer.withheld(call, names, now)
+
     def waiting(self, is_so: bool, now: float) -> None:
         self._observer.waiting(is_so, now)
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from planner_bridge.circumstances import Circumstances
+from planner_bridge.forbidding import ForbiddenCall, users
 from planner_bridge.model import Problem
 from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.tasks import Settings, TaskObserver
 from pnm.knowledge import KnowledgeBase, Layered
+from pnm.results import Failure
 from pnm.sites import Site
 
 
@@ -33,6 +36,10 @@ class Mission:
     seconds: Stopwatch
     knowledge: Layered
     circumstances: Circumstances = field(default_factory=Circumstances)
+
+    def waited_for(self, failures: Iterable[Failure]) -> frozenset[ForbiddenCall]:
+        """Return the calls that need what was waited for in vain in these failures."""
+        return users(self.problem.domain, self.settings.bindings, {name for one in failures for name in one.lacking})
 
     @property
     def world(self) -> KnowledgeBase:

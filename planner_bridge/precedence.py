@@ -44,7 +44,8 @@ class Precedence:
         outranked = self._resources.outranked()
         for claim in self._resources.line:
             for held in self._resources.held:
-                if held.task in outranked and held.priority < claim.priority and not set(held.names).isdisjoint(claim.names):
+                is_outranked = held.task in outranked and held.priority < claim.priority and self._resources.gives(held)
+                if is_outranked and not set(held.names).isdisjoint(claim.names):
                     self._arrange(held.task, claim.task)
 
     def _arrange(self, holder: UUID, waiting: UUID) -> None:

@@ -193,7 +193,7 @@ class Pursuit:
 
     async def _decided(self, result: RunResult) -> PlanGraph:
         limits, world, machine = self._mission.settings.limits, self._mission.world, cast("Run", self._last).machine
-        history = self._chronicle.history.after(result.calls, result.failures)
+        history = self._chronicle.history.after(result.calls, result.failures, self._mission.waited_for(result.failures))
         decision = decide(self._supervision.now(), Progress(machine.plan, result.calls), world, history, limits)
         if isinstance(decision, GiveUp):
             self._chronicle.end(machine, result, decision)

@@ -209,7 +209,8 @@ class Relay:
         if not await self._at_rest(execution):
             return None
         told = self.run.told()
-        history = self._chronicle.history.after(told.calls, told.failures) if told.failures else self._chronicle.history.changed()
+        waited_for, history = self._mission.waited_for(told.failures), self._chronicle.history
+        history = history.after(told.calls, told.failures, waited_for) if told.failures else history.changed()
         decision = decide(self._supervision.now(), self._left(self.progress), self._mission.world, history, self._mission.settings.limits)
         match decision:
             case GiveUp():

@@ -21,8 +21,8 @@ from pnm.results import CallResult, Failure
 from pnm.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
 
 _FINISHED = frozenset({"succeeded", "already true"})
-_WORLD = frozenset({"precondition_false", "invariant_false", "data_missing"})
-"""Causes that speak against the state of the world or of knowledge, not against the action: it may be planned with again."""
+_WORLD = frozenset({"precondition_false", "invariant_false", "data_missing", "withheld"})
+"""Causes that speak against the state of the world, of knowledge or of resources, not against the action."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,12 +51,14 @@ class History:
     failed: dict[ForbiddenCall, int] = field(default_factory=dict)
     unconfirmed: frozenset[ForbiddenCall] = frozenset()
     """Calls whose server has not confirmed that it stopped: it may still be at work."""
+    withheld: frozenset[ForbiddenCall] = frozenset()
+    """Calls that need what others have waited for in vain."""
     replans: int = 0
     fruitless: int = 0
     """Runs in a row in which no call succeeded."""
 
-    def after(self, calls: Iterable[CallResult], failures: Iterable[Failure]) -> History:
-        """Return the history with one more failed run."""
+    def after(self, calls: Iterable[CallResult], failures: Iterable[Failure], withheld: frozenset[ForbiddenCall] = frozenset()) -> History:
+        """Return the history with one more failed run, in which was waited in vain for what these calls need."""
         calls, failures = tuple(calls), tuple(failures)
         failed = dict(self.failed)
         of_calls = [(one, one.call) for one in failures if isinstance(one.call, ActionCall)]
@@ -73,6 +75,7 @@ class History:
         return History(
             failed,
             self.unconfirmed | {ForbiddenCall.of(call.action) for call in at_work},
+            self.withheld | withheld,
             self.replans + 1,
             0 if progress else self.fruitless + 1,
         )
@@ -82,8 +85,8 @@ class History:
         return replace(self, replans=self.replans + 1)
 
     def forbidden(self, limits: Limits) -> frozenset[ForbiddenCall]:
-        """Return the ground actions that failed too often, or whose servers may still be at work."""
-        return self.unconfirmed | {call for call, times in self.failed.items() if times >= limits.forbid_after}
+        """Return the calls that failed too often, whose servers may still be at work, or which need what others may be at work with."""
+        return self.unconfirmed | self.withheld | {call for call, times in self.failed.items() if times >= limits.forbid_after}
 
     def pause(self, limits: Limits) -> float:
         """Return how many seconds to wait before trying again."""
@@ -214,8 +217,8 @@ def why_not(
     """
     plan = progress.plan
     for call in progress.rest:
-        if ForbiddenCall.of(call.action) in forbidden and call.index not in progress.under_way:
-            return f"{call.action} has failed too often, or its server may still be at work"
+        if call.index not in progress.under_way and any(one.covers(call.action) for one in forbidden):
+            return f"{call.action} has failed too often, or a server may still be at work on it or with what it needs"
     course = Course(snapshot(knowledge), {number: plan.calls[number].action for number in progress.under_way})
     left = {one: progressed((one,), course.state) for constraint in constraints for one in instances(constraint, course.state)}
     for event in progress.events:

@@ -259,6 +259,11 @@ class Task(TaskObserver):
         """Note that something has failed."""
         self.note("failed", str(failure.call), str(failure))
 
+    def withheld(self, call: ActionCall, names: tuple[str, ...], now: float) -> None:
+        """Note that a request was given up, and what it keeps."""
+        kept = f", and keeps {', '.join(names)} until its server says that it is over" if names else ""
+        self.note("withheld", str(call.action), f"has not confirmed that it is over{kept}")
+
     def waiting(self, is_so: bool, now: float) -> None:
         """Note that nothing goes on before a person has answered, or that this is over."""
         self.listener.changed(self.id)

@@ -5,7 +5,7 @@ Decides nothing: `pnm.run` says when.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from uuid import UUID
 
 from pnm.resources import Claim, Resources
@@ -64,6 +64,16 @@ class Claims:
         """Give back what the call has."""
         self.resources.give(self._had.pop(call))
 
+    def withheld_from(self, names: tuple[str, ...]) -> Mapping[str, str]:
+        """Return which of the names are withheld, and by whom."""
+        return self.resources.withheld_from(names)
+
+    def withhold(self, call: int, name: str) -> tuple[str, ...]:
+        """Have the request of the call keep what it has, though nobody waits for its end any more; return what that is."""
+        request = self._had.pop(call)
+        self.resources.withhold(request, f"{name} of task {self._task.hex[:8]}")
+        return next((claim.names for claim in self.resources.held if claim.request == request), ())
+
     @property
     def is_waiting(self) -> bool:
         """Whether anything is waited for."""
@@ -79,16 +89,20 @@ class Claims:
         return True
 
     def served(self) -> list[int]:
-        """Return the places that wait and where the claim may be granted now."""
+        """Return the places that wait and where the claim may be granted now, or has come to wait for what is withheld."""
         if not self._waiting:
             return []
-        servable = self.resources.servable()
-        return [place for place, request in self._waiting.items() if request is None or request in servable]
+        ready = self.resources.servable() | {claim.request for claim in self.resources.line if self.resources.withheld_from(claim.names)}
+        return [place for place, request in self._waiting.items() if request is None or request in ready]
 
-    def end(self, kept: Collection[UUID] = ()) -> None:
-        """Give everything back but what these requests have, and wait for nothing."""
+    def end(self, kept: Collection[UUID], open_calls: Mapping[UUID, str]) -> None:
+        """Wait for nothing, and give everything back but what these requests have; those that are open keep what they have."""
         for place in [*self._waiting]:
             self.leave(place)
         for call, request in [*self._had.items()]:
-            if request not in kept:
+            if request in kept:
+                continue
+            if request in open_calls:
+                self.withhold(call, open_calls[request])
+            else:
                 self.give(call)

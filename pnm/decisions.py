@@ -29,13 +29,14 @@ from pnm.machine import (
     Holding,
     PauseAsked,
     Rule,
+    Withheld,
 )
 from pnm.plan_graph import Loop
 from pnm.resources import Claim
 from pnm.situation import Situation
 
 NEVER: Final = float("inf")
-CHECKS: Final = frozenset({"precondition_false", "data_missing", "before", "after"})
+CHECKS: Final = frozenset({"precondition_false", "data_missing", "withheld", "before", "after"})
 """What happens when a check does not hold."""
 
 
@@ -60,6 +61,7 @@ class Decision:
         self.missing: dict[int, tuple[str, ...]] = {}
         """For every call, the effects that were not seen when they were last looked for."""
         self._denied_since: dict[int, float] = {}
+        self._withheld_since: dict[int, float] = {}
 
     def opens(self, transition: int, place: int) -> float:
         """Return when the guard opens as far as is known: now or earlier, at a later time, or never by itself.
@@ -88,6 +90,8 @@ class Decision:
                 return _now_if(already_true(self._calls.ready(call, consulted), consulted))
             case DataMissing(call):
                 return _now_if(bool(self._calls.goal(call, self.consult(call))[1]))
+            case Withheld(call, seconds):
+                return self._withheld(transition, bool(self.withheld(call)), seconds)
             case EffectsSeen(call):
                 self.missing[call] = self._calls.unseen(call, self.consult(call))
                 return _now_if(not self.missing[call])
@@ -124,6 +128,11 @@ class Decision:
             return False
         return True
 
+    def withheld(self, call: int) -> Mapping[str, str]:
+        """Return which resources the call could not have until the end of requests is known that were given up, and theirs."""
+        names = self._calls.resources(self._calls.ready(call, self.consult(call)))
+        return self._claims.withheld_from(names)
+
     def claim(self, transition: int) -> Claim:
         """Return what the transition needs for its call."""
         rule = self._situation.roles.rules[transition]
@@ -131,10 +140,17 @@ class Decision:
         request, action = self._calls.claiming(rule.call, rule.deed, self.consult(rule.call))
         return self._claims.claim(request, self._calls.resources(action))
 
+    def _withheld(self, transition: int, is_so: bool, seconds: float) -> float:
+        if not is_so or self._situation.pause:  # during which nothing is waited for
+            self._withheld_since.pop(transition, None)
+            return NEVER
+        return self._withheld_since.setdefault(transition, self._situation.now) + seconds
+
     def left(self, place: int) -> Iterator[UUID]:
         """Forget what the decision at the place was made from; yield the questions whose answers are no longer needed."""
         for consumer, _ in self._situation.engine.compiled.consumers[place]:
             self._denied_since.pop(consumer, None)
+            self._withheld_since.pop(consumer, None)
         return self._questions.left(place)
 
     def consult(self, call: int | None) -> Consultation:
@@ -175,6 +191,10 @@ class Decision:
                 silence = self._questions.silence_at(self.place)
                 why = "".join(f"; {message}" for message in (*silence, *self.consult(step).uncomputable(missing)))
                 return rule.name, f"values for {', '.join(missing)}", f"no argument, variable or constant of that name{why}"
+            case Withheld(call, seconds):
+                found = self.withheld(call)
+                by = "; ".join(f"{name} is kept by {who}, which has not confirmed that it is over" for name, who in found.items())
+                return rule.name, f"{', '.join(found)} within {seconds:g} s", by
             case Due(seconds):
                 return rule.name, f"an end within {seconds:g} s of the plan's start", f"{self._situation.passed:g} s have passed"
             case _:

@@ -10,7 +10,7 @@ from functools import partial
 from typing import assert_never, cast
 from uuid import UUID
 
-from pnm.actions.base import ActionClient, Ended, Outcome, OutcomeKind
+from pnm.actions.base import ActionClient, Ended, Outcome, OutcomeKind, Report
 from pnm.events import (
     Answered,
     Ask,
@@ -32,8 +32,9 @@ from pnm.events import (
 from pnm.expressions import Fluent, Unknown, Value
 from pnm.queries import MISSING, Question
 from pnm.results import RunResult
-from pnm.run import Run, RunError
+from pnm.run import Run
 from pnm.sources import Asker, Source, SourceError
+from pnm.succession import RunError, check_succession
 
 _log = logging.getLogger(__name__)
 
@@ -92,7 +93,7 @@ class Executor:
         """
         if not self._leaving or not self.run.begun:
             raise RunError("the run that is to be succeeded is not being carried out")
-        _check_succession(self.run, run)
+        check_succession(self.run, run)
         old, self.run = self.run, run
         self._asker = replace(self._asker, run=run.id)
         self._leave(run.inherit(old))
@@ -133,7 +134,20 @@ class Executor:
         finally:
             self._leave()
             self.run.retire()
+            while not self._inbox.empty():
+                self._heard_late(self._inbox.get_nowait())
         return self.run.result()
+
+    def _hear(self, report: Report) -> None:
+        if self._leaving:
+            self._inbox.put_nowait(report)
+        else:
+            self._heard_late(report)
+
+    def _heard_late(self, event: Event) -> None:
+        """Free what a request has kept that ends after the run."""
+        if isinstance(event, Ended):
+            self.run.resources.confirm(event.request)
 
     def _enter(self) -> None:
         """Listen to what the run depends on."""
@@ -166,7 +180,7 @@ class Executor:
     def _do(self, command: Command) -> None:
         match command:
             case Send(request):
-                self._client.send(request, self._inbox.put_nowait)
+                self._client.send(request, self._hear)
             case Cancel(request):
                 self._client.cancel(request)
             case Wake(at):
@@ -227,23 +241,6 @@ class Executor:
         if event not in self._waiting:
             self._waiting.add(event)
             self._inbox.put_nowait(event)
-
-
-def _check_succession(old: Run, new: Run) -> None:
-    """Refuse to lose what is under way."""
-    if old.over or old.stopped:
-        raise RunError("a run that is over, or was told to stop, is not succeeded by another")
-    if old.id == new.id:
-        raise RunError("the run that succeeds another has an id of its own")
-    if old.settling:
-        raise RunError(f"the effects of {', '.join(map(str, old.settling))} are still to be looked for")
-    taken, there = set(new.open_requests), {one.request for one in old.under_way()}
-    left = [str(call) for request, call in old.open_calls.items() if request not in taken]
-    if left:
-        raise RunError(f"the other run does not take over {', '.join(left)}")
-    gone = [str(call) for request, call in new.open_calls.items() if request not in there]
-    if gone:
-        raise RunError(f"{', '.join(gone)} cannot be taken over: it is over, or being cancelled")
 
 
 def _is_cancelled() -> bool:

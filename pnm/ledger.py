@@ -137,14 +137,16 @@ class Ledger:
             case _:
                 return "success", self._messages[call]
 
-    def failed(self, step: int, now: float, why: tuple[str, str, str] | None, *, how: str, unconfirmed: bool) -> Failure:
+    def failed(
+        self, step: int, now: float, why: tuple[str, str, str] | None, *, how: str, unconfirmed: bool, lacking: tuple[str, ...]
+    ) -> Failure:
         """Note that the step has failed, by the transition `how`; the cause is the last one noted unless `why` names another."""
         if why and step in self._causes:
             cause, expected, observed = self._causes[step]
             why = (why[0], why[1], f"{why[2]}; so it was not tried again after {cause}: expected {expected}, observed {observed}")
         told = why or self._causes.get(step) or (how, "", "")
         failed = self.results[step].call if step < len(self.results) else self._steps[step]
-        failure = Failure(failed, *told, unconfirmed=unconfirmed, replan=how == Then.REPLAN.value)
+        failure = Failure(failed, *told, unconfirmed=unconfirmed, replan=how == Then.REPLAN.value, lacking=lacking)
         self.failures.append(failure)
         if isinstance(failure.call, ActionCall):
             self.results[step] = replace(self.results[step], outcome=failure.cause, ended=now)

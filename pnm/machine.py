@@ -81,6 +81,14 @@ class DataMissing:
 
 
 @dataclass(frozen=True, slots=True)
+class Withheld:
+    """Open when the call has waited so many seconds for resources of requests that were given up and are not known to be over."""
+
+    call: int
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
 class EffectsSeen:
     """Open when every sensed effect of the call is reported and its end condition held."""
 
@@ -142,6 +150,7 @@ Guard: TypeAlias = (
     | Denied
     | AlreadyTrue
     | DataMissing
+    | Withheld
     | EffectsSeen
     | EffectsMissing
     | Adopted

@@ -23,6 +23,9 @@ class Observer:
     def failed(self, failure: Failure, now: float) -> None:
         """Note that a failure place was marked."""
 
+    def withheld(self, call: ActionCall, names: tuple[str, ...], now: float) -> None:
+        """Note that a request was given up, and keeps these resources until its server says that it is over."""
+
     def waiting(self, is_so: bool, now: float) -> None:
         """Note that nothing goes on before a person has answered, or that this is over."""
 

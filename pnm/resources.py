@@ -3,12 +3,15 @@
 A claim gets all that it names at once, or nothing; whoever has something waits for nothing else. In line stand
 higher priorities first, then who came first, and a claim takes nothing that one ahead of it waits for. So nobody is
 overtaken for ever by equals, and as long as everybody gives back what they have, everybody gets what they want.
+
+A request that was given up keeps what it has: its server may still be at work. It is *withheld* until the server reports
+the end of the request, or is gone; whoever waits for it must not do so for ever.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 from uuid import UUID
@@ -40,6 +43,8 @@ class Resources:
         self._capacities = dict(capacities)
         # state
         self._held: dict[UUID, Claim] = {}
+        self._withheld: dict[UUID, str] = {}
+        """Of those that have some, the requests that were given up, and what people know them by."""
         self._used: Counter[str] = Counter()
         self._line: list[Claim] = []
         self._listeners: list[Callable[[], None]] = []
@@ -79,10 +84,37 @@ class Resources:
 
     def give(self, request: UUID) -> None:
         """Take back what the request has."""
+        self._withheld.pop(request, None)
         claim = self._held.pop(request, None)
         if claim is not None:
             self._used.subtract(claim.names)
             self._tell()
+
+    def withhold(self, request: UUID, name: str) -> None:
+        """Keep what the request has until its end is confirmed; nobody waits for that any more.
+
+        Args:
+            request: which was given up.
+            name: what people know it by.
+        """
+        if request in self._held:
+            self._withheld[request] = name
+            if any(self.withheld_from(claim.names) for claim in self._line):
+                self._call()
+
+    def confirm(self, request: UUID) -> None:
+        """Note that the request is over for its server; what it has kept is free then."""
+        if request in self._withheld:
+            self.give(request)
+
+    def withheld_from(self, names: Iterable[str]) -> Mapping[str, str]:
+        """Return which of the names are withheld altogether, and by whom."""
+        found: dict[str, str] = {}
+        for name in names if self._withheld else ():
+            by = [known for request, known in self._withheld.items() if name in self._held[request].names]
+            if len(by) >= self._capacity(name):
+                found[name] = ", ".join(by)
+        return found
 
     def withdraw(self, request: UUID) -> None:
         """Take the claim of the request out of the line: nobody waits for it any more."""
@@ -97,15 +129,20 @@ class Resources:
             one.task
             for claim in self._line
             for one in self._held.values()
-            if one.task != claim.task and one.priority < claim.priority and self._is_short(claim, one)
+            if one.task != claim.task and one.priority < claim.priority and self._is_short(claim, one) and self.gives(one)
         )
+
+    def gives(self, claim: Claim) -> bool:
+        """Tell whether what was granted is going to be given back: nobody has given up waiting for that."""
+        return claim.request not in self._withheld
 
     def servable(self) -> frozenset[UUID]:
         """Return the requests in line whose claims would be granted if they were made again."""
         return frozenset(claim.request for claim in self._servable())
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Call the listener when a claim in line would be granted if it were made again, and when one comes that outranks who has it.
+        """Call the listener when a claim in line would be granted if it were made again, when one comes that outranks who has it,
+        and when what one waits for is withheld.
 
         Returns what stops that.
         """

@@ -19,6 +19,8 @@ class Failure:
     """The server has not confirmed that it stopped: it may still be at work."""
     replan: bool = False
     """The plan wants a planner to find another way."""
+    lacking: tuple[str, ...] = ()
+    """The resources that it has waited for in vain: requests keep them that were given up and may still be at work."""
 
     def __str__(self) -> str:
         details = f": expected {self.expected}" if self.expected else ""

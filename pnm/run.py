@@ -9,7 +9,7 @@ again when facts change, when the run begins to end, or when its moment has come
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Collection, Mapping
 from heapq import heappop, heappush
 from typing import Final, assert_never
@@ -23,7 +23,6 @@ from pnm.claims import Claims
 from pnm.compiled import Engine
 from pnm.consultation import Questions
 from pnm.decisions import CHECKS, NEVER, Decision
-from pnm.errors import PnmError
 from pnm.events import (
     Answered,
     Ask,
@@ -51,12 +50,9 @@ from pnm.resources import Resources
 from pnm.results import RunResult
 from pnm.roles import Roles
 from pnm.situation import Situation
+from pnm.succession import RunError, check_adoption
 
 _NONE: Final[Mapping[int, UnderWay]] = {}
-
-
-class RunError(PnmError):
-    """A run was driven wrongly: begun twice, or asked for a result before its end."""
 
 
 def _unknown_fields(action: GroundAction) -> None:
@@ -133,16 +129,8 @@ class Run:
         Raises:
             RunError: they are not those that the plan speaks of, or have more than there is.
         """
-        expected = {call.index for call in self.machine.plan.calls if call.under_way}
-        if expected != adopted.keys():
-            raise RunError(f"the calls {sorted(expected)} of the plan are under way; requests are taken over for {sorted(adopted)}")
-        used = Counter(name for one in adopted.values() for name in one.resources)
-        for name, count in used.items():
-            if count > self.machine.plan.capacities.get(name, 1):
-                raise RunError(f"{count} requests that are taken over have {name}")
+        check_adoption(self.machine.plan, adopted, self._calls.resources)
         for call, taken in adopted.items():
-            if taken.resources != self._calls.resources(self.machine.plan.calls[call].action):
-                raise RunError(f"{taken.call} has {', '.join(taken.resources) or 'nothing'} for itself; the plan says otherwise")
             self._calls.adopt(call, taken)
             if taken.resources:
                 self._claims.keep(call, self._claims.claim(taken.request, taken.resources))
@@ -220,8 +208,8 @@ class Run:
         return tuple(self._calls.as_sent(call) for place, call in self._roles.settling.items() if self._engine.tokens[place])
 
     def retire(self, kept: Collection[UUID] = ()) -> None:
-        """Give back all resources but what these requests have: the run is not carried on."""
-        self._claims.end(kept)
+        """Give back all resources but what these requests have: the run is not carried on. What is not over keeps what it has."""
+        self._claims.end(kept, {request: str(call.action) for request, call in self.open_calls.items()})
 
     def inherit(self, old: Run) -> frozenset[UUID]:
         """Know what people have answered the run that this one succeeds; return the questions that shall remain asked."""
@@ -306,6 +294,9 @@ class Run:
         call = self._calls.open.get(report.request)
         if call is None:
             self._observer.orphaned(report, self._situation.now)
+            if isinstance(report, Ended):
+                self.resources.confirm(report.request)
+                self._agenda.extend(self._claims.served())
             return
         if isinstance(report, Ended):
             if report.outcome.kind not in _BEFORE_ACCEPTANCE:
@@ -423,8 +414,7 @@ class Run:
             arrived = self._decision.adopted.pop(rule.call).accepted
         self._engine.fire(transition)
         if transition in self._roles.gives and rule.call is not None:
-            self._claims.give(rule.call)
-            self._agenda.extend(self._claims.served())
+            self._give(rule, rule.call)
         for place in fails:
             self._fail(self._roles.failures[place], rule)
         for place, _ in compiled.inputs[transition]:
@@ -436,6 +426,15 @@ class Run:
         if self._situation.ending and not was_ending:
             self._agenda.extend(self._undecided)
         self._observer.fired(compiled.transitions[transition], rule, self._situation.now)
+
+    def _give(self, rule: Rule, call: int) -> None:
+        """Give back what the call has; if its request was given up, that keeps it."""
+        if rule.name in _GIVEN_UP:
+            names = self._claims.withhold(call, str(self._calls.action(call)))
+            self._observer.withheld(self._calls.as_sent(call), names, self._situation.now)
+        else:
+            self._claims.give(call)
+        self._agenda.extend(self._claims.served())
 
     def _do(self, deed: Deed, call: int) -> None:
         self._calls.do(deed, call, self._ledger.results[call].attempts, self._decision.consult(call))
@@ -467,8 +466,9 @@ class Run:
             self._calls.forget(call)
 
     def _fail(self, step: int, rule: Rule) -> None:
+        lacking = tuple(self._decision.withheld(step)) if rule.name == "withheld" else ()
         failure = self._ledger.failed(
-            step, self._situation.now, self._decision.why(step, rule), how=rule.name, unconfirmed=rule.name in _GIVEN_UP
+            step, self._situation.now, self._decision.why(step, rule), how=rule.name, unconfirmed=rule.name in _GIVEN_UP, lacking=lacking
         )
         self._observer.failed(failure, self._situation.now)
 

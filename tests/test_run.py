@@ -18,8 +18,9 @@ from pnm.expressions import UNKNOWN, Constant, Unknown, Value
 from pnm.generation import generate
 from pnm.knowledge import KnowledgeBase, Layered
 from pnm.plan_graph import ActionCall, GroundAction, PlanGraph
-from pnm.run import Run, RunError
+from pnm.run import Run
 from pnm.semantics import fire
+from pnm.succession import RunError
 from tests.machines import plan, plans
 from tests.robots import Log
 

@@ -25,9 +25,10 @@ from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent
 from pnm.queries import MISSING, Layer, Question
 from pnm.resources import Resources
 from pnm.results import RunResult
-from pnm.run import Run, RunError
+from pnm.run import Run
 from pnm.sources.base import Asker, Source
 from pnm.sources.people import question_text
+from pnm.succession import RunError
 from tests.machines import ordering
 from tests.robots import Log, move
 from tests.test_machine import check_proof_of_mutants
@@ -525,7 +526,11 @@ def test_the_resources_of_a_run_that_is_succeeded_are_given_back_but_for_what_go
     old = going(ACT, GroundAction("wheel", resources=("base",)), resources=pool)
     waiting = Run(generate(plan(ActionCall(0, LAST))), Layered(KnowledgeBase()), id=UUID(int=9), resources=pool)
     waiting.handle(Begin(), 1.0)
-    old.retire([old.open_requests[0]])
+    kept, left = old.open_requests
+    old.retire([kept])
+    assert [claim.names for claim in pool.held if pool.gives(claim)] == [("arm",)]
+    assert dict(pool.withheld_from(["arm", "base"])) == {"base": "wheel() of task 00000000"}, "its server is still at work"
+    pool.confirm(left)
     assert [claim.names for claim in pool.held] == [("arm",)]
     waiting.retire()
     assert pool.line == ()

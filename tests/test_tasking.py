@@ -215,6 +215,34 @@ async def test_a_server_that_does_not_confirm_is_given_up_after_its_limit(stage:
     assert stage.endings[task].code is Code.CANCELLED
 
 
+@on_stage(faults=Faults((Fault("move(r0, a0, a1)", FaultKind.HANG, ignores_cancel=True),)))
+async def test_what_a_request_has_that_was_given_up_is_not_used_by_others_and_they_find_another_way(stage: Stage):
+    first = await stage.begun("(at r0 a1)")
+    await stage.master.cancel(first)
+    assert stage.seen(first, "withheld", "keeps r0 until its server says that it is over")
+    second = stage.want("(in p0 a1)")
+    assert await stage.ended_with(second) == [Code.GOAL_REACHED]
+    (failure,) = stage.seen(second, "failed")
+    assert f"r0 is kept by move(r0, a0, a1) of task {first.hex[:8]}, which has not confirmed that it is over" in failure.text
+    assert {word.split("(")[1].split(",")[0] for word in stage.sent(second)} == {"r1"}
+    third = stage.want("(has r0 p0)")
+    assert await stage.ended_with(third) == [Code.SERVER_UNAVAILABLE], "no other robot will do"
+    assert "move(r0, ?, ?)" in stage.endings[third].message
+    assert not stage.sent(third)
+
+
+@on_stage(
+    faults=Faults((Fault("move(r0, a0, a1)", FaultKind.SLOW, ignores_cancel=True, times=1),)),
+    chosen=needing("{r}", move=Binding(resources=("{r}",), retries=0, cancel=2.0)),
+)
+async def test_what_a_request_has_that_was_given_up_is_free_when_its_server_reports_late(stage: Stage):
+    first = await stage.begun("(at r0 a1)")
+    await stage.master.cancel(first)
+    second = stage.want("(has r0 p0)")
+    assert await stage.ended_with(second) == [Code.GOAL_REACHED]
+    assert stage.seen(second, "sent")[0].time >= 10.0 - 0.1, "when the first one has ended indeed"
+
+
 @on_stage()
 async def test_what_is_not_there_cannot_be_paused_resumed_or_cancelled(stage: Stage):
     task = stage.want("(at r0 a0)")
@@ -568,9 +596,10 @@ async def test_a_task_that_can_do_no_more_says_what_failed(stage: Stage):
 def test_many_goals_over_few_robots_with_failures_all_end_and_say_the_truth(seed: int):
     rng = random.Random(seed)
     parcels, places = 8, 5
-    kinds = [FaultKind.ABORT, FaultKind.REJECT, FaultKind.NO_EFFECT, FaultKind.SLOW]
+    kinds = [FaultKind.ABORT, FaultKind.REJECT, FaultKind.NO_EFFECT, FaultKind.SLOW, FaultKind.HANG]
     faults = tuple(
-        Fault(rng.choice(["move", "pick", "drop"]), rng.choice(kinds), after=rng.randrange(20), times=1) for _ in range(rng.randrange(6))
+        Fault(rng.choice(CALLS), rng.choice(kinds), after=rng.randrange(20), times=1, ignores_cancel=rng.random() < 0.3)
+        for _ in range(rng.randrange(6))
     )
 
     @on_stage(fleet(robots=3, parcels=parcels, places=places), faults=Faults(faults))
@@ -591,6 +620,6 @@ def test_many_goals_over_few_robots_with_failures_all_end_and_say_the_truth(seed
             if code is Code.GOAL_REACHED:
                 assert stage.holds(text)
             else:
-                assert code in (Code.ACTION_FAILED, Code.NO_PLAN, Code.CONDITION_LOST, Code.SERVER_UNAVAILABLE), code
+                assert code in (Code.ACTION_FAILED, Code.NO_PLAN, Code.CONDITION_LOST, Code.SERVER_UNAVAILABLE, Code.TIMED_OUT), code
 
     scene()

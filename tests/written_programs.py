@@ -211,7 +211,7 @@ class Chaos:
     now: float = 0.0
     wake: float | None = None
     requests: dict[UUID, Request] = field(default_factory=dict)
-    """Sent, and not ended as far as the run was told."""
+    """Sent, and not ended as far as the run was told, whether or not it has given them up."""
     queues: dict[UUID, list[Event]] = field(default_factory=dict)
     """What will still be said, by who says it."""
     sent: list[str] = field(default_factory=list)
@@ -251,8 +251,6 @@ class Chaos:
             self.requests.pop(event.request, None)
         for command in self.run.handle(event, self.now):
             self._do(command)
-        open_ = set(self.run.open_requests)
-        self.requests = {one: request for one, request in self.requests.items() if one in open_}
 
     def _do(self, command: Command) -> None:
         random = self.random
@@ -289,5 +287,5 @@ class Chaos:
 
 
 def in_use(requests: Mapping[UUID, Request]) -> Counter[str]:
-    """Return how many open requests have each resource."""
+    """Return how many requests that are not known to be over have each resource."""
     return Counter(name for request in requests.values() for name in request.action.resources)

@@ -15,7 +15,9 @@ A run that is paused at once has its calls cancelled: they begin anew later, and
 
 The call has its resources as long as a request may be alive and until its effects have been looked for, unless that
 must wait for other events: whatever leads from outside into those places takes all of them at once, and whatever
-leads out of them gives all back.
+leads out of them gives all back. That is so in the net; outside of it a request that was given up keeps them until its
+server says that it is over (`pnm.resources`). So wherever they are waited for there is a way out, `withheld`, after as
+long as a server may take to answer.
 """
 
 from __future__ import annotations
@@ -49,6 +51,8 @@ from pnm.machine import (
     Guard,
     Holding,
     PauseAsked,
+    Rule,
+    Withheld,
 )
 from pnm.plan_graph import ActionCall, Cause, GroundAction, Moment, PlanEvent
 from pnm.rules import Rules
@@ -98,9 +102,18 @@ class CallBlock(Block[ActionCall]):
         if self._resources:
             taken, marked = inputs if isinstance(inputs, dict) else dict.fromkeys(inputs, 1), [*outputs]
             was_alive, is_alive = (not self._alive.isdisjoint(places) for places in (taken, marked))
+            if is_alive and not was_alive and not isinstance(guard, Adopted):
+                rule = Rule("withheld", Withheld(self.step.index, self.binding.accept), self.step.index)
+                self.builder.transition(self.name(f"withheld before {name}"), rule, taken, self._if_withheld(name))
             inputs = {**taken, **dict.fromkeys(self._resources, 1)} if is_alive and not was_alive else taken
             outputs = [*marked, *self._resources] if was_alive and not is_alive else marked
         super().add(name, guard, inputs, outputs, deed)
+
+    def _if_withheld(self, what: str) -> list[str]:
+        """Return what is marked when this cannot be done for want of resources: as if the server were not there, if that is a way out."""
+        out = [self.name("done"), *(self._announced if what == "start" else []), self.name("failed")]
+        found = self._after(Cause.UNAVAILABLE, out) if what.endswith("start") else out
+        return found if self._alive.isdisjoint(found) else out
 
     def place(self, name: str) -> str:
         """Make a place of this block."""
