@@ -17,7 +17,8 @@ once whenever it is entered.
 
 A block takes all of its resources at once, while it has none, gives them back whatever happens, and
 waits neither for other blocks nor for what it holds as long as it has them. So whoever has resources
-comes to an end without anybody else's help, and whoever waits for some gets them in the end.
+comes to an end without anybody else's help, and whoever waits for some gets them in the end; unless a request that was given up
+keeps them, and for that case every wait for resources has another way out.
 """
 
 from __future__ import annotations
@@ -25,12 +26,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
+from math import isfinite
 from typing import Final
 
 from pnm.actions.base import OutcomeKind
 from pnm.blocks import Anatomy, Event, step_of
 from pnm.machine import (
     Accepts,
+    Adopted,
     Always,
     Deed,
     Denied,
@@ -41,6 +44,7 @@ from pnm.machine import (
     Holding,
     OnFailure,
     PetriNetMachine,
+    Withheld,
 )
 from pnm.shapes import is_timed, shape_of
 from pnm.state_space import Inside, Part, Unsound, explore_part
@@ -92,6 +96,7 @@ def _proved(shape: object, part: Part) -> int:
     """
     if shape not in _FOUND_GOOD:
         _check_exits(part)
+        _check_withheld(part)
         states = explore_part(part)
         if len(_FOUND_GOOD) == _REMEMBERED:
             _FOUND_GOOD.pop(next(iter(_FOUND_GOOD)))
@@ -149,6 +154,16 @@ def _check_exits(part: Part) -> None:
             if isinstance(guard, EffectsSeen):
                 raise Unsound(f"{place} has no exit for when the effects are not seen")
         raise Unsound(f"{place} has no exit that is sure to open in finite time")
+
+
+def _check_withheld(part: Part) -> None:
+    """Check that whoever waits for resources is asked first whether they are withheld, which is looked at for a finite time."""
+    for number, step in enumerate(part.steps):
+        rest = {place: weight for place, weight in step.inputs.items() if place not in part.resources}
+        if rest != step.inputs and not isinstance(step.guard, Adopted):
+            before = part.steps[:number]
+            if not any(isinstance(one.guard, Withheld) and isfinite(one.guard.seconds) and one.inputs == rest for one in before):
+                raise Unsound(f"{step.name} has no way out for when resources that it needs are withheld")
 
 
 def _completes(guard: Guard, guards: list[Guard]) -> bool:

@@ -90,8 +90,8 @@ class Decision:
                 return _now_if(already_true(self._calls.ready(call, consulted), consulted))
             case DataMissing(call):
                 return _now_if(bool(self._calls.goal(call, self.consult(call))[1]))
-            case Withheld(call, seconds):
-                return self._withheld(transition, bool(self.withheld(call)), seconds)
+            case Withheld():
+                return self._withheld(transition, bool(self.withheld(rule.guard)), rule.guard.seconds)
             case EffectsSeen(call):
                 self.missing[call] = self._calls.unseen(call, self.consult(call))
                 return _now_if(not self.missing[call])
@@ -128,10 +128,10 @@ class Decision:
             return False
         return True
 
-    def withheld(self, call: int) -> Mapping[str, str]:
+    def withheld(self, guard: Withheld) -> Mapping[str, str]:
         """Return which resources the call could not have until the end of requests is known that were given up, and theirs."""
-        names = self._calls.resources(self._calls.ready(call, self.consult(call)))
-        return self._claims.withheld_from(names)
+        _, action = self._calls.claiming(guard.call, guard.deed, self.consult(guard.call))
+        return self._claims.withheld_from(self._calls.resources(action))
 
     def claim(self, transition: int) -> Claim:
         """Return what the transition needs for its call."""
@@ -191,8 +191,8 @@ class Decision:
                 silence = self._questions.silence_at(self.place)
                 why = "".join(f"; {message}" for message in (*silence, *self.consult(step).uncomputable(missing)))
                 return rule.name, f"values for {', '.join(missing)}", f"no argument, variable or constant of that name{why}"
-            case Withheld(call, seconds):
-                found = self.withheld(call)
+            case Withheld(_, seconds):
+                found = self.withheld(rule.guard)
                 by = "; ".join(f"{name} is kept by {who}, which has not confirmed that it is over" for name, who in found.items())
                 return rule.name, f"{', '.join(found)} within {seconds:g} s", by
             case Due(seconds):

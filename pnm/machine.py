@@ -86,6 +86,8 @@ class Withheld:
 
     call: int
     seconds: float
+    deed: Deed | None
+    """What it waits with: a request that is sent is another one than that which goes on, and may need others."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,7 +41,7 @@ from pnm.events import (
 )
 from pnm.knowledge import Layered
 from pnm.ledger import Ledger
-from pnm.machine import Accepts, Deed, Ends, PetriNetMachine, Rule
+from pnm.machine import Accepts, Deed, Ends, PetriNetMachine, Rule, Withheld
 from pnm.marking import Marking
 from pnm.observer import Observer
 from pnm.plan_graph import ActionCall, GroundAction, PlanGraph
@@ -466,7 +466,7 @@ class Run:
             self._calls.forget(call)
 
     def _fail(self, step: int, rule: Rule) -> None:
-        lacking = tuple(self._decision.withheld(step)) if rule.name == "withheld" else ()
+        lacking = tuple(self._decision.withheld(rule.guard)) if isinstance(rule.guard, Withheld) else ()
         failure = self._ledger.failed(
             step, self._situation.now, self._decision.why(step, rule), how=rule.name, unconfirmed=rule.name in _GIVEN_UP, lacking=lacking
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import isfinite
 
 from pnm.conditions import Condition
-from pnm.machine import After, Denied, Due, Ends, Guard, Holding
+from pnm.machine import After, Denied, Due, Ends, Guard, Holding, Withheld
 from pnm.state_space import Inside, Part
 
 
@@ -13,7 +13,8 @@ def shape_of(part: Part) -> object:
     """Return everything about a part but names, times and what its conditions say.
 
     Of every step it is what its guard depends on, and of every place its arcs and its roles. Places that have all of
-    this in common always hold the same tokens, so one stands for all of them; only records are told apart.
+    this in common always hold the same tokens, so one stands for all of them; only records and the final places, of which
+    one must be marked and not two, are told apart.
     """
     conditions: list[Condition] = []
     guards = tuple(_kind(step.guard, conditions) for step in part.steps)
@@ -31,7 +32,8 @@ def _roles(part: Part, place: str, number: int) -> tuple[object, ...]:
     return (
         part.initial.get(place, 0),
         tuple(place in supply for supply in part.supplies),
-        number if place in part.records else None,
+        number if place in part.records | part.finals else None,
+        place in part.records,
         place in part.counters,
         place in part.failures,
         place in part.outputs,
@@ -53,6 +55,8 @@ def _kind(guard: Guard | Inside, conditions: list[Condition]) -> object:
             return Ends, guard.kinds
         case After() | Due():
             return type(guard), is_timed(guard)
+        case Withheld(_, seconds):
+            return Withheld, isfinite(seconds)
         case _:
             return type(guard)
 

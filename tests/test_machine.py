@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 from pnm.analysis import explore, verify
 from pnm.bindings import Binding, Bindings
 from pnm.generation import generate
-from pnm.machine import Accepts, After, Always, Deed, Ends, OnFailure, PetriNetMachine, Rule
+from pnm.machine import Accepts, After, Always, Deed, Ends, OnFailure, PetriNetMachine, Rule, Withheld
 from pnm.net import PetriNet
-from pnm.plan_graph import PlanGraph, PlanGraphError
-from pnm.state_space import Unsound
+from pnm.plan_graph import ActionCall, GroundAction, PlanGraph, PlanGraphError
+from pnm.shapes import shape_of
+from pnm.state_space import Part, Step, Unsound, explore_part
 from tests.machines import ordering, plan, plans
 
 SHAPES = {
@@ -149,6 +150,32 @@ def test_a_channel_that_closes_a_cycle_is_refuted() -> None:
     )
     with pytest.raises(Unsound, match="wait for each other"):
         verify(replace(machine, net=net))
+
+
+def test_who_waits_for_what_is_withheld_has_a_limit() -> None:
+    graph = PlanGraph((ActionCall(0, GroundAction("act", resources=("arm",))),))
+    machine = generate(graph)
+    verify(machine)
+    name = "act()#0 withheld before start"
+    for broken in (lost(machine, name), ruled(machine, name, guard=Withheld(0, float("inf"), Deed.SEND))):
+        with pytest.raises(Unsound, match=r"act\(\)#0 start has no way out"):
+            verify(broken)
+
+
+def test_two_final_places_are_not_one() -> None:
+    one = ending_in("goal")
+    other = ending_in("goal", "failed")
+    explore_part(one)
+    with pytest.raises(Unsound, match="it ends in"):
+        explore_part(other)
+    assert shape_of(one) != shape_of(other)
+
+
+def ending_in(*finals: str) -> Part:
+    """A part that ends in these places, all at once."""
+    nothing = frozenset[str]()
+    step = Step("end", Always(), {"start": 1}, dict.fromkeys(finals, 1))
+    return Part(("start", *finals), (step,), {"start": 1}, (), nothing, nothing, nothing, False, nothing, frozenset(finals))
 
 
 def test_a_missing_outcome_is_refuted_by_name() -> None:

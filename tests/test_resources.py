@@ -215,6 +215,25 @@ def test_a_plan_says_what_to_do_about_what_is_withheld_as_about_a_server_that_is
     assert [command.request.action.name for command in commands if isinstance(command, Send)] == ["other"]
 
 
+def test_a_call_that_goes_on_after_a_recovery_waits_with_a_limit_for_what_it_was_sent_with() -> None:
+    pool = Resources()
+    bindings = Bindings({"move": Binding(accept=4.0, retries=0, resources=("{robot}",))})
+    mending = Recovery(frozenset({Cause.ABORTED}), Then.CONTINUE, Flow((ActionCall(1, GroundAction("mend")),)))
+    graph = PlanGraph((ActionCall(0, GroundAction("move", ("?robot",), ("robot",)), recoveries=(mending,)),))
+    knowledge = Layered(KnowledgeBase(), KnowledgeBase(variables={"robot": "r1"}))
+    run = Run(generate(graph, bindings), knowledge, id=UUID(int=1), bindings=bindings, resources=pool)
+    (sent,) = (one for one in run.handle(Begin(), 0.0) if isinstance(one, Send))
+    run.handle(Ended(sent.request.id, Outcome(OutcomeKind.ABORTED)), 1.0)
+    pool.take(claim(9, "r1"))
+    pool.withhold(UUID(int=9), "lift()")
+    (mend,) = run.open_requests
+    run.handle(Ended(mend, Outcome(OutcomeKind.SUCCEEDED, {"robot": "r2"})), 2.0)
+    assert [one.names for one in pool.line] == [("r1",)]
+    run.handle(Tick(), 6.0)
+    (failure,) = run.result().failures
+    assert (failure.cause, failure.lacking) == ("withheld", ("r1",))
+
+
 def test_a_report_that_comes_after_the_end_of_a_run_frees_what_was_kept() -> None:
     pool = Resources()
     graph = PlanGraph((ActionCall(0, GroundAction("act", resources=("arm",))),))

@@ -103,7 +103,7 @@ class CallBlock(Block[ActionCall]):
             taken, marked = inputs if isinstance(inputs, dict) else dict.fromkeys(inputs, 1), [*outputs]
             was_alive, is_alive = (not self._alive.isdisjoint(places) for places in (taken, marked))
             if is_alive and not was_alive and not isinstance(guard, Adopted):
-                rule = Rule("withheld", Withheld(self.step.index, self.binding.accept), self.step.index)
+                rule = Rule("withheld", Withheld(self.step.index, self.binding.accept, deed), self.step.index)
                 self.builder.transition(self.name(f"withheld before {name}"), rule, taken, self._if_withheld(name))
             inputs = {**taken, **dict.fromkeys(self._resources, 1)} if is_alive and not was_alive else taken
             outputs = [*marked, *self._resources] if was_alive and not is_alive else marked
