@@ -83,7 +83,8 @@ class Relay:
         self._trouble = asyncio.Event()
         self._is_looking = False
         self.lacks_room = False
-        """Whether others have begun, during a pause, with what the rest of the plan is in conflict with."""
+        """Whether others have begun, during a pause, with what the rest of the plan is in conflict with; its run ends then, even
+        if they are over before it is."""
         self.executor = Executor(self._run(graph), mission.site.client, circumstances.source, circumstances.name)
 
     @property
@@ -134,7 +135,8 @@ class Relay:
 
     def go_on(self) -> None:
         """Go on after a pause; if the plan does not work any more, or is in the way of others, look for another way first."""
-        self.lacks_room = bool(self._mission.circumstances.neighbours.newcomers(self.footprint))
+        if self._mission.circumstances.neighbours.newcomers(self.footprint):
+            self.lacks_room = True
         if self.lacks_room or (self._is_eager and self._obstacle(self.progress)):
             self._trouble.set()
         elif not self._is_looking:

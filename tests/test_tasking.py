@@ -342,6 +342,23 @@ async def test_those_of_lower_priority_make_way_for_a_task_that_is_resumed(stage
     await stage.reaches(task, newcomer)
 
 
+@on_stage(fleet(places=8))
+async def test_a_plan_by_hand_that_was_to_make_room_goes_on_when_nobody_needs_that_any_more(stage: Stage):
+    task = await stage.begun("(move r0 a0 a1)\n(move r0 a1 a2)\n(move r0 a2 a3)", is_plan=True)
+    first = asyncio.ensure_future(stage.master.pause(task, at_once=False))
+    await stage.sees(task, "state", "pausing")
+    newcomer = stage.want("(and (has r0 p1) (at r0 a1))")
+    await stage.sees(newcomer, "planned")
+    await stage.master.resume(task)
+    await asyncio.sleep(0.1)
+    second = asyncio.ensure_future(stage.master.pause(task, at_once=False))
+    await stage.master.cancel(newcomer)
+    assert not stage.seen(task, "ended"), "its first call is still under way"
+    await stage.master.resume(task)
+    await asyncio.gather(first, second)
+    await stage.reaches(task)
+
+
 @pytest.mark.parametrize("at_once", [False, True])
 @on_stage(fleet(places=8), chosen=replace(USUAL, limits=Limits(seconds=20.0)))
 async def test_a_pause_does_not_use_up_the_time_of_the_task(stage: Stage, at_once: bool):
