@@ -29,25 +29,19 @@ from graphlib import CycleError, TopologicalSorter
 from math import isfinite
 from typing import Final
 
-from pnm.actions.base import OutcomeKind
 from pnm.blocks import Anatomy, Event, step_of
 from pnm.machine import (
     Accepts,
     Adopted,
-    Always,
     Deed,
-    Denied,
-    EffectsMissing,
-    EffectsSeen,
-    Ends,
-    Guard,
+    Due,
     Holding,
     OnFailure,
     PetriNetMachine,
     Withheld,
 )
-from pnm.shapes import is_timed, shape_of
-from pnm.state_space import Inside, Part, Unsound, explore_part
+from pnm.shapes import shape_of
+from pnm.state_space import Part, Unsound, explore_part
 
 _REMEMBERED: Final = 1000
 _FOUND_GOOD: Final[dict[object, int]] = {}
@@ -95,7 +89,6 @@ def _proved(shape: object, part: Part) -> int:
         How many states it has.
     """
     if shape not in _FOUND_GOOD:
-        _check_exits(part)
         _check_withheld(part)
         states = explore_part(part)
         if len(_FOUND_GOOD) == _REMEMBERED:
@@ -135,27 +128,6 @@ def explore(machine: PetriNetMachine) -> int:
 # --- checks --------------------------------------------------------------------------------
 
 
-def _check_exits(part: Part) -> None:
-    """Check that at every place some exit is open for any answer the world can give."""
-    exits: dict[str, list[Guard]] = {}
-    for step in part.steps:
-        for place in step.inputs:
-            if place not in part.records | part.resources and not isinstance(step.guard, Inside):
-                exits.setdefault(place, []).append(step.guard)
-    for place, guards in exits.items():
-        outcomes = [guard.kinds for guard in guards if isinstance(guard, Ends)]
-        if outcomes and frozenset().union(*outcomes) != frozenset(OutcomeKind):
-            raise Unsound(f"{place} has no exit for {set(OutcomeKind) - frozenset().union(*outcomes)}")
-        if any(isinstance(guard, Always) or is_timed(guard) or _completes(guard, guards) for guard in guards):
-            continue
-        for guard in guards:
-            if isinstance(guard, Holding):
-                raise Unsound(f"{place} has no exit for when {guard.condition} does not hold")
-            if isinstance(guard, EffectsSeen):
-                raise Unsound(f"{place} has no exit for when the effects are not seen")
-        raise Unsound(f"{place} has no exit that is sure to open in finite time")
-
-
 def _check_withheld(part: Part) -> None:
     """Check that whoever waits for resources is asked first whether they are withheld, which is looked at for a finite time."""
     for number, step in enumerate(part.steps):
@@ -164,17 +136,6 @@ def _check_withheld(part: Part) -> None:
             before = part.steps[:number]
             if not any(isinstance(one.guard, Withheld) and isfinite(one.guard.seconds) and one.inputs == rest for one in before):
                 raise Unsound(f"{step.name} has no way out for when resources that it needs are withheld")
-
-
-def _completes(guard: Guard, guards: list[Guard]) -> bool:
-    """Tell whether the guard opens, in finite time, whenever another one does not."""
-    match guard:
-        case Denied(condition):
-            return Holding(condition) in guards
-        case EffectsMissing(call):
-            return EffectsSeen(call) in guards
-        case _:
-            return False
 
 
 def _check_rules(anatomy: Anatomy, call: int | None, names: list[str]) -> None:
@@ -188,6 +149,9 @@ def _check_rules(anatomy: Anatomy, call: int | None, names: list[str]) -> None:
             raise Unsound(f"{name} listens to another call")
         if (rule.deed is Deed.SEND) is waiting.isdisjoint(outputs):
             raise Unsound(f"{name} does not send the request that is waited for, or sends one that is not")
+        if isinstance(rule.guard, Due):
+            for place in dict(rule.guard.since).keys() - net.inputs[name].keys():
+                raise Unsound(f"{name} counts from the marking of {place}, which it does not take from")
         if goal in outputs and rule.guard != Holding(machine.plan.goal):
             raise Unsound(f"{name} marks the goal place without asking for the goal")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import isfinite
 
 from pnm.conditions import Condition
+from pnm.exits import is_timed
 from pnm.machine import After, Denied, Due, Ends, Guard, Holding, Withheld
 from pnm.state_space import Inside, Part
 
@@ -59,14 +60,3 @@ def _kind(guard: Guard | Inside, conditions: list[Condition]) -> object:
             return Withheld, isfinite(seconds)
         case _:
             return type(guard)
-
-
-def is_timed(guard: Guard | Inside) -> bool:
-    """Tell whether the guard opens by itself, in finite time."""
-    match guard:
-        case After(seconds):
-            return isfinite(seconds)
-        case Due(seconds, since):
-            return all(map(isfinite, (seconds, *(delay for _, delay in since))))
-        case _:
-            return False

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple, TypeAlias
 
 from pnm.errors import PnmError
-from pnm.machine import Adopted, After, Always, CancelAsked, Denied, Due, Ending, Failing, Guard, Holding, PauseAsked
+from pnm.exits import missing_exit
+from pnm.machine import Adopted, After, Always, CancelAsked, Due, Ending, Ends, Failing, Guard, PauseAsked
 from pnm.net import Weights
 
 MAX_STATES: Final = 2_000_000
@@ -97,13 +98,12 @@ class _Explorer:
         for number, step in enumerate(self.part.steps):
             for place in step.inputs:
                 self.consumers[self.index[place]].append(number)
-        denied = [any(isinstance(self.part.steps[number].guard, Denied) for number in found) for found in self.consumers]
-        self.deniable = [number for number, is_so in enumerate(denied) if is_so]
         self.failures = [self.index[place] for place in self.part.failures]
         self.restarts = [self.index[place] for place in self.part.restarts]
         self.counters = {self.index[place] for place in self.part.counters if place in self.index}
         self.resources = {self.index[place]: self.part.initial.get(place, 0) for place in self.part.resources}
         self.records = self.counters | self.resources.keys()
+        self.asking = [place for place in range(len(self.part.places)) if place not in self.records and self._may_be_unanswered(place)]
         self.stops = (1, 2, 3) if self.part.others_restart else (2, 3)
         budget = sum(tokens for place, tokens in self.part.initial.items() if place in self.part.records)
         self.most = [budget if place in self.part.records - self.part.failures else 1 for place in self.part.places]
@@ -181,19 +181,27 @@ class _Explorer:
                 waits = waits or waiting
         return waits
 
+    def _may_be_unanswered(self, place: int) -> bool:
+        """Tell whether the world is asked at the place, and the exits that need nothing else are not enough."""
+        name, steps = self.part.places[place], [self.part.steps[number] for number in self.consumers[place]]
+        alone = [step.guard for step in steps if step.inputs == {name: 1} and not isinstance(step.guard, Inside)]
+        others = [step.guard for step in steps if step.inputs != {name: 1}]
+        if not any(_asks_the_world(step.guard) for step in steps) or Always() in alone:
+            return False
+        return any(isinstance(guard, Ends) for guard in others) or bool(missing_exit(list(filter(_asks_the_world, alone))))
+
     def _unanswered(self, place: int, state: _State) -> str:
-        """Tell for which condition there is only an exit for when it does not hold, and nothing else is sure to happen."""
+        """Tell for which answer of the world no exit opens in finite time, if one is waited for and for no resources."""
         steps = [self.part.steps[number] for number in self.consumers[place]]
         guards = [step.guard for step in steps if self._is_enabled(step, state)]
-        moods = self._moods(state)
-        if any(self._lacks_resources(step, state) for step in steps) or any(
-            isinstance(guard, After | Due) or _is_open(guard, *moods) for guard in guards
+        asking = [guard for guard in guards if not isinstance(guard, Inside) and _asks_the_world(guard)]
+        if (
+            not asking
+            or any(_is_open(guard, *self._moods(state)) for guard in guards)
+            or any(self._lacks_resources(step, state) for step in steps)
         ):
             return ""
-        for guard in guards:
-            if isinstance(guard, Denied) and Holding(guard.condition) not in guards:
-                return f"{self.part.places[place]} has no exit for when {guard.condition} holds"
-        return ""
+        return missing_exit(asking)
 
     def _is_enabled(self, step: Step, state: _State) -> bool:
         return all(state.tokens[self.index[one]] >= weight for one, weight in step.inputs.items())
@@ -222,9 +230,9 @@ class _Explorer:
         for number, tokens in enumerate(state.tokens):
             if tokens > self.most[number]:
                 return f"{self.part.places[number]} holds {tokens} tokens"
-        for number in self.deniable:
+        for number in self.asking:
             if state.tokens[number] and (wrong := self._unanswered(number, state)):
-                return wrong
+                return f"{self.part.places[number]} {wrong}"
         if self._keeps(state) and (stuck or any(isinstance(step.guard, Inside) for step in self._possible(state))):
             return "it waits for others while it keeps resources that they may need"
         if self.resources and self._starves(state):
@@ -273,6 +281,11 @@ def _is_open(guard: Guard | Inside, failing: bool, ending: bool, cancel: bool) -
             return cancel
         case _:
             return None
+
+
+def _asks_the_world(guard: Guard | Inside) -> bool:
+    """Tell whether the guard opens when the world says so, or a time has come."""
+    return not isinstance(guard, Inside | PauseAsked) and _is_open(guard, False, False, False) is None
 
 
 def explore_part(part: Part) -> int:

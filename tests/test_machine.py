@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pnm.analysis import explore, verify
 from pnm.bindings import Binding, Bindings
 from pnm.generation import generate
-from pnm.machine import Accepts, After, Always, Deed, Ends, OnFailure, PetriNetMachine, Rule, Withheld
+from pnm.machine import Accepts, After, Always, Deed, Due, Ends, OnFailure, PetriNetMachine, Rule, Withheld
 from pnm.net import PetriNet
 from pnm.plan_graph import ActionCall, GroundAction, PlanGraph, PlanGraphError
 from pnm.shapes import shape_of
@@ -70,6 +70,10 @@ def _with_output(net: PetriNet, transition: str, place: str) -> PetriNet:
     return PetriNet(net.places, net.inputs, outputs)
 
 
+def _with_input(net: PetriNet, transition: str, place: str) -> PetriNet:
+    return PetriNet(net.places, {**net.inputs, transition: {**net.inputs[transition], place: 1}}, net.outputs)
+
+
 def _less_output(net: PetriNet, transition: str, place: str) -> PetriNet:
     kept = {name: weight for name, weight in net.outputs[transition].items() if name != place}
     return PetriNet(net.places, net.inputs, {**net.outputs, transition: kept})
@@ -126,6 +130,11 @@ def test_a_wait_without_a_limit_is_refuted(name: str) -> None:
         verify(lost(machine, f"a1()#1 {name}"))
     with pytest.raises(Unsound, match="no exit that is sure to open in finite time"):
         verify(ruled(machine, f"a1()#1 {name}", guard=After(float("inf"))))
+    net = PetriNet((*machine.net.places, "never"), machine.net.inputs, machine.net.outputs)
+    never = _with_input(net, f"a1()#1 {name}", "never")
+    for proof in (verify, explore):
+        with pytest.raises(Unsound, match="no exit that is sure to open in finite time"):
+            proof(replace(machine, net=never))
 
 
 def test_rules_that_are_not_what_they_seem_are_refuted() -> None:
@@ -135,6 +144,7 @@ def test_rules_that_are_not_what_they_seem_are_refuted() -> None:
         (ruled(machine, "a0()#0 retry", deed=Deed.SEND), "sends one that is not"),
         (ruled(machine, "a0()#0 accepted", guard=Accepts(1)), "listens to another call"),
         (ruled(machine, "goal_holds", guard=Always()), "without asking for the goal"),
+        (ruled(machine, "a0()#0 timed_out", guard=Due(1.0, (("start", 1.0),))), "counts from the marking of start"),
         (replace(machine, failure_places=dict.fromkeys(machine.failure_places, 0)), "marks the failure of another call"),
     ):
         with pytest.raises(Unsound, match=why):
