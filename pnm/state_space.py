@@ -284,8 +284,8 @@ def _is_open(guard: Guard | Inside, failing: bool, ending: bool, cancel: bool) -
 
 
 def _asks_the_world(guard: Guard | Inside) -> bool:
-    """Tell whether the guard opens when the world says so, or a time has come."""
-    return not isinstance(guard, Inside | PauseAsked) and _is_open(guard, False, False, False) is None
+    """Tell whether the guard opens when the world, or somebody, says so, or a time has come."""
+    return not isinstance(guard, Inside) and _is_open(guard, False, False, False) is None
 
 
 def explore_part(part: Part) -> int:

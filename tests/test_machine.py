@@ -10,8 +10,24 @@ from hypothesis import strategies as st
 
 from pnm.analysis import explore, verify
 from pnm.bindings import Binding, Bindings
+from pnm.conditions import TRUE
 from pnm.generation import generate
-from pnm.machine import Accepts, After, Always, Deed, Due, Ends, OnFailure, PetriNetMachine, Rule, Withheld
+from pnm.machine import (
+    Accepts,
+    After,
+    Always,
+    Deed,
+    Denied,
+    Due,
+    EffectsMissing,
+    Ends,
+    Guard,
+    OnFailure,
+    PauseAsked,
+    PetriNetMachine,
+    Rule,
+    Withheld,
+)
 from pnm.net import PetriNet
 from pnm.plan_graph import ActionCall, GroundAction, PlanGraph, PlanGraphError
 from pnm.shapes import shape_of
@@ -181,10 +197,16 @@ def test_two_final_places_are_not_one() -> None:
     assert shape_of(one) != shape_of(other)
 
 
-def ending_in(*finals: str) -> Part:
+@pytest.mark.parametrize("guard", [PauseAsked(), Accepts(0), Denied(TRUE), EffectsMissing(0), Withheld(0, 1.0, None)])
+def test_what_nobody_may_ever_do_is_no_exit(guard: Guard) -> None:
+    with pytest.raises(Unsound, match="start has no exit"):
+        explore_part(ending_in("goal", guard=guard))
+
+
+def ending_in(*finals: str, guard: Guard = Always()) -> Part:
     """A part that ends in these places, all at once."""
     nothing = frozenset[str]()
-    step = Step("end", Always(), {"start": 1}, dict.fromkeys(finals, 1))
+    step = Step("end", guard, {"start": 1}, dict.fromkeys(finals, 1))
     return Part(("start", *finals), (step,), {"start": 1}, (), nothing, nothing, nothing, False, nothing, frozenset(finals))
 
 
