@@ -138,8 +138,8 @@ class NetBuilder:
         return name
 
     def _weights(self, name: str, connected: Weights | Iterable[str]) -> Weights:
-        is_plain = isinstance(connected, list) or not isinstance(connected, Mapping)  # lists first: to ask the other thing takes long
-        weights = dict.fromkeys(connected, 1) if is_plain else dict(connected)
+        # lists first: to ask whether something is a mapping takes long
+        weights = dict.fromkeys(connected, 1) if isinstance(connected, list) or not isinstance(connected, Mapping) else dict(connected)
         for place, weight in weights.items():
             if place not in self._places:
                 raise NetError(f"{name!r} is connected to {place!r}, which is not a place")
