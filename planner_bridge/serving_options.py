@@ -30,7 +30,7 @@ PARAMETERS: Final = (
     Parameter("max_tasks", 8, "how many tasks are planned for and carried out at a time", least=1),
     Parameter("max_queue", 100, "how many tasks may wait besides; more are refused"),
     Parameter(
-        "on_failure", "drain", "what running actions do when another one of the task has failed",
+        "on_failure", "continue_others", "what running actions do when another one of the task has failed",
         choices=tuple(one.value for one in OnFailure),
     ),
     Parameter(

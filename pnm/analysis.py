@@ -43,9 +43,18 @@ from pnm.machine import (
 from pnm.shapes import shape_of
 from pnm.state_space import Part, Unsound, explore_part
 
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Proved:
+    """A shape of blocks that was found good."""
+
+    states: int
+    """How many it has."""
+
+
 _REMEMBERED: Final = 1000
-_FOUND_GOOD: Final[dict[object, int]] = {}
-"""Shapes of blocks that were explored, and how many states they have; the oldest is forgotten first."""
+_FOUND_GOOD: Final[dict[object, _Proved]] = {}
+"""The shapes of blocks that were explored; the oldest is forgotten first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,32 +78,29 @@ def verify(machine: PetriNetMachine) -> Proof:
         Unsound: it is not, or not of the form that `pnm.generation` makes.
     """
     anatomy = Anatomy(machine)
-    shapes: dict[object, int] = {}
+    proved: set[_Proved] = set()
     waits: dict[Event, set[Event]] = {}
     _check_failures(anatomy)
     for owner, names in anatomy.transitions.items():
         _check_rules(anatomy, owner, names)
         block = anatomy.block(owner)
         anatomy.note_waits(block, waits)
-        shape = shape_of(block.part)
-        shapes[shape] = _proved(shape, block.part)
+        proved.add(_proved(block.part))
     _check_order(waits)
-    return Proof(len(machine.plan.calls), len(shapes), sum(shapes.values()))
+    return Proof(len(machine.plan.calls), len(proved), sum(shape.states for shape in proved))
 
 
-def _proved(shape: object, part: Part) -> int:
-    """Prove a block, unless one of its shape was found good before: a task proves many machines of the same few shapes.
-
-    Returns:
-        How many states it has.
-    """
-    if shape not in _FOUND_GOOD:
+def _proved(part: Part) -> _Proved:
+    """Prove a block, unless one of its shape was found good before: a task proves many machines of the same few shapes."""
+    shape = shape_of(part)
+    found = _FOUND_GOOD.get(shape)
+    if found is None:
         _check_withheld(part)
-        states = explore_part(part)
+        found = _Proved(explore_part(part))
         if len(_FOUND_GOOD) == _REMEMBERED:
             _FOUND_GOOD.pop(next(iter(_FOUND_GOOD)))
-        _FOUND_GOOD[shape] = states
-    return _FOUND_GOOD[shape]
+        _FOUND_GOOD[shape] = found
+    return found
 
 
 def explore(machine: PetriNetMachine) -> int:

@@ -144,8 +144,8 @@ class Anatomy:
         regions = self.regions.get(owner, [])
         own_records = self._restarts if owner is None else ()
         left_out = machine.restart_places.keys() - set(own_records) if owner is None else frozenset[str]()
-        own = (step_of(machine, name) for name in self.transitions[owner])
-        steps = (*(one for one in own if left_out.isdisjoint(one.inputs)), *self._inside(regions))
+        own = [step_of(machine, name) for name in self.transitions[owner]]
+        steps = (*(one for one in own if left_out.isdisjoint(one.inputs)), *self._inside(regions)) if owner is None or regions else (*own,)
         places = dict.fromkeys(chain.from_iterable(connected for step in steps for connected in (step.inputs, step.outputs)))
         held = {place for region in regions for place in (*region.first, *region.last)}
         finals = frozenset((machine.goal_place, machine.failed_place)) if owner is None else frozenset[str]()
@@ -157,17 +157,17 @@ class Anatomy:
         rest = tuple(one for one in inputs if one in given)
         _check_together((first, rest), steps)
         early = frozenset(one for one in outputs if one in machine.orderings and machine.orderings[one].before.moment is Moment.START)
-        resources = machine.resource_places & places.keys()
+        resources = frozenset(place for place in places if place in machine.resource_places)
         taken = _resources(steps, resources)
         initial = {place: machine.initial[place] for place in places if machine.initial[place] and place not in resources}
-        counters = (machine.counter_places & places.keys()) | frozenset(map(_may_come, own_records))
+        counters = frozenset(place for place in places if place in machine.counter_places).union(map(_may_come, own_records))
         steps, initial = _counted(steps, initial, counters)
         part = Part(
             places=tuple(places),
             steps=steps,
             initial={**initial, **taken, **{_may_come(one): ENOUGH for one in own_records}},
             supplies=tuple(together for together in (first, rest) if together),
-            failures=frozenset(places.keys() & machine.failure_places.keys()),
+            failures=frozenset(place for place in counters if place in machine.failure_places),
             records=counters,
             counters=counters,
             cancels=machine.on_failure is OnFailure.CANCEL,

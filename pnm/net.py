@@ -130,24 +130,21 @@ class NetBuilder:
         self._places[name] = None
         return name
 
-    def transition(self, name: str, inputs: dict[str, int] | Iterable[str], outputs: dict[str, int] | Iterable[str]) -> str:
+    def transition(self, name: str, inputs: Weights | Iterable[str], outputs: Weights | Iterable[str]) -> str:
         """Add a transition with its arcs and return its name; names alone mean weight one."""
         if name in self._places or name in self._inputs:
             raise NetError(f"the name {name!r} is used twice")
         self._inputs[name], self._outputs[name] = self._weights(name, inputs), self._weights(name, outputs)
         return name
 
-    def _weights(self, name: str, connected: dict[str, int] | Iterable[str]) -> Weights:
-        if isinstance(connected, dict):
-            weights = dict(connected)
-            for place, weight in weights.items():
-                if weight < 1:
-                    raise NetError(f"the arc between {name!r} and {place!r} weighs {weight}; at least 1 expected")
-        else:
-            weights = dict.fromkeys(connected, 1)
-        for place in weights:
+    def _weights(self, name: str, connected: Weights | Iterable[str]) -> Weights:
+        # lists first: to ask whether something is a mapping takes long
+        weights = dict.fromkeys(connected, 1) if isinstance(connected, list) or not isinstance(connected, Mapping) else dict(connected)
+        for place, weight in weights.items():
             if place not in self._places:
                 raise NetError(f"{name!r} is connected to {place!r}, which is not a place")
+            if weight < 1:
+                raise NetError(f"the arc between {name!r} and {place!r} weighs {weight}; at least 1 expected")
         return weights
 
     def build(self) -> PetriNet:

@@ -25,24 +25,25 @@ def shape_of(part: Part) -> object:
             arcs[place].append((number, -weight))
         for place, weight in step.outputs.items():
             arcs[place].append((number, weight))
-    places = frozenset((tuple(found), *_roles(part, place, number)) for number, (place, found) in enumerate(arcs.items()))
+    special = frozenset(part.initial).union(*_sets(part), *part.supplies)
+    places = frozenset(
+        (tuple(found), _roles(part, place, number) if place in special else None) for number, (place, found) in enumerate(arcs.items())
+    )
     return guards, places, bool(part.finals), part.cancels, part.others_restart, part.repeats
 
 
-def _roles(part: Part, place: str, number: int) -> tuple[object, ...]:
+def _roles(part: Part, place: str, number: int) -> object:
     return (
         part.initial.get(place, 0),
         tuple(place in supply for supply in part.supplies),
+        tuple(place in role for role in _sets(part)),
         number if place in part.records | part.finals else None,
-        place in part.records,
-        place in part.counters,
-        place in part.failures,
-        place in part.outputs,
-        place in part.finals,
-        place in part.early,
-        place in part.restarts,
-        place in part.resources,
     )
+
+
+def _sets(part: Part) -> tuple[frozenset[str], ...]:
+    """Return the sets of places that have a role."""
+    return part.records, part.counters, part.failures, part.outputs, part.finals, part.early, part.restarts, part.resources
 
 
 def _kind(guard: Guard | Inside, conditions: list[Condition]) -> object:

@@ -84,16 +84,18 @@ def _lines(form: Form, indent: int, lead: str = "") -> list[Line]:
             return [*_comments(note.before, indent), *lines, *_comments(note.below, indent)]
         case Keyed(key, inner):
             return _lines(inner, indent, f"{key} ")
-        case list() if not _fits(form, indent, lead):
-            return _broken(form, indent, lead)
+        case list():
+            text = _on_one_line(form, indent, lead)
+            return _broken(form, indent, lead) if text is None else [Line(indent, text)]
         case _:
             return [Line(indent, lead + flat(form))]
 
 
-def _fits(form: list[Form], indent: int, lead: str) -> bool:
-    if form and form[0] in _ONE_A_LINE:
-        return len(form) == 1
-    return not any(map(_is_tall, form)) and indent + len(lead) + len(flat(form)) <= WIDTH
+def _on_one_line(form: list[Form], indent: int, lead: str) -> str | None:
+    """Return the form as one line; None if it is to be broken."""
+    is_tall = len(form) > 1 if form and form[0] in _ONE_A_LINE else any(map(_is_tall, form))
+    text = "" if is_tall else lead + flat(form)
+    return None if is_tall or indent + len(text) > WIDTH else text
 
 
 def _is_tall(form: Form) -> bool:

@@ -64,7 +64,7 @@ class Block(Generic[AnyStep]):
 
     def fire(self, name: str, guard: Guard, source: str, *targets: str, deed: Deed | None = None) -> None:
         """Add a transition between places of this block."""
-        self.add(name, guard, [self.name(source)], map(self.name, targets), deed)
+        self.add(name, guard, [self.name(source)], [self.name(target) for target in targets], deed)
 
     def add(
         self, name: str, guard: Guard, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], deed: Deed | None = None
