@@ -397,6 +397,18 @@ async def test_a_paused_task_keeps_nobody_waiting(stage: Stage):
     await stage.reaches(one)
 
 
+@on_stage(
+    faults=Faults((Fault("move(r0, a0, a1)", FaultKind.HANG, ignores_cancel=True),)),
+    chosen=needing("{r}", move=Binding(resources=("{r}",), retries=0, cancel=2.0)),
+)
+async def test_a_task_that_a_pause_leaves_without_a_plan_keeps_nobody_waiting(stage: Stage):
+    paused = await stage.begun("(at r0 a1)")
+    await stage.master.pause(paused, at_once=True)
+    assert stage.seen(paused, "replanned"), "its server has not confirmed that it has stopped"
+    for goal in ("(at r1 a2)", "(at r1 a1)"):
+        await stage.reaches(stage.want(goal))
+
+
 @on_stage()
 async def test_a_pause_right_after_the_end_was_asked_for_holds_nothing_up(stage: Stage):
     task = stage.want("(at r0 a2)")
