@@ -143,7 +143,7 @@ class Finding:
         given = None if self._chronicle.plans else self._given
         found, conflicts = await self._search.find(now, [one.call for one in under_way], self._supervision.limit.left, given)
         self._standing.check()
-        if found.plan is None:
+        if found.plan is None and not conflicts:
             unfulfilled = self._chronicle.unfulfilled(self._supervision.missing)
             reason = sentence(self._chronicle.last_failure, no_plan(found, forbidden), unfulfilled)
             raise Over(code_of_planning(found.status, self._chronicle.failures), reason)
