@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from uuid import UUID, uuid4
 
 from planner_bridge.footprints import Footprint
+from pnm.plan_graph import ActionCall
 from pnm.resources import Resources
 from pnm.sources.base import Source
 from pnm.tasking import OnConflict
@@ -34,6 +35,26 @@ class Conflict:
         return f"{self.name}: {self.why}"
 
 
+@dataclass(frozen=True, slots=True)
+class Begun:
+    """What another task has begun and not brought to its end: until then the world is not what it will be.
+
+    Args:
+        task: the other one.
+        name: what people know it by.
+        calls: which are under way, being cancelled, or looking for their effects.
+        yields: whether it has a lower priority, and makes way.
+    """
+
+    task: UUID
+    name: str
+    calls: tuple[ActionCall, ...]
+    yields: bool
+
+    def __str__(self) -> str:
+        return f"it has begun {', '.join(str(call.action) for call in self.calls)}"
+
+
 class Neighbours:
     """Those of a task that is alone: nobody."""
 
@@ -43,6 +64,10 @@ class Neighbours:
 
     def newcomers(self, footprint: Footprint, /) -> tuple[Conflict, ...]:
         """Return those of the conflicts in which it is not said already who makes way."""
+        return ()
+
+    def begun(self) -> tuple[Begun, ...]:
+        """Return what others have begun and not brought to its end."""
         return ()
 
     async def preempt(self, conflicts: tuple[Conflict, ...], /) -> None:

@@ -97,6 +97,7 @@ class Finding:
         """Return what an attempt yields with which nobody is in conflict, after waiting if need be."""
         neighbours = self._mission.circumstances.neighbours
         while True:
+            await self._standing.may_go()
             await self._standing.until(neighbours.turn())
             try:
                 found, conflicts = await self._attempt_in_turn(attempt)
@@ -104,6 +105,8 @@ class Finding:
                 neighbours.leave(in_vain=False)
             if found is not None:
                 return found
+            if not conflicts:
+                continue
             reason = "; ".join(map(str, conflicts))
             if self._mission.circumstances.on_conflict is OnConflict.REFUSE:
                 raise Over(Code.CONFLICT, reason)
@@ -112,19 +115,19 @@ class Finding:
     async def _attempt_in_turn(
         self, attempt: Callable[[], Awaitable[tuple[Way | None, tuple[Conflict, ...]]]]
     ) -> tuple[Way | None, tuple[Conflict, ...]]:
-        """Try, and try again when those have made way that yield, and after a pause."""
+        """Try, and try again when those have made way that yield; neither a way nor conflicts if it has been paused meanwhile."""
         neighbours = self._mission.circumstances.neighbours
-        while True:
-            await self._standing.may_go()
+        while not self._standing.is_paused:
             found, conflicts = await attempt()
-            if self._standing.is_paused:  # meanwhile; whatever was found may not be so any more when it goes on
-                continue
+            if self._standing.is_paused:  # whatever was found may not be so any more when it goes on
+                break
             if found is not None:
                 return found, ()
             if not all(one.yields for one in conflicts):
                 neighbours.leave(in_vain=True)
                 return None, conflicts
             await self._standing.until(neighbours.preempt(conflicts))
+        return None, ()
 
     async def look(
         self, forbidden: frozenset[ForbiddenCall], under_way: tuple[UnderWay, ...] = ()
@@ -140,7 +143,7 @@ class Finding:
         given = None if self._chronicle.plans else self._given
         found, conflicts = await self._search.find(now, [one.call for one in under_way], self._supervision.limit.left, given)
         self._standing.check()
-        if found.plan is None:
+        if found.plan is None and not conflicts:
             unfulfilled = self._chronicle.unfulfilled(self._supervision.missing)
             reason = sentence(self._chronicle.last_failure, no_plan(found, forbidden), unfulfilled)
             raise Over(code_of_planning(found.status, self._chronicle.failures), reason)

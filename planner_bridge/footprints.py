@@ -12,6 +12,7 @@ from typing import assert_never
 
 from planner_bridge.forbidding import changed, guarded, unused
 from planner_bridge.model import Declaration, Problem
+from planner_bridge.state import initial_knowledge
 from pnm.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents
 from pnm.effects import Effects, ForEach, Set, When, assignments, read, unconditional
 from pnm.expressions import NOTHING, Constant, Environment, Fluent, State, bind, choices, show
@@ -118,6 +119,20 @@ def around(problem: Problem, others: Iterable[Footprint]) -> Problem:
         init = {fluent: value for fluent, value in problem.init.items() if not _is_lost(fluent, value, other)}
         problem = _kept(replace(problem, init=init), other)
     return problem
+
+
+def at_best(problem: Problem, under_way: Iterable[ActionCall]) -> Problem:
+    """Return a problem that begins when these calls are over, with every fact that may be so then.
+
+    That is what they make true when they end well, and what they had made false when they do not.
+    """
+    init, world = dict(problem.init), initial_knowledge(problem)
+    for call in under_way:
+        begun, ended = (_written(effects, world) for effects in (call.action.start_effects, call.action.end_effects))
+        for fluent in (one for one, values in (begun | ended).items() if None not in values):
+            if_undone = False in begun[fluent] if fluent in begun else problem.init.get(fluent) is True
+            init[fluent] = if_undone or True in ended.get(fluent, begun.get(fluent, ()))
+    return replace(problem, init=init)
 
 
 def _is_lost(fluent: Fluent, value: object, other: Footprint) -> bool:

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Iterable, Mapping
 from uuid import UUID
 
-from planner_bridge.circumstances import Conflict, Neighbours
+from planner_bridge.circumstances import Begun, Conflict, Neighbours
 from planner_bridge.footprints import Footprint, conflict
 from planner_bridge.precedence import Precedence
 from planner_bridge.task import Task
@@ -42,6 +42,15 @@ class Neighbourhood(Neighbours):
         """Return those of the conflicts in which it is not said already who makes way."""
         settled = self._task.preempted_by | {one.id for one in self._others if self._task.id in one.preempted_by}
         return tuple(one for one in self.conflicts(footprint) if one.task not in settled)
+
+    def begun(self) -> tuple[Begun, ...]:
+        """Return what others have begun and not brought to its end, those that are being paused or cancelled among them."""
+        found: list[Begun] = []
+        for other in self._tasks.values():
+            run = other.doing.run if other is not self._task and other.doing else None
+            if run is not None and (calls := (*run.open_calls.values(), *run.settling)):
+                found.append(Begun(other.id, other.name, calls, other.is_active and other.wanted.priority < self._task.wanted.priority))
+        return tuple(found)
 
     async def preempt(self, conflicts: tuple[Conflict, ...], /) -> None:
         """Have those that yield pause until this task is over; return when nothing of theirs is under way."""

@@ -10,7 +10,7 @@ from typing import Final, cast
 from uuid import UUID
 
 from planner_bridge.circumstances import Circumstances, Conflict
-from planner_bridge.footprints import Footprint, around, footprint
+from planner_bridge.footprints import Footprint, around, at_best, footprint
 from planner_bridge.model import Problem
 from planner_bridge.plan import Plan, PlanningResult, PlanningStatus
 from planner_bridge.planning import solve
@@ -19,10 +19,12 @@ from planner_bridge.replanning import Progress, shortened, why_not
 from planner_bridge.state import initial_knowledge
 from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.tasks import Settings, TaskObserver
+from pnm.conditions import TRUE
 from pnm.errors import InputError
 from pnm.plan_graph import ActionCall
 from pnm.tasking import OnConflict
 
+_NO_PLAN: Final = frozenset({PlanningStatus.UNSOLVABLE, PlanningStatus.NO_PLAN})
 LEAN: Final = 100
 """Calls of the longest plan of which needless ones are left out."""
 
@@ -72,7 +74,7 @@ class Search:
         found = await self._solve(now, limit)
         if found.plan is None:
             self.observer.unplanned(found)
-            return found, ()
+            return found, await self._too_early(now, found, limit)
         self._has_found = True
         conflicts = self._reserve(now, found.plan, under_way)
         if any(not one.yields for one in conflicts) and self.circumstances.on_conflict is OnConflict.PLAN_AROUND:
@@ -80,6 +82,19 @@ class Search:
         if conflicts:
             self.reserved = None
         return found, conflicts
+
+    async def _too_early(self, now: Problem, found: PlanningResult, limit: float) -> tuple[Conflict, ...]:
+        """Return those without whose calls that are under way there may be a plan: while a robot moves, it is nowhere."""
+        begun = self.circumstances.neighbours.begun()
+        if not begun or found.status not in _NO_PLAN:
+            return ()
+        hopeful = at_best(now, [call for one in begun for call in one.calls])
+        other = await self._solve(hopeful, limit)
+        if other.plan is None:
+            return ()
+        needed, world = footprint(calls_of(hopeful, other.plan), now.goal, initial_knowledge(hopeful)), initial_knowledge(now)
+        conflicts = [Conflict(one.task, one.name, footprint(one.calls, TRUE, world), str(one), one.yields) for one in begun]
+        return tuple(one for one in conflicts if needed.disturbed_by(one.footprint)) or tuple(conflicts)
 
     async def _around(
         self, now: Problem, under_way: list[ActionCall], limit: float, found: PlanningResult, conflicts: tuple[Conflict, ...]

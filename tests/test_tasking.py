@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from planner_bridge.loading import load
 from planner_bridge.model import Problem
 from planner_bridge.replanning import Limits
 from planner_bridge.tasking import Room
@@ -25,6 +26,7 @@ from pnm.machine import OnFailure
 from pnm.queries import MISSING, Layer, Question
 from pnm.sources.base import Asker, Source
 from pnm.tasking import Code, OnConflict, TaskListener, TaskRefused, TaskState, Wanted
+from tests.conftest import ROOT
 from tests.domains import fleet
 from tests.task_stage import Stage, play
 
@@ -75,6 +77,14 @@ def carry(stage: Stage, robot: str, origin: str, place: str) -> None:
 def robots_of(stage: Stage, task: UUID) -> set[str]:
     """Return the robots that have done something for a task."""
     return {call.split("(")[1].split(",")[0] for call in stage.sent(task)}
+
+
+def delivery() -> Problem:
+    """Robots that are at no place while they drive."""
+    return load(ROOT / "domains" / "delivery" / "domain.pddl", ROOT / "problems" / "delivery" / "p01.pddl")
+
+
+DRIVING = replace(EAGER, bindings=Bindings({"move": Binding(resources=("{robot}",), retries=0)}))
 
 
 # --- what is wrong with a goal -------------------------------------------------------------------
@@ -163,6 +173,40 @@ async def test_a_goal_that_another_task_would_undo_waits_until_that_is_over(stag
     await stage.reaches(one, two)
     assert stage.sent_at(two) >= stage.ended_at(one)
     assert stage.holds("(at r0 a1)")
+
+
+@pytest.mark.parametrize("ends", ["by itself", "cancelled", "paused at once", "paused", "made to yield"])
+@on_stage(delivery(), chosen=DRIVING)
+async def test_no_plan_is_told_only_when_what_others_have_begun_cannot_make_it_possible(stage: Stage, ends: str):
+    one = await stage.begun("(at r1 kitchen)")
+    await asyncio.sleep(1.0)
+    assert not any(stage.holds(f"(at r1 {place})") for place in ("store", "hall", "yard"))
+    two = stage.want("(at r1 yard)", priority=1 if ends == "made to yield" else 0)
+    never = stage.want("(at parcel1 yard)")
+    if ends == "cancelled":
+        await stage.master.cancel(one)
+    elif ends.startswith("paused"):
+        await stage.master.pause(one, at_once=ends == "paused at once")
+    await stage.reaches(two)
+    assert await stage.ended_with(never) == [Code.NO_PLAN]
+    if ends.startswith("paused"):
+        await stage.master.resume(one)
+    if ends != "cancelled":
+        await stage.reaches(one)
+    else:
+        assert await stage.ended_with(one) == [Code.CANCELLED]
+    assert not stage.site.robots.clashes
+
+
+@on_stage(delivery(), chosen=DRIVING)
+async def test_a_goal_that_waits_for_what_others_have_begun_says_so_or_is_refused(stage: Stage):
+    one = await stage.begun("(at r1 kitchen)")
+    await asyncio.sleep(1.0)
+    two, three = stage.want("(at r1 yard)"), stage.want("(at r1 yard)", on_conflict=OnConflict.REFUSE)
+    await stage.sees(two, "state", "waits for (at r1 kitchen)")
+    assert "it has begun move(r1, store, hall)" in stage.seen(two, "state", "waits for")[0].text
+    assert await stage.ended_with(three) == [Code.CONFLICT]
+    await stage.reaches(one, two)
 
 
 @on_stage()
@@ -412,6 +456,18 @@ async def test_a_paused_task_keeps_nobody_waiting(stage: Stage):
     await stage.reaches(two)
     await stage.master.resume(one)
     await stage.reaches(one)
+
+
+@on_stage(
+    faults=Faults((Fault("move(r0, a0, a1)", FaultKind.HANG, ignores_cancel=True),)),
+    chosen=needing("{r}", move=Binding(resources=("{r}",), retries=0, cancel=2.0)),
+)
+async def test_a_task_that_a_pause_leaves_without_a_plan_keeps_nobody_waiting(stage: Stage):
+    paused = await stage.begun("(at r0 a1)")
+    await stage.master.pause(paused, at_once=True)
+    assert stage.seen(paused, "replanned"), "its server has not confirmed that it has stopped"
+    for goal in ("(at r1 a2)", "(at r1 a1)"):
+        await stage.reaches(stage.want(goal))
 
 
 @on_stage()
