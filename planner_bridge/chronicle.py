@@ -78,8 +78,8 @@ def no_plan(found: PlanningResult, forbidden: frozenset[ForbiddenCall]) -> str:
     failed = sorted(str(call) for call in forbidden if ANY not in call.arguments)
     lacking = sorted(str(call) for call in forbidden if ANY in call.arguments)
     without = [
-        *([f" without {', '.join(failed)}, which failed too often"] if failed else []),
-        *([f" without {', '.join(lacking)}, which would need what others keep"] if lacking else []),
+        *([f" without {', '.join(failed)}, not to be tried again"] if failed else []),
+        *([f" without {', '.join(lacking)}, for which others keep what is needed"] if lacking else []),
     ]
     return f"no plan{' and'.join(without)}: {found.reason}"
 

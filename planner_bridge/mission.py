@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from planner_bridge.circumstances import Circumstances
 from planner_bridge.forbidding import ForbiddenCall, users
 from planner_bridge.model import Problem
+from planner_bridge.replanning import History
 from planner_bridge.stopwatch import Stopwatch
 from planner_bridge.tasks import Settings, TaskObserver
 from pnm.knowledge import KnowledgeBase, Layered
-from pnm.results import Failure
 from pnm.sites import Site
 
 
@@ -37,9 +36,14 @@ class Mission:
     knowledge: Layered
     circumstances: Circumstances = field(default_factory=Circumstances)
 
-    def waited_for(self, failures: Iterable[Failure]) -> frozenset[ForbiddenCall]:
-        """Return the calls that need what was waited for in vain in these failures."""
-        return users(self.problem.domain, self.settings.bindings, {name for one in failures for name in one.lacking})
+    def kept(self, history: History) -> frozenset[ForbiddenCall]:
+        """Return the calls that need what was waited for in vain, as far as that is still withheld."""
+        names = self.circumstances.resources.withheld_from(history.lacking)
+        return users(self.problem.domain, self.settings.bindings, names.keys())
+
+    def forbidden(self, history: History) -> frozenset[ForbiddenCall]:
+        """Return the calls that no plan may use as things are."""
+        return history.forbidden(self.settings.limits) | self.kept(history)
 
     @property
     def world(self) -> KnowledgeBase:

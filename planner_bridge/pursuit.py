@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from typing import cast
 
 from planner_bridge.chronicle import Chronicle, Way, sentence, tries_again
@@ -130,7 +131,7 @@ class Pursuit:
     async def _pursue(self) -> None:
         """Go on until `Over` is raised."""
         await self._settle()
-        graph = await self._planned(self._chronicle.history.forbidden(self._mission.settings.limits))
+        graph = await self._planned(self._mission.forbidden(self._chronicle.history))
         while True:
             result, way = await self._carry_out(graph)
             graph = await self._next(result, way)
@@ -188,13 +189,15 @@ class Pursuit:
             graph = plan_graph(self._supervision.now(), way.plan)
         except PlanGraphError:
             return None
-        forbidden = way.history.forbidden(self._mission.settings.limits)
-        return None if self._supervision.why_not(Progress.beginning(graph), forbidden) else graph
+        return None if self._supervision.why_not(Progress.beginning(graph), self._mission.forbidden(way.history)) else graph
 
     async def _decided(self, result: RunResult) -> PlanGraph:
         limits, world, machine = self._mission.settings.limits, self._mission.world, cast("Run", self._last).machine
-        history = self._chronicle.history.after(result.calls, result.failures, self._mission.waited_for(result.failures))
-        decision = decide(self._supervision.now(), Progress(machine.plan, result.calls), world, history, limits)
+        history = self._chronicle.history.after(result.calls, result.failures)
+        if self._lacks_room and not result.failures:  # which speaks against nothing but the moment
+            history = replace(self._chronicle.history, failed=history.failed)
+        progress, kept = Progress(machine.plan, result.calls), self._mission.kept(history)
+        decision = decide(self._supervision.now(), progress, world, history, limits, kept)
         if isinstance(decision, GiveUp):
             self._chronicle.end(machine, result, decision)
             unfulfilled = self._chronicle.unfulfilled(self._supervision.missing)
@@ -207,7 +210,7 @@ class Pursuit:
         if isinstance(decision, Resume) and not self._lacks_room:
             return decision.rest
         if self._given is None:
-            return await self._planned_patiently(history.forbidden(limits))
+            return await self._planned_patiently(self._mission.forbidden(history))
         if isinstance(decision, PlanAgain):
             raise Over(Code.CONDITION_LOST, decision.why)
         return await self._finding.room_for(decision.rest)

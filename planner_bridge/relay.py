@@ -211,9 +211,10 @@ class Relay:
         if not await self._at_rest(execution):
             return None
         told = self.run.told()
-        waited_for, history = self._mission.waited_for(told.failures), self._chronicle.history
-        history = history.after(told.calls, told.failures, waited_for) if told.failures else history.changed()
-        decision = decide(self._supervision.now(), self._left(self.progress), self._mission.world, history, self._mission.settings.limits)
+        mission, history = self._mission, self._chronicle.history
+        history = history.after(told.calls, told.failures) if told.failures else history.changed()
+        left = self._left(self.progress)
+        decision = decide(self._supervision.now(), left, mission.world, history, mission.settings.limits, mission.kept(history))
         match decision:
             case GiveUp():
                 return None
@@ -275,7 +276,7 @@ class Relay:
         return self._why_not(progress, self._chronicle.history)
 
     def _why_not(self, progress: Progress, history: History) -> str:
-        return self._supervision.why_not(progress, history.forbidden(self._mission.settings.limits))
+        return self._supervision.why_not(progress, self._mission.forbidden(history))
 
     def _waits_for_more(self, progress: Progress) -> bool:
         """Tell whether calls that are under way will undo the goal, or constraints ask for more."""

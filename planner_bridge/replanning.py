@@ -51,14 +51,14 @@ class History:
     failed: dict[ForbiddenCall, int] = field(default_factory=dict)
     unconfirmed: frozenset[ForbiddenCall] = frozenset()
     """Calls whose server has not confirmed that it stopped: it may still be at work."""
-    withheld: frozenset[ForbiddenCall] = frozenset()
-    """Calls that need what others have waited for in vain."""
+    lacking: frozenset[str] = frozenset()
+    """Resources that were waited for in vain."""
     replans: int = 0
     fruitless: int = 0
     """Runs in a row in which no call succeeded."""
 
-    def after(self, calls: Iterable[CallResult], failures: Iterable[Failure], withheld: frozenset[ForbiddenCall] = frozenset()) -> History:
-        """Return the history with one more failed run, in which was waited in vain for what these calls need."""
+    def after(self, calls: Iterable[CallResult], failures: Iterable[Failure]) -> History:
+        """Return the history with one more failed run."""
         calls, failures = tuple(calls), tuple(failures)
         failed = dict(self.failed)
         of_calls = [(one, one.call) for one in failures if isinstance(one.call, ActionCall)]
@@ -75,7 +75,7 @@ class History:
         return History(
             failed,
             self.unconfirmed | {ForbiddenCall.of(call.action) for call in at_work},
-            self.withheld | withheld,
+            self.lacking.union(*(one.lacking for one in failures)),
             self.replans + 1,
             0 if progress else self.fruitless + 1,
         )
@@ -85,8 +85,8 @@ class History:
         return replace(self, replans=self.replans + 1)
 
     def forbidden(self, limits: Limits) -> frozenset[ForbiddenCall]:
-        """Return the calls that failed too often, whose servers may still be at work, or which need what others may be at work with."""
-        return self.unconfirmed | self.withheld | {call for call, times in self.failed.items() if times >= limits.forbid_after}
+        """Return the calls that failed too often, or whose servers may still be at work."""
+        return self.unconfirmed | {call for call, times in self.failed.items() if times >= limits.forbid_after}
 
     def pause(self, limits: Limits) -> float:
         """Return how many seconds to wait before trying again."""
@@ -167,7 +167,14 @@ class Progress:
         return replace(self, calls=(*self.calls[:call], done, *self.calls[call + 1 :]))
 
 
-def decide(now: Problem, progress: Progress, knowledge: KnowledgeBase, history: History, limits: Limits) -> Decision:
+def decide(
+    now: Problem,
+    progress: Progress,
+    knowledge: KnowledgeBase,
+    history: History,
+    limits: Limits,
+    kept: frozenset[ForbiddenCall] = frozenset(),
+) -> Decision:
     """Decide what follows a run that does not lead to the goal any more, whether or not it has ended.
 
     Args:
@@ -176,10 +183,11 @@ def decide(now: Problem, progress: Progress, knowledge: KnowledgeBase, history: 
         knowledge: what is known.
         history: of all failures, those of this run included.
         limits: how long to go on.
+        kept: calls that need what others keep.
     """
     if history.replans > limits.replans:
         return GiveUp(f"the limit of {limits.replans} replans is reached")
-    forbidden = history.forbidden(limits)
+    forbidden = history.forbidden(limits) | kept
     whole = "; the whole network of tasks is planned for once more" if now.network else ""
     if by_the_clock := times_that_matter(now):
         return PlanAgain(forbidden, by_the_clock + whole)

@@ -71,7 +71,7 @@ class Standing:
         self.enter(TaskState.PAUSING, reason)
         if executor:
             executor.pause(at_once=at_once)
-            while self.is_paused and not (executor.paused or executor.run.over):
+            while self.is_paused and not (executor.paused or executor.ended):
                 await executor.happens()
         if self.is_paused:
             self.enter(TaskState.PAUSED, reason)

@@ -63,6 +63,8 @@ class Executor:
         self._leaving: list[Callable[[], None]] = []
         self._waiting: set[KnowledgeChanged | ResourcesChanged] = set()
         self._news = asyncio.Event()
+        self.ended = False
+        """Whether the run was carried out, and is not any more."""
 
     def stop(self, *, cancel: bool = True, reason: str = "cancelled") -> None:
         """End the run: start nothing more; cancel what runs, or wait for it."""
@@ -132,6 +134,7 @@ class Executor:
                 self._client.cancel(request)
             raise
         finally:
+            self.ended = True
             self._leave()
             self.run.retire()
             while not self._inbox.empty():

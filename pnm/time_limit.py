@@ -64,7 +64,7 @@ class TimeLimit:
         self._count()
 
     def _count(self) -> None:
-        if self._since is None and self._has_begun and not self._is_paused:
+        if self._since is None and self._has_begun and not (self._is_paused or self.is_used_up):
             loop = asyncio.get_running_loop()
             self._since = loop.time()
             if isfinite(self._seconds):

@@ -234,7 +234,7 @@ def test_a_plan_that_asks_for_it_is_replanned_without_what_has_failed(tmp_path: 
     ("old", "new", "why"),
     [
         ("goal: (at r1 b)\n", "", "no planner can be asked: the plan rooms has no goal"),
-        ("    - (way c b)\n", "", "no plan without move(r1, a, b), which failed too often"),
+        ("    - (way c b)\n", "", "no plan without move(r1, a, b), not to be tried again"),
         ("aborted: [replan]", "aborted: [fail]", "move(r1, a, b)#0: aborted"),
     ],
 )

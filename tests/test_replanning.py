@@ -80,7 +80,7 @@ def test_without_another_way_the_reason_names_what_failed() -> None:
     result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc"), aborts("move(r1, b, c)"))
     assert not result.goal_reached
     failure = "last failure: move(r1, b, c)#0: aborted: expected success; observed the action failed"
-    assert result.reason.startswith(f"{failure}; no plan without move(r1, b, c), which failed too often: proved unsolvable")
+    assert result.reason.startswith(f"{failure}; no plan without move(r1, b, c), not to be tried again: proved unsolvable")
 
 
 def test_a_fact_changed_behind_the_robots_back_leads_to_a_new_plan() -> None:

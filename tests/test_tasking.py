@@ -287,6 +287,25 @@ async def test_what_a_request_has_that_was_given_up_is_free_when_its_server_repo
     assert stage.seen(second, "sent")[0].time >= 10.0 - 0.1, "when the first one has ended indeed"
 
 
+@on_stage(
+    faults=Faults(
+        (
+            Fault("move(r0, a0, a1)", FaultKind.SLOW, ignores_cancel=True, times=1),
+            Fault("move(r1, a1, a0)", FaultKind.SLOW, times=1),
+            Fault("pick(r1, p0, a0)", FaultKind.ABORT),
+        )
+    ),
+    chosen=needing("{r}", move=Binding(resources=("{r}",), retries=0, cancel=2.0), pick=Binding(resources=("{r}",), retries=0, accept=3.0)),
+)
+async def test_what_was_waited_for_in_vain_is_planned_with_again_when_it_is_free(stage: Stage):
+    first = await stage.begun("(at r0 a1)")
+    await stage.master.cancel(first)
+    second = stage.want("(in p0 a1)")
+    await stage.sees(second, "failed", "r0 is kept")
+    await stage.reaches(second)
+    assert robots_of(stage, second) == {"r0", "r1"}
+
+
 @on_stage()
 async def test_what_is_not_there_cannot_be_paused_resumed_or_cancelled(stage: Stage):
     task = stage.want("(at r0 a0)")
