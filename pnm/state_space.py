@@ -116,7 +116,7 @@ class _Explorer:
             tokens = list(state.tokens)
             for place in self.part.supplies[state.supplied]:
                 tokens[self.index[place]] += 1
-            yield "supply", _State(tuple(tokens), state.stop, state.supplied + 1)
+            yield _SUPPLY, _State(tuple(tokens), state.stop, state.supplied + 1)
         elif self.part.repeats and self._is_left(state):
             kept = tuple(
                 tokens if place in self.counters and place not in self.restarts else 0 for place, tokens in enumerate(state.tokens)
@@ -266,6 +266,9 @@ _Reached: TypeAlias = tuple[_State, _Trace]
 
 _STOPS: Final = ("", "restart elsewhere", "stop", "cancel")
 _AGAIN: Final = "enter again"
+_SUPPLY: Final = "supply"
+_FROM_OUTSIDE: Final = frozenset((*_STOPS, _AGAIN, _SUPPLY))
+"""What happens to a part from outside; no step of its own may be called so."""
 
 
 def _is_open(guard: Guard | Inside, failing: bool, ending: bool, cancel: bool) -> bool | None:
@@ -294,6 +297,8 @@ def explore_part(part: Part) -> int:
     Raises:
         Unsound: some state is wrong, something can go round for ever, or there are too many states.
     """
+    if confusing := [step.name for step in part.steps if step.name in _FROM_OUTSIDE]:
+        raise Unsound(f"a step is called {confusing[0]!r}, as is what happens from outside")
     explorer = _Explorer(part)
     # how often it is paused, or entered, whoever does that says: what follows from there is walked through apart
     apart = {step.name for step in part.steps if isinstance(step.guard, PauseAsked)} | {_AGAIN}
@@ -316,7 +321,7 @@ def _walk(explorer: _Explorer, root: _Reached, seen: set[_State], apart: Set[str
     def enter(reached: _Reached) -> None:
         state, trace = reached
         nexts = list(explorer.successors(state))
-        stuck = all(name in (*_STOPS, _AGAIN, "supply") for name, _ in nexts)
+        stuck = all(name in _FROM_OUTSIDE for name, _ in nexts)
         if wrong := explorer.check(state, stuck):
             raise Unsound(wrong, _names(trace))
         if len(seen) > MAX_STATES:
