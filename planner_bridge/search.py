@@ -9,7 +9,7 @@ from functools import partial
 from typing import Final, cast
 from uuid import UUID
 
-from planner_bridge.circumstances import Circumstances, Conflict
+from planner_bridge.circumstances import Begun, Circumstances, Conflict
 from planner_bridge.footprints import Footprint, around, at_best, footprint
 from planner_bridge.model import Problem
 from planner_bridge.plan import Plan, PlanningResult, PlanningStatus
@@ -71,10 +71,11 @@ class Search:
         if given is not None:
             return PlanningResult(PlanningStatus.SOLVED, given), self._reserve(now, given, under_way)
         self.observer.planning(self.settings.planner)
+        begun = self.circumstances.neighbours.begun()  # now, and not when the planner has answered
         found = await self._solve(now, limit)
         if found.plan is None:
             self.observer.unplanned(found)
-            return found, await self._too_early(now, found, limit)
+            return found, await self._too_early(now, begun, found, limit)
         self._has_found = True
         conflicts = self._reserve(now, found.plan, under_way)
         if any(not one.yields for one in conflicts) and self.circumstances.on_conflict is OnConflict.PLAN_AROUND:
@@ -83,9 +84,8 @@ class Search:
             self.reserved = None
         return found, conflicts
 
-    async def _too_early(self, now: Problem, found: PlanningResult, limit: float) -> tuple[Conflict, ...]:
-        """Return those without whose calls that are under way there may be a plan: while a robot moves, it is nowhere."""
-        begun = self.circumstances.neighbours.begun()
+    async def _too_early(self, now: Problem, begun: tuple[Begun, ...], found: PlanningResult, limit: float) -> tuple[Conflict, ...]:
+        """Return those after whose calls that are under way there may be a plan: while a robot moves, it is nowhere."""
         if not begun or found.status not in _NO_PLAN:
             return ()
         hopeful = at_best(now, [call for one in begun for call in one.calls])

@@ -199,6 +199,17 @@ async def test_no_plan_is_told_only_when_what_others_have_begun_cannot_make_it_p
 
 
 @on_stage(delivery(), chosen=DRIVING)
+async def test_what_others_have_begun_counts_even_if_it_ends_while_a_plan_is_looked_for(stage: Stage):
+    one = await stage.begun("(at r1 hall)")
+    await asyncio.sleep(1.0)
+    two = stage.want("(at r1 yard)")
+    await stage.until(lambda: stage.seen(two, "state", "planning"))
+    carry(stage, "r1", "store", "hall")
+    await stage.master.cancel(one)
+    await stage.reaches(two)
+
+
+@on_stage(delivery(), chosen=DRIVING)
 async def test_a_goal_that_waits_for_what_others_have_begun_says_so_or_is_refused(stage: Stage):
     one = await stage.begun("(at r1 kitchen)")
     await asyncio.sleep(1.0)

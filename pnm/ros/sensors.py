@@ -83,7 +83,7 @@ class Sensors:
         await self._ros.ask(self._destroy)
 
     async def _first(self) -> None:
-        everybody = asyncio.gather(*(sense.heard.wait() for sense in self._senses))
+        everybody = asyncio.ensure_future(self._all_heard())
         settled = asyncio.ensure_future(self._ros.settled())
         try:
             await asyncio.wait((everybody, settled), return_when=asyncio.FIRST_COMPLETED)
@@ -96,6 +96,10 @@ class Sensors:
         for sense in self._senses:
             if not sense.heard.is_set():
                 _log.warning("nothing has been heard on %s yet", sense.instance.name)
+
+    async def _all_heard(self) -> None:
+        for sense in self._senses:
+            await sense.heard.wait()
 
     # on the ROS thread
 

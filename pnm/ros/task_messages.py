@@ -19,6 +19,8 @@ from pnm.tasking import Code, MadePlan, Moment, OnConflict, Status, Step, StepSt
 
 TRACE: Final = 200
 """So many events at most stand in a result: the last ones."""
+MAX_LENGTH: Final = 100_000
+"""So many characters at most has what is wanted: it stands in every message about tasks, long after its end."""
 _POLICIES: Final = (None, OnConflict.PLAN_AROUND, OnConflict.QUEUE, OnConflict.REFUSE)
 """What the numbers in goals mean."""
 
@@ -34,7 +36,7 @@ def wanted_goal(id: UUID, request: Any) -> Wanted:
     if request.policy >= len(_POLICIES):
         known = "0 (default), 1 (plan around), 2 (queue), 3 (refuse)"
         raise InputError(f"there is no policy {request.policy}; expected one of {known}")
-    return Wanted(id, request.goal.strip(), request.priority, seconds("deadline", request.deadline), _POLICIES[request.policy])
+    return Wanted(id, _text("goal", request.goal), request.priority, seconds("deadline", request.deadline), _POLICIES[request.policy])
 
 
 def wanted_plan(id: UUID, request: Any) -> Wanted:
@@ -43,11 +45,12 @@ def wanted_plan(id: UUID, request: Any) -> Wanted:
     Raises:
         InputError: it has no plan, or its parameters are none.
     """
-    if not request.plan.strip():
+    plan = _text("plan", request.plan)
+    if not plan:
         raise InputError("the plan is empty; expected the name of a plan, or a plan with an action a line")
     parameters = read_parameters(request.parameters)
     deadline = seconds("deadline", request.deadline)
-    return Wanted(id, request.plan.strip(), request.priority, deadline, parameters=parameters, is_plan=True)
+    return Wanted(id, plan, request.priority, deadline, parameters=parameters, is_plan=True)
 
 
 def wanted_run(plan: str, id: UUID, request: Any) -> Wanted:
@@ -68,6 +71,12 @@ def seconds(name: str, value: float) -> float | None:
     if not 0 <= value < math.inf:
         raise InputError(f"{name} is {value:g}; expected a number of seconds, or 0 for none")
     return value or None
+
+
+def _text(name: str, text: str) -> str:
+    if len(text) > MAX_LENGTH:
+        raise InputError(f"the {name} has {len(text)} characters; expected {MAX_LENGTH} at most")
+    return text.strip()
 
 
 def status_fields(status: Status) -> Fields:

@@ -103,6 +103,8 @@ def test_a_goal_while_the_node_is_inactive_is_rejected_and_a_later_one_is_not(tw
         ("execute_plan", {"plan": " "}, "the plan is empty; expected the name of a plan"),
         ("execute_plan", {"plan": "running", "parameters": "[1"}, "parameters:1:3: "),
         ("execute_plan", {"plan": "running", "deadline": float("inf")}, "deadline is inf; expected a number of seconds"),
+        ("achieve_goal", {"goal": "x" * 100_001}, "the goal has 100001 characters; expected 100000 at most"),
+        ("execute_plan", {"plan": "x" * 100_001}, "the plan has 100001 characters; expected 100000 at most"),
         ("plan", {"goal": "wrong"}, "goal:1:1: expected a condition"),
         ("plan", {"goal": "running", "timeout": -3.0}, "timeout is -3; expected a number of seconds"),
     ],
