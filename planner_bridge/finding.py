@@ -19,6 +19,7 @@ from planner_bridge.standing import Over, Standing
 from planner_bridge.supervision import Supervision
 from pnm.calls import UnderWay
 from pnm.plan_graph import PlanGraph
+from pnm.resources import who_keeps
 from pnm.tasking import Code, OnConflict, TaskState
 
 Way = TypeVar("Way", Plan, PlanGraph)
@@ -145,7 +146,8 @@ class Finding:
         self._standing.check()
         if found.plan is None and not conflicts:
             unfulfilled = self._chronicle.unfulfilled(self._supervision.missing)
-            reason = sentence(self._chronicle.last_failure, no_plan(found, forbidden), unfulfilled)
+            kept = who_keeps(self._mission.circumstances.resources.withheld)  # nobody knows what it has made of the world
+            reason = sentence(self._chronicle.last_failure, no_plan(found, forbidden), unfulfilled, kept)
             raise Over(code_of_planning(found.status, self._chronicle.failures), reason)
         return (None, conflicts) if conflicts else (found.plan, ())
 

@@ -32,7 +32,7 @@ from pnm.machine import (
     Withheld,
 )
 from pnm.plan_graph import Loop
-from pnm.resources import Claim
+from pnm.resources import Claim, who_keeps
 from pnm.situation import Situation
 
 NEVER: Final = float("inf")
@@ -193,8 +193,7 @@ class Decision:
                 return rule.name, f"values for {', '.join(missing)}", f"no argument, variable or constant of that name{why}"
             case Withheld(_, seconds):
                 found = self.withheld(rule.guard)
-                by = "; ".join(f"{name} is kept by {who}, which has not confirmed that it is over" for name, who in found.items())
-                return rule.name, f"{', '.join(found)} within {seconds:g} s", by
+                return rule.name, f"{', '.join(found)} within {seconds:g} s", who_keeps(found)
             case Due(seconds):
                 return rule.name, f"an end within {seconds:g} s of the plan's start", f"{self._situation.passed:g} s have passed"
             case _:

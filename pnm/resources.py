@@ -107,6 +107,11 @@ class Resources:
         if request in self._withheld:
             self.give(request)
 
+    @property
+    def withheld(self) -> Mapping[str, str]:
+        """What is withheld altogether, and by whom."""
+        return self.withheld_from(dict.fromkeys(name for request in self._withheld for name in self._held[request].names))
+
     def withheld_from(self, names: Iterable[str]) -> Mapping[str, str]:
         """Return which of the names are withheld altogether, and by whom."""
         found: dict[str, str] = {}
@@ -198,3 +203,8 @@ class Resources:
             if self._fits(claim, taken):
                 yield claim
             taken.update(claim.names)
+
+
+def who_keeps(withheld: Mapping[str, str]) -> str:
+    """Say who keeps what is withheld; empty when nothing is."""
+    return "; ".join(f"{name} is kept by {by}, which has not confirmed that it is over" for name, by in withheld.items())

@@ -283,6 +283,9 @@ async def test_what_a_request_has_that_was_given_up_is_not_used_by_others_and_th
     third = stage.want("(has r0 p0)")
     assert await stage.ended_with(third) == [Code.SERVER_UNAVAILABLE], "no other robot will do"
     assert "move(r0, ?, ?)" in stage.endings[third].message
+    assert stage.endings[third].message.endswith(
+        f"r0 is kept by move(r0, a0, a1) of task {first.hex[:8]}, which has not confirmed that it is over"
+    )
     assert not stage.sent(third)
 
 
