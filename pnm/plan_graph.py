@@ -15,7 +15,7 @@ from enum import Enum
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
 from math import inf
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from pnm.conditions import TRUE, Condition
 from pnm.effects import Effects
@@ -225,9 +225,10 @@ class Moment(Enum):
     START = "start"
     END = "end"
 
+    __hash__ = object.__hash__  # each is there once; plans are walked through by their events all the time
 
-@dataclass(frozen=True, slots=True)
-class PlanEvent:
+
+class PlanEvent(NamedTuple):
     """The start or the end of a step."""
 
     call: int
