@@ -45,6 +45,8 @@ class ForbiddenCall:
 
 def forbid(problem: Problem, forbidden: frozenset[ForbiddenCall]) -> Problem:
     """Return the problem in which every action concerned has a precondition that is false for the forbidden arguments."""
+    if not forbidden:
+        return problem
     domain, init = problem.domain, dict[Fluent, Value](problem.init)
     predicates, actions = dict(domain.predicates), dict(domain.actions)
     facts: dict[tuple[str, tuple[int, ...]], str] = {}

@@ -48,3 +48,7 @@ class NotEnabled(PnmError):
         super().__init__(f"{transition} is not enabled; missing tokens: {missing}")
         self.transition = transition
         self.missing = missing
+
+
+class RunError(PnmError):
+    """A run was driven wrongly: begun twice, asked for a result before its end, or succeeded by one that loses something."""

@@ -11,6 +11,7 @@ from typing import assert_never, cast
 from uuid import UUID
 
 from pnm.actions.base import ActionClient, Ended, Outcome, OutcomeKind, Report
+from pnm.errors import RunError
 from pnm.events import (
     Answered,
     Ask,
@@ -34,7 +35,7 @@ from pnm.queries import MISSING, Question
 from pnm.results import RunResult
 from pnm.run import Run
 from pnm.sources import Asker, Source, SourceError
-from pnm.succession import RunError, check_succession
+from pnm.succession import check_succession
 
 _log = logging.getLogger(__name__)
 

@@ -16,6 +16,7 @@ from typing import Final, assert_never
 from uuid import UUID
 
 from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Report
+from pnm.adoption import check_adoption
 from pnm.bindings import Bindings
 from pnm.calls import Calls, GoalFields, UnderWay
 from pnm.checks import is_assumed
@@ -23,6 +24,7 @@ from pnm.claims import Claims
 from pnm.compiled import Engine
 from pnm.consultation import Questions
 from pnm.decisions import CHECKS, NEVER, Decision
+from pnm.errors import RunError
 from pnm.events import (
     Answered,
     Ask,
@@ -50,7 +52,6 @@ from pnm.resources import Resources
 from pnm.results import RunResult
 from pnm.roles import Roles
 from pnm.situation import Situation
-from pnm.succession import RunError, check_adoption
 
 _NONE: Final[Mapping[int, UnderWay]] = {}
 

@@ -13,6 +13,7 @@ from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind
 from pnm.bindings import Binding, Bindings
 from pnm.conditions import Holds, Not
 from pnm.effects import Effect, Set, When
+from pnm.errors import RunError
 from pnm.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
 from pnm.expressions import UNKNOWN, Constant, Unknown, Value
 from pnm.generation import generate
@@ -20,7 +21,6 @@ from pnm.knowledge import KnowledgeBase, Layered
 from pnm.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.run import Run
 from pnm.semantics import fire
-from pnm.succession import RunError
 from tests.machines import plan, plans
 from tests.robots import Log
 

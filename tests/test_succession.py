@@ -16,6 +16,7 @@ from pnm.calls import UnderWay
 from pnm.clock import run_async
 from pnm.conditions import Holds
 from pnm.effects import Set
+from pnm.errors import RunError
 from pnm.events import Begin, Cancel, Command, Pause, Send, Stop, Tick, Wake
 from pnm.executor import Executor
 from pnm.expressions import Constant
@@ -28,7 +29,6 @@ from pnm.results import RunResult
 from pnm.run import Run
 from pnm.sources.base import Asker, Source
 from pnm.sources.people import question_text
-from pnm.succession import RunError
 from tests.machines import ordering
 from tests.robots import Log, move
 from tests.test_machine import check_proof_of_mutants
