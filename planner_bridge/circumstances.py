@@ -58,11 +58,11 @@ class Begun:
 class Neighbours:
     """Those of a task that is alone: nobody."""
 
-    def conflicts(self, footprint: Footprint, /) -> tuple[Conflict, ...]:
-        """Return the tasks that are going on and beside which a plan with this footprint cannot be carried out."""
+    def conflicts(self, footprint: Callable[[], Footprint], /) -> tuple[Conflict, ...]:
+        """Return the tasks that are going on and beside which a plan cannot be carried out whose footprint is worked out if need be."""
         return ()
 
-    def newcomers(self, footprint: Footprint, /) -> tuple[Conflict, ...]:
+    def newcomers(self, footprint: Callable[[], Footprint], /) -> tuple[Conflict, ...]:
         """Return those of the conflicts in which it is not said already who makes way."""
         return ()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import TypeVar
 
 from planner_bridge.chronicle import Chronicle, no_plan, sentence
@@ -53,7 +54,7 @@ class Finding:
     @property
     def reserved(self) -> Footprint | None:
         """What the plan found last needs and changes."""
-        return self._search.reserved
+        return self._search.reserved() if self._search.reserved else None
 
     def stop(self) -> None:
         """Have searches end: nobody wants a plan any more."""
@@ -87,7 +88,7 @@ class Finding:
         """
 
         async def compare() -> tuple[PlanGraph | None, tuple[Conflict, ...]]:
-            needed = footprint(rest.calls, rest.goal, self._mission.world)
+            needed = partial(footprint, rest.calls, rest.goal, self._mission.world)
             conflicts = self._mission.circumstances.neighbours.newcomers(needed)
             self._search.reserved = None if conflicts else needed
             return (None, conflicts) if conflicts else (rest, ())

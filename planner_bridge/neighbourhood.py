@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping
 from uuid import UUID
 
 from planner_bridge.circumstances import Begun, Conflict, Neighbours
@@ -29,16 +29,19 @@ class Neighbourhood(Neighbours):
         self._precedence = precedence
         self._turnstile = turnstile
 
-    def conflicts(self, footprint: Footprint, /) -> tuple[Conflict, ...]:
+    def conflicts(self, footprint: Callable[[], Footprint], /) -> tuple[Conflict, ...]:
         """Return the tasks that are active and beside which a plan with this footprint cannot be carried out."""
-        found: list[Conflict] = []
-        for other in self._others:
+        others = self._others
+        if not others:
+            return ()
+        found, mine = list[Conflict](), footprint()
+        for other in others:
             its = other.doing.footprint if other.doing else None
-            if its is not None and (why := conflict(footprint, its)):
+            if its is not None and (why := conflict(mine, its)):
                 found.append(Conflict(other.id, other.name, its, why, other.wanted.priority < self._task.wanted.priority))
         return tuple(found)
 
-    def newcomers(self, footprint: Footprint, /) -> tuple[Conflict, ...]:
+    def newcomers(self, footprint: Callable[[], Footprint], /) -> tuple[Conflict, ...]:
         """Return those of the conflicts in which it is not said already who makes way."""
         settled = self._task.preempted_by | {one.id for one in self._others if self._task.id in one.preempted_by}
         return tuple(one for one in self.conflicts(footprint) if one.task not in settled)
@@ -66,5 +69,5 @@ class Neighbourhood(Neighbours):
         self._turnstile.leave(self._task, in_vain=in_vain)
 
     @property
-    def _others(self) -> Iterable[Task]:
+    def _others(self) -> list[Task]:
         return [one for one in self._tasks.values() if one is not self._task and one.is_active]

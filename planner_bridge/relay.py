@@ -135,7 +135,7 @@ class Relay:
 
     def go_on(self) -> None:
         """Go on after a pause; if the plan does not work any more, or is in the way of others, look for another way first."""
-        if self._mission.circumstances.neighbours.newcomers(self.footprint):
+        if self._mission.circumstances.neighbours.newcomers(lambda: self.footprint):
             self.lacks_room = True
         if self.lacks_room or (self._is_eager and self._obstacle(self.progress)):
             self._trouble.set()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from typing import Final, cast
 from uuid import UUID
 
@@ -44,8 +45,8 @@ class Search:
     observer: TaskObserver
     seconds: Stopwatch
     circumstances: Circumstances
-    reserved: Footprint | None = None
-    """Of the plan found last: neighbours respect it from the moment it was found."""
+    reserved: Callable[[], Footprint] | None = None
+    """Works out what the plan found last needs and changes: neighbours, if there are any, respect that from the moment it was found."""
     _has_found: bool = False
     _is_stopped: threading.Event = field(default_factory=threading.Event)
 
@@ -112,7 +113,7 @@ class Search:
         return found, conflicts
 
     def _reserve(self, now: Problem, plan: Plan, under_way: list[ActionCall]) -> tuple[Conflict, ...]:
-        self.reserved = footprint((*under_way, *calls_of(now, plan)), now.goal, initial_knowledge(now))
+        self.reserved = cache(lambda: footprint((*under_way, *calls_of(now, plan)), now.goal, initial_knowledge(now)))
         return self.circumstances.neighbours.conflicts(self.reserved)
 
     async def _solve(self, problem: Problem, limit: float) -> PlanningResult:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final
 
 from pnm.machine import (
@@ -30,8 +31,6 @@ class Roles:
     machine: PetriNetMachine
     rules: list[Rule] = field(init=False)
     """For every transition, its rule."""
-    listening: list[bool] = field(init=False)
-    """For every place, whether what is decided there may change when facts change."""
     reported: dict[int, list[int]] = field(init=False)
     """For every call, the transitions that reports about its request open."""
     records: frozenset[int] = field(init=False)
@@ -52,7 +51,6 @@ class Roles:
         machine, compiled = self.machine, self.machine.compiled
         ids = compiled.place_id
         self.rules = [machine.rules[name] for name in compiled.transitions]
-        self.listening = [any(isinstance(self.rules[one].guard, _KNOWING) for one, _ in found) for found in compiled.consumers]
         self.reported = {}
         for transition, rule in enumerate(self.rules):
             if isinstance(rule.guard, Accepts | Ends):
@@ -66,6 +64,11 @@ class Roles:
         self.restarts = frozenset(ids[place] for place in machine.restart_places)
         self.failures = {ids[place]: call for place, call in machine.failure_places.items()}
         self.goal, self.failed = ids[machine.goal_place], ids[machine.failed_place]
+
+    @cached_property
+    def listening(self) -> list[bool]:
+        """For every place, whether what is decided there may change when facts change."""
+        return [any(isinstance(self.rules[one].guard, _KNOWING) for one, _ in found) for found in self.machine.compiled.consumers]
 
     def _touching(self, arcs: list[list[tuple[int, int]]]) -> frozenset[int]:
         """Return the transitions that are connected to resources."""
