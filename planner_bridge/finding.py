@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from functools import partial
+from functools import cache, partial
 from typing import TypeVar
 
 from planner_bridge.chronicle import Chronicle, no_plan, sentence
@@ -88,7 +88,7 @@ class Finding:
         """
 
         async def compare() -> tuple[PlanGraph | None, tuple[Conflict, ...]]:
-            needed = partial(footprint, rest.calls, rest.goal, self._mission.world)
+            needed = cache(partial(footprint, rest.calls, rest.goal, self._mission.world))
             conflicts = self._mission.circumstances.neighbours.newcomers(needed)
             self._search.reserved = None if conflicts else needed
             return (None, conflicts) if conflicts else (rest, ())

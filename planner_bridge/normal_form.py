@@ -12,8 +12,7 @@ from itertools import count
 from typing import Final
 
 from planner_bridge.model import ActionSchema, Metric, Problem
-from pnm.conditions import TRUE, All, Compare, Condition, Exists, ForAll, Implies, Not, conjuncts, ground, names
-from pnm.conditions import Any as Or
+from pnm.conditions import TRUE, All, Compare, Condition, Exists, Not, conjuncts, every_part, ground, names
 from pnm.effects import Effects, ForEach, Set, When, ground_effects
 from pnm.expressions import Arithmetic, Constant, Expression, Fluent, ValueOf, Variable, bind, expression_fluents
 
@@ -156,17 +155,7 @@ def _bounds(problem: Problem) -> Iterator[Expression]:
 
 def _sides(condition: Condition) -> Iterator[Expression]:
     """Yield what the condition compares."""
-    match condition:
-        case Compare(_, left, right):
-            yield from (left, right)
-        case Not(body) | ForAll(_, body) | Exists(_, body):
-            yield from _sides(body)
-        case All(operands) | Or(operands):
-            for operand in operands:
-                yield from _sides(operand)
-        case Implies(left_condition, right_condition):
-            yield from _sides(left_condition)
-            yield from _sides(right_condition)
+    return (side for part in every_part(condition) if isinstance(part, Compare) for side in (part.left, part.right))
 
 
 def _is_whole(expression: Expression) -> bool:

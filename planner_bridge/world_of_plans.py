@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final, TypeAlias, assert_never
 
 from planner_bridge.model import Declaration, Domain, Problem
-from pnm.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, data_in
+from pnm.conditions import Compare, Computed, Condition, Holds, every_part
 from pnm.effects import Effects, ForEach, Set, When
 from pnm.errors import InputError
 from pnm.expressions import DURATION, UNDEFINED, Constant, Expression, Fluent, Value, Variable, expression_fluents
@@ -111,25 +111,16 @@ def _in_rule(rule: Rule) -> Iterator[Use]:
 
 
 def _in_condition(condition: Condition) -> Iterator[Use]:
-    match condition:
-        case Holds(fluent):
-            yield fluent, True
-        case Compare(_, left, right):
-            yield from _in_equation(left, right)
-        case Computed():
-            yield from ((fluent, None) for data in data_in(condition) for fluent in fluents_in(data))
-        case Not(operand):
-            yield from _in_condition(operand)
-        case All(operands) | Any(operands):
-            for operand in operands:
-                yield from _in_condition(operand)
-        case Implies(left, right):
-            yield from _in_condition(left)
-            yield from _in_condition(right)
-        case ForAll(_, body) | Exists(_, body):
-            yield from _in_condition(body)
-        case _:
-            assert_never(condition)
+    for part in every_part(condition):
+        match part:
+            case Holds(fluent):
+                yield fluent, True
+            case Compare(_, left, right):
+                yield from _in_equation(left, right)
+            case Computed(data):
+                yield from ((fluent, None) for fluent in fluents_in(data))
+            case _:
+                pass
 
 
 def _in_equation(left: Expression, right: Expression) -> Iterator[Use]:

@@ -260,42 +260,44 @@ def _fluents(condition: Condition, state: State, env: Environment) -> Iterator[F
             assert_never(condition)
 
 
+def every_part(condition: Condition) -> Iterator[Condition]:
+    """Yield the condition and all conditions in it, outer ones first."""
+    waiting = [condition]
+    while waiting:
+        part = waiting.pop()
+        yield part
+        match part:
+            case Not(operand) | ForAll(_, operand) | Exists(_, operand):
+                waiting.append(operand)
+            case All(operands) | Any(operands):
+                waiting += reversed(operands)
+            case Implies(left, right):
+                waiting += (right, left)
+            case Holds() | Compare() | Computed():
+                pass
+            case _:
+                assert_never(part)
+
+
 def names(condition: Condition) -> frozenset[str]:
     """Return the predicates and functions the condition mentions."""
-    match condition:
-        case Holds(fluent):
-            return frozenset({fluent[0]})
-        case Compare(_, left, right):
-            return frozenset(fluent[0] for side in (left, right) for fluent in expression_fluents(side))
-        case Not(operand) | ForAll(_, operand) | Exists(_, operand):
-            return names(operand)
-        case All(operands) | Any(operands):
-            return frozenset().union(*map(names, operands))
-        case Implies(left, right):
-            return names(left) | names(right)
-        case Computed(data):
-            return frozenset(fluent[0] for fluent in fluents_in(data))
-        case _:
-            assert_never(condition)
+    found: set[str] = set()
+    for part in every_part(condition):
+        match part:
+            case Holds(fluent):
+                found.add(fluent[0])
+            case Compare(_, left, right):
+                found.update(fluent[0] for side in (left, right) for fluent in expression_fluents(side))
+            case Computed(data):
+                found.update(fluent[0] for fluent in fluents_in(data))
+            case _:
+                pass
+    return frozenset(found)
 
 
 def data_in(condition: Condition) -> Iterator[Data]:
     """Yield what of the condition is computed from variables."""
-    match condition:
-        case Computed(data):
-            yield data
-        case Not(operand) | ForAll(_, operand) | Exists(_, operand):
-            yield from data_in(operand)
-        case All(operands) | Any(operands):
-            for operand in operands:
-                yield from data_in(operand)
-        case Implies(left, right):
-            yield from data_in(left)
-            yield from data_in(right)
-        case Holds() | Compare():
-            return
-        case _:
-            assert_never(condition)
+    return (part.data for part in every_part(condition) if isinstance(part, Computed))
 
 
 def free_variables(condition: Condition) -> frozenset[str]:

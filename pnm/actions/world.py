@@ -7,9 +7,8 @@ succeed leaves the world as it was before it began, as far as nobody else has ch
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import assert_never
 
-from pnm.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, evaluate, failing
+from pnm.conditions import TRUE, Computed, Condition, evaluate, every_part, failing
 from pnm.effects import Changes, changes, decided, undo, values_before
 from pnm.errors import InputError
 from pnm.expressions import Fluent, Unknown, Value
@@ -94,16 +93,4 @@ def _denied(condition: Condition, truth: KnowledgeBase) -> str:
 
 
 def _is_computed(condition: Condition) -> bool:
-    match condition:
-        case Computed():
-            return True
-        case Not(inner) | ForAll(_, inner) | Exists(_, inner):
-            return _is_computed(inner)
-        case All(operands) | Any(operands):
-            return any(map(_is_computed, operands))
-        case Implies(left, right):
-            return _is_computed(left) or _is_computed(right)
-        case Holds() | Compare():
-            return False
-        case _:
-            assert_never(condition)
+    return any(isinstance(part, Computed) for part in every_part(condition))
