@@ -1,5 +1,5 @@
 """`python -m planner_bridge` is `pnm`."""
 
-from planner_bridge.cli import main
+from planner_bridge.cli.commands import main
 
 main()

@@ -7,7 +7,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 
-from planner_bridge.model import Domain, Problem
+from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pddl import read_domain, read_problem
 from pnm.errors import Tolerated
 
@@ -25,7 +25,7 @@ def load(domain: Path | str | Domain | None, problem: Path | str | Problem | Any
     if isinstance(problem, Problem):
         return problem
     if not isinstance(problem, Path | str):
-        from planner_bridge.up import from_unified_planning  # here, because unified-planning takes seconds to import
+        from planner_bridge.planning.unified_planning import from_unified_planning  # here, because unified-planning takes seconds to import
 
         return from_unified_planning(problem)
     if domain is None:

@@ -7,19 +7,20 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias, cast
 
 from planner_bridge.loading import load
-from planner_bridge.mission import Mission
-from planner_bridge.model import Domain, Problem
-from planner_bridge.pursuit import Pursuit
-from planner_bridge.replanning import History
-from planner_bridge.sites import SimulatedSite
-from planner_bridge.state import initial_knowledge
-from planner_bridge.stopwatch import Stopwatch
-from planner_bridge.tasks import Settings, TaskObserver, TaskResult
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.problem import Domain, Problem
+from planner_bridge.simulation import SimulatedSite
+from planner_bridge.tasks.context import Mission
+from planner_bridge.tasks.goal_loop import Pursuit
+from planner_bridge.tasks.replanning import History
+from planner_bridge.tasks.result import Stopwatch, TaskResult
+from planner_bridge.tasks.settings import Settings, TaskObserver
+from pnm.actions.backend import Site
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
-from pnm.knowledge import KnowledgeBase, Layered
-from pnm.sites import Ros2Site, Site
-from pnm.tasking import Code
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.ros.backend import Ros2Site
+from pnm.tasks import Code
 
 Where: TypeAlias = Literal["simulated", "ros2"]
 

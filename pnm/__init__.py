@@ -7,29 +7,29 @@ connects a run to an `ActionClient`, a clock and knowledge.
 
 from typing import TYPE_CHECKING
 
-from pnm.lazy import lazily
+from pnm.files.lazy_exports import lazily
 
 if TYPE_CHECKING:
-    from pnm.actions.base import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Request
-    from pnm.analysis import Proof, explore, verify
-    from pnm.bindings import Binding, Bindings, read_bindings
-    from pnm.conditions import Condition, evaluate
-    from pnm.effects import Effect, changes
+    from pnm.actions.bindings_file import read_bindings
+    from pnm.core.execution.call_results import CallResult, Failure, RunResult
+    from pnm.core.execution.events import Observer
+    from pnm.core.execution.run import Run
+    from pnm.core.knowledge_base import KnowledgeBase, Layered
+    from pnm.core.logic.computed_values import MISSING
+    from pnm.core.logic.conditions import Condition, evaluate
+    from pnm.core.logic.effects import Effect, changes
+    from pnm.core.logic.expressions import UNKNOWN, Fluent
+    from pnm.core.machine.bindings import Binding, Bindings
+    from pnm.core.machine.generate import generate
+    from pnm.core.machine.machine import OnFailure, PetriNetMachine
+    from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+    from pnm.core.machine.requests import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Request
+    from pnm.core.machine.verification.explore import Unsound
+    from pnm.core.machine.verification.verify import Proof, explore, verify
+    from pnm.core.net.firing_rule import enabled, fire, is_enabled
+    from pnm.core.net.net import Arc, Marking, NetBuilder, PetriNet
     from pnm.errors import InputError, NotEnabled, PnmError, Position
     from pnm.executor import Executor
-    from pnm.expressions import UNKNOWN, Fluent
-    from pnm.generation import generate
-    from pnm.knowledge import KnowledgeBase, Layered
-    from pnm.machine import OnFailure, PetriNetMachine
-    from pnm.marking import Marking
-    from pnm.net import Arc, NetBuilder, PetriNet
-    from pnm.observer import Observer
-    from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
-    from pnm.queries import MISSING
-    from pnm.results import CallResult, Failure, RunResult
-    from pnm.run import Run
-    from pnm.semantics import enabled, fire, is_enabled
-    from pnm.state_space import Unsound
 
 __all__ = [
     "MISSING",
@@ -83,54 +83,54 @@ __all__ = [
 ]
 
 _WHERE = {
-    "Accepted": "pnm.actions.base",
-    "ActionClient": "pnm.actions.base",
-    "Ended": "pnm.actions.base",
-    "Outcome": "pnm.actions.base",
-    "OutcomeKind": "pnm.actions.base",
-    "Request": "pnm.actions.base",
-    "Proof": "pnm.analysis",
-    "Unsound": "pnm.state_space",
-    "explore": "pnm.analysis",
-    "verify": "pnm.analysis",
-    "Binding": "pnm.bindings",
-    "Bindings": "pnm.bindings",
-    "read_bindings": "pnm.bindings",
-    "UNKNOWN": "pnm.expressions",
-    "Condition": "pnm.conditions",
-    "Fluent": "pnm.expressions",
-    "evaluate": "pnm.conditions",
-    "Effect": "pnm.effects",
-    "changes": "pnm.effects",
+    "Accepted": "pnm.core.machine.requests",
+    "ActionClient": "pnm.core.machine.requests",
+    "Ended": "pnm.core.machine.requests",
+    "Outcome": "pnm.core.machine.requests",
+    "OutcomeKind": "pnm.core.machine.requests",
+    "Request": "pnm.core.machine.requests",
+    "Proof": "pnm.core.machine.verification.verify",
+    "Unsound": "pnm.core.machine.verification.explore",
+    "explore": "pnm.core.machine.verification.verify",
+    "verify": "pnm.core.machine.verification.verify",
+    "Binding": "pnm.core.machine.bindings",
+    "Bindings": "pnm.core.machine.bindings",
+    "read_bindings": "pnm.actions.bindings_file",
+    "UNKNOWN": "pnm.core.logic.expressions",
+    "Condition": "pnm.core.logic.conditions",
+    "Fluent": "pnm.core.logic.expressions",
+    "evaluate": "pnm.core.logic.conditions",
+    "Effect": "pnm.core.logic.effects",
+    "changes": "pnm.core.logic.effects",
     "InputError": "pnm.errors",
     "NotEnabled": "pnm.errors",
     "PnmError": "pnm.errors",
     "Position": "pnm.errors",
     "Executor": "pnm.executor",
-    "generate": "pnm.generation",
-    "MISSING": "pnm.queries",
-    "KnowledgeBase": "pnm.knowledge",
-    "Layered": "pnm.knowledge",
-    "OnFailure": "pnm.machine",
-    "PetriNetMachine": "pnm.machine",
-    "Marking": "pnm.marking",
-    "Arc": "pnm.net",
-    "NetBuilder": "pnm.net",
-    "PetriNet": "pnm.net",
-    "Observer": "pnm.observer",
-    "ActionCall": "pnm.plan_graph",
-    "GroundAction": "pnm.plan_graph",
-    "Moment": "pnm.plan_graph",
-    "Ordering": "pnm.plan_graph",
-    "PlanEvent": "pnm.plan_graph",
-    "PlanGraph": "pnm.plan_graph",
-    "CallResult": "pnm.results",
-    "Failure": "pnm.results",
-    "RunResult": "pnm.results",
-    "Run": "pnm.run",
-    "enabled": "pnm.semantics",
-    "fire": "pnm.semantics",
-    "is_enabled": "pnm.semantics",
+    "generate": "pnm.core.machine.generate",
+    "MISSING": "pnm.core.logic.computed_values",
+    "KnowledgeBase": "pnm.core.knowledge_base",
+    "Layered": "pnm.core.knowledge_base",
+    "OnFailure": "pnm.core.machine.machine",
+    "PetriNetMachine": "pnm.core.machine.machine",
+    "Marking": "pnm.core.net.net",
+    "Arc": "pnm.core.net.net",
+    "NetBuilder": "pnm.core.net.net",
+    "PetriNet": "pnm.core.net.net",
+    "Observer": "pnm.core.execution.events",
+    "ActionCall": "pnm.core.machine.plan_graph",
+    "GroundAction": "pnm.core.machine.plan_graph",
+    "Moment": "pnm.core.machine.plan_graph",
+    "Ordering": "pnm.core.machine.plan_graph",
+    "PlanEvent": "pnm.core.machine.plan_graph",
+    "PlanGraph": "pnm.core.machine.plan_graph",
+    "CallResult": "pnm.core.execution.call_results",
+    "Failure": "pnm.core.execution.call_results",
+    "RunResult": "pnm.core.execution.call_results",
+    "Run": "pnm.core.execution.run",
+    "enabled": "pnm.core.net.firing_rule",
+    "fire": "pnm.core.net.firing_rule",
+    "is_enabled": "pnm.core.net.firing_rule",
 }
 
 __getattr__, __dir__ = lazily(__name__, _WHERE)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 
 class PnmError(Exception):
@@ -52,3 +54,13 @@ class NotEnabled(PnmError):
 
 class RunError(PnmError):
     """A run was driven wrongly: begun twice, asked for a result before its end, or succeeded by one that loses something."""
+
+
+class RosError(PnmError):
+    """ROS 2 is not there, does not start, or does not answer in time."""
+
+
+def meant(name: str, known: Collection[str]) -> str:
+    """Return a question about the nearest of the known names, or nothing when none is near; of equally near ones, the first."""
+    near = get_close_matches(name, known, 1)
+    return f"did you mean {near[0]!r}?" if near else ""

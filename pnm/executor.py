@@ -10,9 +10,8 @@ from functools import partial
 from typing import assert_never, cast
 from uuid import UUID
 
-from pnm.actions.base import ActionClient, Ended, Outcome, OutcomeKind, Report
-from pnm.errors import RunError
-from pnm.events import (
+from pnm.core.execution.call_results import RunResult
+from pnm.core.execution.events import (
     Answered,
     Ask,
     Begin,
@@ -30,12 +29,12 @@ from pnm.events import (
     Wake,
     Withdraw,
 )
-from pnm.expressions import Fluent, Unknown, Value
-from pnm.queries import MISSING, Question
-from pnm.results import RunResult
-from pnm.run import Run
-from pnm.sources import Asker, Source, SourceError
-from pnm.succession import check_succession
+from pnm.core.execution.run import Run
+from pnm.core.logic.computed_values import MISSING, Question
+from pnm.core.logic.expressions import Fluent, Unknown, Value
+from pnm.core.machine.requests import ActionClient, Ended, Outcome, OutcomeKind, Report
+from pnm.errors import RunError
+from pnm.knowledge.sources import Asker, Source, SourceError
 
 _log = logging.getLogger(__name__)
 
@@ -251,3 +250,24 @@ def _is_cancelled() -> bool:
     """Tell whether this talk itself is cancelled; otherwise a source has been, by somebody else."""
     task = asyncio.current_task()
     return task is not None and task.cancelling() > 0
+
+
+def check_succession(old: Run, new: Run) -> None:
+    """Refuse to lose what is under way.
+
+    Raises:
+        RunError: the one cannot be succeeded by the other.
+    """
+    if old.over or old.stopped:
+        raise RunError("a run that is over, or was told to stop, is not succeeded by another")
+    if old.id == new.id:
+        raise RunError("the run that succeeds another has an id of its own")
+    if old.settling:
+        raise RunError(f"the effects of {', '.join(map(str, old.settling))} are still to be looked for")
+    taken, there = set(new.open_requests), {one.request for one in old.under_way()}
+    left = [str(call) for request, call in old.open_calls.items() if request not in taken]
+    if left:
+        raise RunError(f"the other run does not take over {', '.join(left)}")
+    gone = [str(call) for request, call in new.open_calls.items() if request not in there]
+    if gone:
+        raise RunError(f"{', '.join(gone)} cannot be taken over: it is over, or being cancelled")

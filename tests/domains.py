@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from planner_bridge.model import Problem
+from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 
 ROOMS = """

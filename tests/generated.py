@@ -14,15 +14,14 @@ from typing import Any, Final
 
 from hypothesis import strategies as st
 
-from planner_bridge.grounding import modelled_duration
-from planner_bridge.model import ActionSchema, Declaration, Domain, DurationConstraint, Problem
-from planner_bridge.plan import Plan, PlanStep
-from planner_bridge.state import initial_knowledge
-from planner_bridge.validation import why_invalid
-from pnm.conditions import TRUE, All, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
-from pnm.conditions import Any as AnyOf
-from pnm.effects import Effect, Effects, ForEach, Set, TimedChange, When
-from pnm.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, Value, ValueOf, Variable
+from planner_bridge.model.grounding import initial_knowledge, modelled_duration
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.problem import ActionSchema, Declaration, Domain, DurationConstraint, Problem
+from planner_bridge.planning.validate import why_invalid
+from pnm.core.logic.conditions import TRUE, All, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
+from pnm.core.logic.conditions import Any as AnyOf
+from pnm.core.logic.effects import Effect, Effects, ForEach, Set, TimedChange, When
+from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, Value, ValueOf, Variable
 
 TYPES: Final = {"t": (), "u": ("t",), "w": ()}
 NUMBERS: Final = st.sampled_from([0.0, 1.0, 2.0, 3.0, 0.5, -1.0])

@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 
 from click.testing import CliRunner
 
-from planner_bridge.cli import app
+from planner_bridge.cli.commands import app
 
 PAGE = Path(__file__).parents[1] / "docs" / "language.md"
 BLOCK = re.compile(r"```(?P<kind>yaml|console) ?(?P<name>[^\n]*)\n(?P<body>.*?)```", re.DOTALL)

@@ -6,10 +6,10 @@ from math import inf
 
 from hypothesis import strategies as st
 
-from pnm.conditions import TRUE, Condition, Holds
-from pnm.effects import Set
-from pnm.expressions import Constant, Fluent
-from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.logic.conditions import TRUE, Condition, Holds
+from pnm.core.logic.effects import Set
+from pnm.core.logic.expressions import Constant, Fluent
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 
 _MOMENTS = {"s": Moment.START, "e": Moment.END}
 

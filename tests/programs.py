@@ -6,17 +6,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from uuid import UUID
 
-from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Request
-from pnm.analysis import verify
-from pnm.bindings import Bindings
-from pnm.events import Answered, Ask, Begin, Cancel, Command, Event, Send, Tell, Tick, Wake
-from pnm.generation import generate
-from pnm.knowledge import KnowledgeBase, Layered
-from pnm.machine import OnFailure
-from pnm.plan_graph import PlanGraph
-from pnm.queries import MISSING, Question
-from pnm.results import RunResult
-from pnm.run import Run
+from pnm.core.execution.call_results import RunResult
+from pnm.core.execution.events import Answered, Ask, Begin, Cancel, Command, Event, Send, Tell, Tick, Wake
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.computed_values import MISSING, Question
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import OnFailure
+from pnm.core.machine.plan_graph import PlanGraph
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Request
+from pnm.core.machine.verification.verify import verify
 
 Answer = Callable[[Request], Outcome]
 RUN = UUID(int=1)

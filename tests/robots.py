@@ -6,22 +6,22 @@ from dataclasses import dataclass, field
 from uuid import UUID
 
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
-from pnm.actions.simulated import SimulatedRobots, sense
-from pnm.actions.world import World
-from pnm.analysis import verify
-from pnm.bindings import Bindings
+from pnm.actions.simulated_robots import SimulatedRobots, sense
+from pnm.actions.simulated_world import World
 from pnm.clock import run_async
-from pnm.conditions import Holds
-from pnm.effects import Set
+from pnm.core.execution.call_results import RunResult
+from pnm.core.execution.events import Observer
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.conditions import Holds
+from pnm.core.logic.effects import Set
+from pnm.core.logic.expressions import Constant, Fluent, Value
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import OnFailure, Rule
+from pnm.core.machine.plan_graph import GroundAction, PlanGraph
+from pnm.core.machine.verification.verify import verify
 from pnm.executor import Executor
-from pnm.expressions import Constant, Fluent, Value
-from pnm.generation import generate
-from pnm.knowledge import KnowledgeBase, Layered
-from pnm.machine import OnFailure, Rule
-from pnm.observer import Observer
-from pnm.plan_graph import GroundAction, PlanGraph
-from pnm.results import RunResult
-from pnm.run import Run
 
 RUN = UUID(int=7)
 

@@ -14,14 +14,14 @@ from functools import partial
 from pathlib import Path
 from uuid import UUID
 
-from planner_bridge.serving import Opened, Room, open_tasks
+from planner_bridge.node.serve import Opened, Room, open_tasks
+from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
+from pnm.core.logic.expressions import Fluent, Unknown, Value, show
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.net.net import Marking
 from pnm.errors import InputError
-from pnm.expressions import Fluent, Unknown, Value, show
-from pnm.generation import generate
-from pnm.knowledge import KnowledgeBase, parse_fluent
-from pnm.machine import PetriNetMachine
-from pnm.marking import Marking
-from pnm.tasking import Code, MadePlan, Moment, Status, Step, StepState, TaskEnding, TaskListener, TaskRefused, TaskState, Wanted
+from pnm.tasks import Code, MadePlan, Moment, Status, Step, StepState, TaskEnding, TaskListener, TaskRefused, TaskState, Wanted
 from tests.machines import plan
 
 _STAYS = {state.name.lower(): state for state in (TaskState.QUEUED, TaskState.PLANNING, TaskState.RUNNING, TaskState.REPLANNING)}
@@ -194,7 +194,7 @@ class ScriptedWorld:
 
 
 async def open_scripted(room: Room) -> Opened:
-    """Stand in for `planner_bridge.serving.open_tasks` where there are goals to be pursued."""
+    """Stand in for `planner_bridge.node.serve.open_tasks` where there are goals to be pursued."""
     if room.problem is None:
         return await open_tasks(room)
     tasks = ScriptedTasks(room.options.max_queue)

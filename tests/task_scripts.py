@@ -14,19 +14,19 @@ from dataclasses import dataclass, field, replace
 from typing import Final, TypeAlias
 from uuid import UUID
 
-from planner_bridge.plan_text import read_plan
-from planner_bridge.plans import plan_graph
-from planner_bridge.replanning import Limits
-from planner_bridge.tasking import Room
-from planner_bridge.tasks import OnChange, Settings
+from planner_bridge.ordering.plan_to_graph import plan_graph
+from planner_bridge.planning.plan_text import read_plan
+from planner_bridge.tasks.replanning import Limits
+from planner_bridge.tasks.scheduling.task_manager import Room
+from planner_bridge.tasks.settings import OnChange, Settings
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
-from pnm.bindings import Binding, Bindings
+from pnm.core.logic.computed_values import MISSING, Question
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.machine import OnFailure
+from pnm.knowledge.sources.source import Asker, SourceError
 from pnm.language.plan import HandWrittenPlan
-from pnm.machine import OnFailure
-from pnm.performing import Program
-from pnm.queries import MISSING, Question
-from pnm.sources.base import Asker, SourceError
-from pnm.tasking import Code, OnConflict, TaskRefused, TaskState
+from pnm.language.runner import Program
+from pnm.tasks import Code, OnConflict, TaskRefused, TaskState
 from tests.task_settings import Setting, all_settings
 from tests.task_stage import Stage, play
 

@@ -9,8 +9,8 @@ from functools import cache
 from itertools import permutations
 
 from planner_bridge.loading import load
-from planner_bridge.model import Problem
-from pnm.expressions import Fluent, Value
+from planner_bridge.model.problem import Problem
+from pnm.core.logic.expressions import Fluent, Value
 from tests.conftest import ROOT
 from tests.domains import fleet, matches, rooms, tanks
 

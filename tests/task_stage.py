@@ -8,19 +8,19 @@ import logging
 from collections.abc import Awaitable, Callable, Mapping
 from uuid import UUID, uuid4
 
-from planner_bridge.model import Problem
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_problem
-from planner_bridge.sites import SimulatedSite
-from planner_bridge.state import initial_knowledge
-from planner_bridge.tasking import Room, TaskMaster
-from planner_bridge.tasks import Settings
+from planner_bridge.simulation import SimulatedSite
+from planner_bridge.tasks.scheduling.task_manager import Room, TaskMaster
+from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
-from pnm.conditions import Condition, evaluate
+from pnm.core.logic.conditions import Condition, evaluate
 from pnm.errors import InputError
-from pnm.performing import Performer, Program
-from pnm.sources.base import Source
-from pnm.tasking import Code, Moment, TaskEnding, TaskListener, TaskState, Wanted
+from pnm.knowledge.sources.source import Source
+from pnm.language.runner import Performer, Program
+from pnm.tasks import Code, Moment, TaskEnding, TaskListener, TaskState, Wanted
 from tests.domains import fleet
 
 LIMIT = 20000.0

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pnm.state_space import Unsound
+from pnm.core.machine.verification.explore import Unsound
 
 ROOT = Path(__file__).parents[1]
 DELIVERY = (str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl"))

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pnm.conditions import (
+from pnm.core.logic.conditions import (
     TRUE,
     All,
     Any,
@@ -29,7 +29,7 @@ from pnm.conditions import (
     names,
     observed,
 )
-from pnm.expressions import (
+from pnm.core.logic.expressions import (
     DURATION,
     UNDEFINED,
     UNKNOWN,

@@ -10,23 +10,23 @@ from dataclasses import dataclass, field, replace
 import pytest
 from rich.console import Console
 
-from planner_bridge.console import ConsoleObserver, print_result
-from planner_bridge.model import ActionSchema, Preference, Problem
-from planner_bridge.monitoring import Monitor, Violation
+from planner_bridge.cli.console import ConsoleObserver, print_result
+from planner_bridge.model.grounding import problem_now
+from planner_bridge.model.problem import ActionSchema, Preference, Problem
 from planner_bridge.pipeline import pursue
-from planner_bridge.replanning import Limits
-from planner_bridge.sites import SimulatedSite
-from planner_bridge.state import problem_now
-from planner_bridge.stopwatch import Stopwatch
-from planner_bridge.tasks import Settings, TaskObserver, TaskResult
+from planner_bridge.simulation import SimulatedSite
+from planner_bridge.tasks.constraint_monitor import Monitor
+from planner_bridge.tasks.replanning import Limits
+from planner_bridge.tasks.result import Stopwatch, TaskResult, Violation
+from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
-from pnm.bindings import Bindings
 from pnm.clock import run_async
-from pnm.conditions import Condition, Exists, Holds, Not
-from pnm.expressions import Variable
-from pnm.knowledge import KnowledgeBase, Layered
-from pnm.plan_graph import GroundAction
-from pnm.trajectory import IMPOSSIBLE, Constraint
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.conditions import Condition, Exists, Holds, Not
+from pnm.core.logic.expressions import Variable
+from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.plan_graph import GroundAction
 from tests.domains import rooms
 from tests.test_replanning import LateSite
 

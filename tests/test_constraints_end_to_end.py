@@ -7,17 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.model import Problem
+from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline import achieve, pursue
-from planner_bridge.replanning import PlanAgain, Resume
-from planner_bridge.sites import SimulatedSite
-from planner_bridge.stopwatch import Stopwatch
-from planner_bridge.tasks import Settings, TaskObserver, TaskResult
+from planner_bridge.simulation import SimulatedSite
+from planner_bridge.tasks.replanning import PlanAgain, Resume
+from planner_bridge.tasks.result import Stopwatch, TaskResult
+from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
-from pnm.bindings import Bindings
 from pnm.clock import run_async
-from pnm.knowledge import KnowledgeBase
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.machine.bindings import Bindings
 from tests.domains import ROOMS
 from tests.test_cli import pnm
 from tests.test_cli import result as told

@@ -6,18 +6,31 @@ from dataclasses import replace
 
 import pytest
 
-from pnm.actions.base import Ended, Outcome, OutcomeKind
-from pnm.analysis import explore, verify
-from pnm.bindings import Binding, Bindings
-from pnm.conditions import Computed, Condition, Holds
-from pnm.events import Begin, Send
-from pnm.generation import generate
-from pnm.knowledge import KnowledgeBase, Layered
-from pnm.machine import OnFailure
-from pnm.plan_graph import EMPTY, ActionCall, Cause, Choice, Flow, GroundAction, Junction, Loop, PlanGraph, Recovery, Step, Then
-from pnm.queries import Data, Layer, Literal, Operation, Parameter, Query, Question, Update
-from pnm.run import Run
-from pnm.state_space import Unsound
+from pnm.core.execution.events import Begin, Send
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.computed_values import Data, Layer, Literal, Operation, Parameter, Query, Question, Update
+from pnm.core.logic.conditions import Computed, Condition, Holds
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import OnFailure
+from pnm.core.machine.plan_graph import (
+    EMPTY,
+    ActionCall,
+    Cause,
+    Choice,
+    Flow,
+    GroundAction,
+    Junction,
+    Loop,
+    PlanGraph,
+    Recovery,
+    Step,
+    Then,
+)
+from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
+from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.verify import explore, verify
 from tests.machines import ordering
 from tests.programs import RUN, outcomes, play
 from tests.test_machine import _less_output, check_proof_of_mutants

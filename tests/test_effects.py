@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pnm.conditions import TRUE, Condition, Holds, Not, evaluate
-from pnm.effects import (
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import TRUE, Condition, Holds, Not, evaluate
+from pnm.core.logic.effects import (
     OPERATIONS,
     Changes,
     Effect,
@@ -32,7 +33,7 @@ from pnm.effects import (
     values_before,
     written,
 )
-from pnm.expressions import (
+from pnm.core.logic.expressions import (
     UNDEFINED,
     UNKNOWN,
     Arithmetic,
@@ -49,7 +50,6 @@ from pnm.expressions import (
     ground_expression,
     value_of,
 )
-from pnm.knowledge import KnowledgeBase
 
 ROOMS = ("hall", "kitchen")
 

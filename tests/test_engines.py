@@ -16,13 +16,14 @@ from pathlib import Path
 import pytest
 import unified_planning.shortcuts as up
 
-from planner_bridge.engines import require
-from planner_bridge.model import Metric, Problem
+from planner_bridge.model.plan import PlanningResult, PlanningStatus
+from planner_bridge.model.problem import Metric, Problem
 from planner_bridge.pipeline import achieve
-from planner_bridge.plan import PlanningResult, PlanningStatus
-from planner_bridge.planning import check_planner, solve, validate
+from planner_bridge.planning.engines import require
+from planner_bridge.planning.kairos import validate
+from planner_bridge.planning.solve import check_planner, solve
+from pnm.core.logic.expressions import ValueOf
 from pnm.errors import InputError
-from pnm.expressions import ValueOf
 from tests.domains import hard, matches, rooms, tanks
 from tests.processes import until, working_in
 
@@ -178,7 +179,7 @@ def test_a_search_that_is_cancelled_ends_at_once(folder: Path, engine: str) -> N
 
 def test_an_engine_that_the_system_kills_was_out_of_memory(folder: Path) -> None:
     searching = started(folder, "aries")
-    (child,) = working_in(folder, "planner_bridge.up")
+    (child,) = working_in(folder, "planner_bridge.planning.unified_planning")
     os.kill(child, signal.SIGKILL)
     assert searching.result(timeout=10).status is PlanningStatus.OUT_OF_MEMORY
     assert not working_in(folder)
@@ -191,7 +192,7 @@ def test_an_engine_that_runs_out_of_memory_says_so(monkeypatch: pytest.MonkeyPat
 
 
 def test_when_we_are_killed_the_engine_goes_with_us(folder: Path, root: Path) -> None:
-    code = "from planner_bridge.planning import solve; from tests.domains import hard; solve(hard(), planner='fast-downward', timeout=600)"
+    code = "from planner_bridge import solve; from tests.domains import hard; solve(hard(), planner='fast-downward', timeout=600)"
     us = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(folder)}, cwd=root)
     until(lambda: working_in(folder, WORKS["fast-downward"]))
     us.kill()

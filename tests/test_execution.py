@@ -7,12 +7,12 @@ from dataclasses import replace
 import pytest
 
 from pnm.actions.faults import FaultKind
-from pnm.bindings import Binding, Bindings
-from pnm.conditions import All, Condition, Holds, evaluate
-from pnm.effects import Set
-from pnm.expressions import Constant
-from pnm.machine import OnFailure
-from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.logic.conditions import All, Condition, Holds, evaluate
+from pnm.core.logic.effects import Set
+from pnm.core.logic.expressions import Constant
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.machine import OnFailure
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 from tests.machines import ordering
 from tests.robots import Simulation, fault, hidden, move, simulate
 

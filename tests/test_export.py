@@ -9,11 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from pnm.export.dot import to_dot
-from pnm.export.json import to_json
-from pnm.generation import generate
-from pnm.machine import PetriNetMachine
-from pnm.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.machine.export import to_dot, to_json
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraph
 from tests.robots import move
 
 GOLDEN = Path(__file__).parent / "golden"

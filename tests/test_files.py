@@ -9,17 +9,18 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange, ground_name, read_faults
-from pnm.bindings import Binding, Bindings, goal_data, read_bindings
-from pnm.consultation import Consultation
+from pnm.core.execution.questions import Consultation
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.declared_names import Vocabulary
+from pnm.core.logic.expressions import UNKNOWN
+from pnm.core.machine.bindings import Binding, Bindings, goal_data
+from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError, Position
-from pnm.expressions import UNKNOWN
-from pnm.knowledge import KnowledgeBase, Layered
-from pnm.plan_graph import GroundAction
-from pnm.text_files import read_text
-from pnm.vocabulary import Vocabulary
-from pnm.yaml_files import MAX_BYTES, Mapped, load_yaml
-from pnm.yaml_loader import MAX_DEPTH, MAX_NODES
+from pnm.files.text import read_text
+from pnm.files.yaml_loader import MAX_DEPTH, MAX_NODES
+from pnm.files.yaml_nodes import MAX_BYTES, Mapped, load_yaml
 
 
 def error(read: Callable[[Path], object], path: Path) -> str:

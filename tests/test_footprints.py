@@ -7,14 +7,14 @@ from itertools import permutations, zip_longest
 
 import pytest
 
-from planner_bridge.course import Course, Denied, snapshot
-from planner_bridge.footprints import Footprint, around, conflict, footprint
-from planner_bridge.model import Problem
-from planner_bridge.planning import solve
-from planner_bridge.plans import plan_graph
-from planner_bridge.state import initial_knowledge
-from pnm.conditions import evaluate
-from pnm.plan_graph import PlanGraph
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan_simulation import Course, Denied, snapshot
+from planner_bridge.model.problem import Problem
+from planner_bridge.ordering.interference import Footprint, around, conflict, footprint
+from planner_bridge.ordering.plan_to_graph import plan_graph
+from planner_bridge.planning.solve import solve
+from pnm.core.logic.conditions import evaluate
+from pnm.core.machine.plan_graph import PlanGraph
 from tests.domains import rooms, tanks
 
 

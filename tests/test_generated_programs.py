@@ -12,13 +12,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pnm.analysis import verify
-from pnm.generation import generate
-from pnm.knowledge import KnowledgeBase, Layered
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.verification.verify import verify
+from pnm.core.net.net import Marking
 from pnm.language import HandWrittenPlan, read_plans
-from pnm.machine import PetriNetMachine
-from pnm.marking import Marking
-from pnm.run import Run
 from tests.programs import RUN, play
 from tests.written_programs import DOMAIN, Chaos, Json, in_use, programs, written
 

@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pnm.conditions import All, Exists, Holds, Not, evaluate
+from pnm.core.knowledge_base import KnowledgeBase, Layered, parse_fluent, parse_statement, show_statement
+from pnm.core.logic.computed_values import MISSING
+from pnm.core.logic.conditions import All, Exists, Holds, Not, evaluate
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, Variable
+from pnm.core.logic.rules import NO_RULES, Rule, Rules
 from pnm.errors import InputError
-from pnm.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, Variable
-from pnm.knowledge import KnowledgeBase, Layered, parse_fluent, parse_statement, show_statement
-from pnm.queries import MISSING
-from pnm.rules import NO_RULES, Rule, Rules
 
 Facts = Mapping[Fluent, Value | Unknown]
 

@@ -15,29 +15,29 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner_bridge.model import Declaration, Domain, Problem
+from planner_bridge.model.grounding import initial_knowledge, problem_now
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.problem import Declaration, Domain, Problem
+from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.plan import Plan, PlanStep
-from planner_bridge.plans import plan_graph
-from planner_bridge.replanning import Decision, History, Limits, PlanAgain, Progress, Resume, decide, why_not
-from planner_bridge.sites import SimulatedSite
-from planner_bridge.state import initial_knowledge, problem_now
+from planner_bridge.simulation import SimulatedSite
+from planner_bridge.tasks.replanning import Decision, History, Limits, PlanAgain, Progress, Resume, decide, why_not
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
-from pnm.analysis import verify
-from pnm.bindings import Binding, Bindings, goal_data
 from pnm.clock import run_async
-from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Not, evaluate
-from pnm.consultation import Consultation
-from pnm.effects import Set, When
+from pnm.core.execution.call_results import RunResult
+from pnm.core.execution.questions import Consultation
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Not, evaluate
+from pnm.core.logic.effects import Set, When
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Value, ValueOf, Variable
+from pnm.core.logic.rules import Rule
+from pnm.core.machine.bindings import Binding, Bindings, goal_data
+from pnm.core.machine.generate import generate
+from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.machine.verification.verify import verify
 from pnm.errors import InputError
 from pnm.executor import Executor
-from pnm.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Value, ValueOf, Variable
-from pnm.generation import generate
-from pnm.knowledge import KnowledgeBase, Layered
-from pnm.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
-from pnm.results import RunResult
-from pnm.rules import Rule
-from pnm.run import Run
 
 
 @dataclass

@@ -8,23 +8,23 @@ from pathlib import Path
 
 import pytest
 
-from pnm.conditions import evaluate
-from pnm.consultation import Consultation
+from pnm.core.execution.questions import Consultation
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.computed_values import compute
+from pnm.core.logic.conditions import evaluate
+from pnm.core.logic.expressions import Fluent, Unknown, Value
+from pnm.core.logic.operators import CHANGING, OPERATORS
 from pnm.errors import InputError
-from pnm.expressions import Fluent, Unknown, Value
-from pnm.knowledge import KnowledgeBase, Layered
+from pnm.files.yaml_nodes import Node, parse_yaml
 from pnm.language import read_domain, read_plans, read_world
 from pnm.language.actions import ACTION_KEYS
-from pnm.language.data import read_data
-from pnm.language.drafts import PLAN_KEYS
-from pnm.language.effects import read_effects
-from pnm.language.formulas import read_condition
-from pnm.language.recoveries import COMMANDS
+from pnm.language.files import PLAN_KEYS
+from pnm.language.formulas.conditions import read_condition
+from pnm.language.formulas.effects import read_effects
+from pnm.language.formulas.values import read_data
+from pnm.language.plan_tree import COMMANDS
+from pnm.language.runner import Program
 from pnm.language.steps import OPTIONS
-from pnm.operators import CHANGING, OPERATORS
-from pnm.performing import Program
-from pnm.queries import compute
-from pnm.yaml_files import Node, parse_yaml
 from tests.conftest import ROOT
 from tests.language_reference import PAGE, Shown, blocks, example_files, inside_of, put_files, shown
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from io import StringIO
 
-from planner_bridge.console import Terminal
-from planner_bridge.task_console import TaskConsole
-from planner_bridge.tasks import Settings
+from planner_bridge.cli.console import TaskConsole, Terminal
+from planner_bridge.tasks.settings import Settings
 from pnm.language.plan import parse_plans
-from pnm.performing import Program
-from pnm.tasking import Code
+from pnm.language.runner import Program
+from pnm.tasks import Code
 from tests.task_stage import Stage
 from tests.task_stage import play as on_stage
 

@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pnm.analysis import explore, verify
-from pnm.bindings import Binding, Bindings
-from pnm.conditions import TRUE
-from pnm.generation import generate
-from pnm.machine import (
+from pnm.core.logic.conditions import TRUE
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import (
     Accepts,
     After,
     Always,
@@ -28,10 +27,11 @@ from pnm.machine import (
     Rule,
     Withheld,
 )
-from pnm.net import PetriNet
-from pnm.plan_graph import ActionCall, GroundAction, PlanGraph, PlanGraphError
-from pnm.shapes import shape_of
-from pnm.state_space import Part, Step, Unsound, explore_part
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph, PlanGraphError
+from pnm.core.machine.verification.block_shape import shape_of
+from pnm.core.machine.verification.explore import Part, Step, Unsound, explore_part
+from pnm.core.machine.verification.verify import explore, verify
+from pnm.core.net.net import PetriNet
 from tests.machines import ordering, plan, plans
 
 SHAPES = {

@@ -6,12 +6,12 @@ import asyncio
 
 import pytest
 
-from planner_bridge.making import Maker
-from planner_bridge.shared_world import SharedWorld
-from planner_bridge.state import initial_knowledge
-from planner_bridge.tasks import Settings
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.node.plan_request import Maker
+from planner_bridge.node.world_queries import SharedWorld
+from planner_bridge.tasks.settings import Settings
 from pnm.errors import InputError
-from pnm.tasking import Code, StepState
+from pnm.tasks import Code, StepState
 from tests.domains import rooms
 
 PROBLEM = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc")

@@ -9,11 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pnm.compiled import CompiledNet, Engine
+from pnm.core.net.firing_engine import CompiledNet, Engine
+from pnm.core.net.firing_rule import enabled, fire, is_enabled
+from pnm.core.net.net import Arc, Marking, NetBuilder, NetError, PetriNet, Place, Transition
 from pnm.errors import NotEnabled
-from pnm.marking import Marking
-from pnm.net import Arc, NetBuilder, NetError, PetriNet, Place, Transition
-from pnm.semantics import enabled, fire, is_enabled
 
 Firing = tuple[str, int]
 

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.written import carry_out, simulated_site
-from pnm.actions.base import Outcome, OutcomeKind, Request
-from pnm.analysis import verify
+from planner_bridge.tasks.plan_task import carry_out, simulated_site
 from pnm.clock import run_async
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.machine.generate import generate
+from pnm.core.machine.requests import Outcome, OutcomeKind, Request
+from pnm.core.machine.verification.verify import verify
 from pnm.errors import InputError
-from pnm.generation import generate
-from pnm.knowledge import KnowledgeBase
 from pnm.language.plan import HandWrittenPlan, read_plans
-from pnm.performing import Performer, Program
+from pnm.language.runner import Performer, Program
 from tests.conftest import ROOT
 from tests.programs import Answer, Story, outcomes, play, succeed
 

@@ -11,11 +11,11 @@ import pytest
 from planner_bridge.loading import load
 from planner_bridge.pddl import write_domain, write_problem
 from planner_bridge.pipeline import pursue
-from planner_bridge.sites import SimulatedSite
-from planner_bridge.stopwatch import Stopwatch
-from planner_bridge.tasks import Settings, TaskObserver
+from planner_bridge.simulation import SimulatedSite
+from planner_bridge.tasks.result import Stopwatch
+from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.clock import run_async
-from pnm.conditions import evaluate
+from pnm.core.logic.conditions import evaluate
 from pnm.errors import InputError
 
 FOLDER = Path(__file__).parents[2] / "shared" / "pddl" / "robots"

@@ -11,23 +11,23 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind
-from pnm.actions.simulated import SimulatedRobots, sense
-from pnm.actions.world import World
-from pnm.analysis import explore, verify
-from pnm.bindings import Binding, Bindings
+from pnm.actions.simulated_robots import SimulatedRobots, sense
+from pnm.actions.simulated_world import World
 from pnm.clock import run_async
-from pnm.effects import Set
-from pnm.events import Answered, Ask, Begin, Cancel, Command, Event, KnowledgeChanged, Pause, Resume, Send, Stop, Tick
+from pnm.core.execution.call_results import RunResult
+from pnm.core.execution.events import Answered, Ask, Begin, Cancel, Command, Event, KnowledgeChanged, Pause, Resume, Send, Stop, Tick
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.effects import Set
+from pnm.core.logic.expressions import Constant
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import Always, CancelAsked, PauseAsked
+from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, PlanGraph, Recovery, Then
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
+from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.verify import explore, verify
 from pnm.executor import Executor
-from pnm.expressions import Constant
-from pnm.generation import generate
-from pnm.knowledge import KnowledgeBase, Layered
-from pnm.machine import Always, CancelAsked, PauseAsked
-from pnm.plan_graph import ActionCall, Cause, Flow, GroundAction, PlanGraph, Recovery, Then
-from pnm.results import RunResult
-from pnm.run import Run
-from pnm.state_space import Unsound
 from tests.machines import ordering, plan
 from tests.robots import Log, move
 from tests.test_generated_programs import read

@@ -11,19 +11,18 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from planner_bridge.model import ActionSchema, Declaration, Domain, DurationConstraint, Metric, Preference, Problem
+from planner_bridge.model.problem import ActionSchema, Declaration, Domain, DurationConstraint, Metric, Preference, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
-from planner_bridge.pddl.durative import MOMENTS
-from planner_bridge.pddl.forms import number_text
-from planner_bridge.pddl.names import CONSTRAINTS
-from planner_bridge.pddl.sexpr import MAX_DEPTH
-from planner_bridge.pddl.writer import write_domain, write_problem
-from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
-from pnm.effects import OPERATIONS, Effect, ForEach, Set, TimedChange, When
+from planner_bridge.pddl.read.symbols import CONSTRAINTS
+from planner_bridge.pddl.syntax.expressions import MAX_DEPTH
+from planner_bridge.pddl.syntax.words import MOMENTS, number_text
+from planner_bridge.pddl.write.writer import write_domain, write_problem
+from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
+from pnm.core.logic.effects import OPERATIONS, Effect, ForEach, Set, TimedChange, When
+from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
+from pnm.core.logic.rules import Rule
+from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError
-from pnm.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
-from pnm.rules import Rule
-from pnm.trajectory import Constraint
 
 SHARED = Path(__file__).parents[2] / "shared" / "pddl"
 

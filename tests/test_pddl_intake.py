@@ -8,11 +8,11 @@ import kairos
 import pytest
 
 from planner_bridge.loading import load, told
-from planner_bridge.model import Borrowed, Declaration, Domain, DurationConstraint, Problem
+from planner_bridge.model.problem import Borrowed, Declaration, Domain, DurationConstraint, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, write_domain, write_problem
-from pnm.conditions import TRUE, All, Any, Compare, Holds, Not
+from pnm.core.logic.conditions import TRUE, All, Any, Compare, Holds, Not
+from pnm.core.logic.expressions import Constant, ValueOf, Variable
 from pnm.errors import InputError, Position, Tolerated
-from pnm.expressions import Constant, ValueOf, Variable
 
 ROOT = Path(__file__).parents[1]
 WORDS = ":requirements :typing :action-costs :negative-preconditions"

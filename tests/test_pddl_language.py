@@ -5,14 +5,14 @@ from __future__ import annotations
 import kairos
 import pytest
 
-from planner_bridge.model import ActionSchema, Declaration, Domain, Metric, Preference, Problem
+from planner_bridge.model.problem import ActionSchema, Declaration, Domain, Metric, Preference, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain, write_problem
-from pnm.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not
-from pnm.effects import Effect, ForEach, Set, TimedChange, When
+from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not
+from pnm.core.logic.effects import Effect, ForEach, Set, TimedChange, When
+from pnm.core.logic.expressions import UNDEFINED, Arithmetic, Constant, ValueOf, Variable
+from pnm.core.logic.rules import Rule
+from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError
-from pnm.expressions import UNDEFINED, Arithmetic, Constant, ValueOf, Variable
-from pnm.rules import Rule
-from pnm.trajectory import Constraint
 
 DECLARED = (
     "(define (domain d)"

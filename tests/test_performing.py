@@ -11,27 +11,26 @@ from uuid import uuid4
 
 import pytest
 
-from planner_bridge.cli_files import Files
-from planner_bridge.cli_written import run_written
-from planner_bridge.console import Terminal
-from planner_bridge.replanning import Limits
-from planner_bridge.tasks import Settings
-from planner_bridge.written import carry_out, chosen_plan, simulated_site, together
+from planner_bridge.cli.console import Terminal
+from planner_bridge.cli.options import Files
+from planner_bridge.cli.run import run_written
+from planner_bridge.tasks.plan_task import carry_out, chosen_plan, simulated_site, together
+from planner_bridge.tasks.replanning import Limits
+from planner_bridge.tasks.settings import Settings
+from pnm.actions.backend import schedule
 from pnm.actions.faults import Fault, FaultKind, Faults
-from pnm.bindings import Binding, Bindings
 from pnm.clock import run_async
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.computed_values import Layer, Question
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.machine import OnFailure
 from pnm.errors import InputError
-from pnm.knowledge import KnowledgeBase, Layered
+from pnm.knowledge.sources.memory import MemoryKnowledge
+from pnm.knowledge.sources.router import Sources
+from pnm.knowledge.sources.source import Asker
 from pnm.language.plan import read_plans
-from pnm.machine import OnFailure
-from pnm.performing import Performer, Program
-from pnm.plan_parameters import check_values
-from pnm.queries import Layer, Question
-from pnm.sites import schedule
-from pnm.sources.base import Asker
-from pnm.sources.chain import Sources
-from pnm.sources.memory import MemoryKnowledge
-from pnm.tasking import Code
+from pnm.language.runner import Performer, Program, check_values
+from pnm.tasks import Code
 
 GUIDE = """
 actions:

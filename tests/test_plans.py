@@ -10,17 +10,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner_bridge.model import Problem
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.problem import Problem
+from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline import achieve
-from planner_bridge.plan import Plan, PlanStep
-from planner_bridge.planning import solve, validate
-from planner_bridge.plans import plan_graph
-from planner_bridge.replanning import Progress, why_not
-from planner_bridge.state import initial_knowledge
-from pnm.conditions import All, Holds, Not
-from pnm.plan_graph import Moment, PlanEvent, PlanGraph
-from pnm.trajectory import Constraint
+from planner_bridge.planning.kairos import validate
+from planner_bridge.planning.solve import solve
+from planner_bridge.tasks.replanning import Progress, why_not
+from pnm.core.logic.conditions import All, Holds, Not
+from pnm.core.logic.trajectory import Constraint
+from pnm.core.machine.plan_graph import Moment, PlanEvent, PlanGraph
 from tests.domains import matches, rooms
 
 

@@ -19,13 +19,14 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from planner_bridge.cli import app
-from planner_bridge.model import Problem
+from planner_bridge.cli.commands import app
+from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
+from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline import achieve
-from planner_bridge.plan import Plan, PlanningResult, PlanningStatus, PlanStep
-from planner_bridge.planning import solve, validate
-from planner_bridge.race import entrants, race
-from planner_bridge.tasks import Settings
+from planner_bridge.planning.kairos import validate
+from planner_bridge.planning.portfolio import entrants, race
+from planner_bridge.planning.solve import solve
+from planner_bridge.tasks.settings import Settings
 from pnm.errors import InputError
 from tests.domains import hard, matches, rooms, tanks
 from tests.processes import parent, until, working_in
@@ -124,7 +125,7 @@ def test_the_script_that_calls_is_not_run_again(tmp_path: Path, root: Path) -> N
     script = tmp_path / "script.py"
     script.write_text(
         "print('once')\n"
-        "from planner_bridge.race import race\n"
+        "from planner_bridge.planning.portfolio import race\n"
         "from tests.domains import rooms\n"
         "assert race(rooms(), planners=('kairos',)).plan is not None\n"
     )
@@ -235,7 +236,7 @@ def test_a_race_can_be_cancelled(folder: Path) -> None:
 
 def test_a_process_that_dies_takes_nobody_with_it(folder: Path) -> None:
     found = started(folder, ("kairos", "aries"), 3)
-    (engine,) = working_in(folder, "planner_bridge.up")
+    (engine,) = working_in(folder, "planner_bridge.planning.unified_planning")
     os.kill(parent(engine), signal.SIGKILL)
     result = found.result(timeout=60)
     assert result.status is PlanningStatus.TIMED_OUT
@@ -245,7 +246,10 @@ def test_a_process_that_dies_takes_nobody_with_it(folder: Path) -> None:
 
 
 def test_when_we_are_killed_everybody_goes_with_us(folder: Path, root: Path) -> None:
-    code = "from planner_bridge.race import race; from tests.domains import hard; race(hard(), planners=('kairos', 'aries'), timeout=600)"
+    code = (
+        "from planner_bridge.planning.portfolio import race; from tests.domains import hard; "
+        "race(hard(), planners=('kairos', 'aries'), timeout=600)"
+    )
     us = subprocess.Popen([sys.executable, "-c", code], cwd=root)
     until(lambda: working_in(folder, "up-aries_"))
     us.kill()

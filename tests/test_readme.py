@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import read_faults
-from pnm.bindings import read_bindings
 from pnm.language import read_plans
 
 SHOWN = re.findall(r"```yaml\n(.*?)```", (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8"), re.DOTALL)

@@ -7,26 +7,26 @@ from dataclasses import replace
 
 import pytest
 
-from planner_bridge.forbidding import ForbiddenCall, forbid
-from planner_bridge.model import Problem
+from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.problem import Problem
+from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline import achieve, pursue
-from planner_bridge.plan import Plan, PlanStep
-from planner_bridge.plans import plan_graph
-from planner_bridge.replanning import Decision, GiveUp, History, Limits, PlanAgain, Progress, Resume, decide
-from planner_bridge.sites import SimulatedSite
-from planner_bridge.stopwatch import Stopwatch
-from planner_bridge.tasks import Settings, TaskObserver, TaskResult
+from planner_bridge.simulation import SimulatedSite
+from planner_bridge.tasks.replanning import Decision, GiveUp, History, Limits, PlanAgain, Progress, Resume, decide
+from planner_bridge.tasks.result import Stopwatch, TaskResult
+from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
-from pnm.bindings import Binding, Bindings
 from pnm.clock import run_async
-from pnm.conditions import Holds, Not, evaluate
-from pnm.expressions import Variable
-from pnm.knowledge import KnowledgeBase
-from pnm.plan_graph import ActionCall, GroundAction
-from pnm.results import CallResult, Failure
-from pnm.tasking import TaskState
-from pnm.trajectory import Constraint
+from pnm.core.execution.call_results import CallResult, Failure
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import Holds, Not, evaluate
+from pnm.core.logic.expressions import Variable
+from pnm.core.logic.trajectory import Constraint
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.plan_graph import ActionCall, GroundAction
+from pnm.tasks import TaskState
 from tests.domains import ROOMS, matches, rooms
 
 

@@ -17,25 +17,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner_bridge.simulate import LoggedRobots
-from planner_bridge.written import simulated_site, together
-from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
-from pnm.actions.simulated import SimulatedRobots
-from pnm.actions.world import World
-from pnm.bindings import Binding, Bindings
+from planner_bridge.node.simulate import LoggedRobots
+from planner_bridge.tasks.plan_task import simulated_site, together
+from pnm.actions.simulated_robots import SimulatedRobots
+from pnm.actions.simulated_world import World
 from pnm.clock import run_async
-from pnm.conditions import Computed, Holds
+from pnm.core.execution.events import Answered, Ask, Begin, Command, KnowledgeChanged, Pause, ResourcesChanged, Resume, Send, Stop, Tick
+from pnm.core.execution.resources import Claim, Resources
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
+from pnm.core.logic.conditions import Computed, Holds
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, PlanGraph, Recovery, Then
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
 from pnm.errors import InputError
-from pnm.events import Answered, Ask, Begin, Command, KnowledgeChanged, Pause, ResourcesChanged, Resume, Send, Stop, Tick
 from pnm.executor import Executor
-from pnm.generation import generate
-from pnm.knowledge import KnowledgeBase, Layered
 from pnm.language.plan import read_plans
-from pnm.performing import Performer, Program
-from pnm.plan_graph import ActionCall, Cause, Flow, GroundAction, PlanGraph, Recovery, Then
-from pnm.queries import Layer, Literal, Operation, Query
-from pnm.resources import Claim, Resources
-from pnm.run import Run
+from pnm.language.runner import Performer, Program
 from tests.machines import ordering
 
 SUCCEEDED = Outcome(OutcomeKind.SUCCEEDED)

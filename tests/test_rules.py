@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pnm.conditions import All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, evaluate, free_variables, ground
-from pnm.expressions import UNKNOWN, Constant, Environment, Fluent, State, Truth, Unknown, Value, ValueOf, Variable
-from pnm.knowledge import KnowledgeBase
-from pnm.rules import NO_RULES, Rule, Rules, UnstratifiedError
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, evaluate, free_variables, ground
+from pnm.core.logic.expressions import UNKNOWN, Constant, Environment, Fluent, State, Truth, Unknown, Value, ValueOf, Variable
+from pnm.core.logic.rules import NO_RULES, Rule, Rules, UnstratifiedError
 
 Facts = dict[Fluent, Value | Unknown]
 

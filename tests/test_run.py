@@ -9,18 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind
-from pnm.bindings import Binding, Bindings
-from pnm.conditions import Holds, Not
-from pnm.effects import Effect, Set, When
+from pnm.core.execution.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.conditions import Holds, Not
+from pnm.core.logic.effects import Effect, Set, When
+from pnm.core.logic.expressions import UNKNOWN, Constant, Unknown, Value
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
+from pnm.core.net.firing_rule import fire
 from pnm.errors import RunError
-from pnm.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
-from pnm.expressions import UNKNOWN, Constant, Unknown, Value
-from pnm.generation import generate
-from pnm.knowledge import KnowledgeBase, Layered
-from pnm.plan_graph import ActionCall, GroundAction, PlanGraph
-from pnm.run import Run
-from pnm.semantics import fire
 from tests.machines import plan, plans
 from tests.robots import Log
 

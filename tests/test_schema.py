@@ -13,15 +13,16 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 
-from planner_bridge.cli import app
-from planner_bridge.yaml_files import sections
-from planner_bridge.yaml_files.export import exported
+from planner_bridge.cli.commands import app
+from planner_bridge.yaml import sections
+from planner_bridge.yaml.convert import exported
+from pnm.core.logic.operators import OPERATORS
+from pnm.core.machine.machine import OnFailure
 from pnm.errors import InputError
-from pnm.language import actions, domain, drafts, effects, files, recoveries, steps, words
+from pnm.language import actions, domain, files, plan_tree, steps
 from pnm.language.files import SCHEMA
+from pnm.language.formulas import effects, words
 from pnm.language.plan import read_plans
-from pnm.machine import OnFailure
-from pnm.operators import OPERATORS
 from tests.conftest import ROOT
 from tests.written_programs import programs
 
@@ -58,12 +59,12 @@ def test_it_is_a_schema() -> None:
 @pytest.mark.parametrize(
     ("part", "known"),
     [
-        (KNOWN, {*domain.DOMAIN_KEYS, *drafts.PLAN_KEYS, "plans"}),
-        (PARTS["recipe"], set(drafts.RECIPE_KEYS)),
+        (KNOWN, {*domain.DOMAIN_KEYS, *files.PLAN_KEYS, "plans"}),
+        (PARTS["recipe"], set(files.RECIPE_KEYS)),
         (PARTS["action"], set(actions.ACTION_KEYS)),
         (PARTS["problem"], set(domain._PROBLEM_KEYS)),
         (PARTS["step"], {*actions.RESERVED, *steps.OPTIONS}),
-        (PARTS["recoveries"]["properties"]["during"], set(recoveries._DURING)),
+        (PARTS["recoveries"]["properties"]["during"], set(plan_tree._DURING)),
         (PARTS["constraint"], {*sections._OPERATORS, "forall"}),
     ],
 )
@@ -82,7 +83,7 @@ def test_the_words_are_those_of_the_readers() -> None:
     assert keys(PARTS["timedEffects"]) == spelled(*effects._WORDS) | {"at_start", "at_end"}
     assert keys(PARTS["operation"]) == spelled(*words.UPDATES, *words.QUERIES, "operation")
     assert keys(PARTS["duration"]) == {*effects._BOUNDS, "Value", "Operation"}
-    assert set(PARTS["command"]["enum"]) == set(recoveries.COMMANDS)
+    assert set(PARTS["command"]["enum"]) == set(plan_tree.COMMANDS)
     assert set(PARTS["operator"]["enum"]) == OPERATORS.keys() | words._NAMES.keys()
     assert set(KNOWN["properties"]["on_failure"]["enum"]) == {one.value for one in OnFailure} | {None}
     kinds = KNOWN["definitions"]["action"]["properties"]["type"]["then"]["enum"]
@@ -97,7 +98,7 @@ def test_words_may_be_spelled_as_the_readers_allow() -> None:
 
 
 def test_whatever_else_a_reader_looks_for_by_name_is_a_key_of_the_schema_and_the_other_way_round() -> None:
-    folder = Path(drafts.__file__).parent
+    folder = Path(files.__file__).parent
     called = [
         node
         for path in folder.glob("*.py")
@@ -108,13 +109,13 @@ def test_whatever_else_a_reader_looks_for_by_name_is_a_key_of_the_schema_and_the
     listed = {key for part in everything(KNOWN) if isinstance(part.get("properties"), dict) for key in part["properties"]}
     assert len(looked_for) > 20
     assert looked_for <= listed
-    named = {*domain.DOMAIN_KEYS, *drafts.PLAN_KEYS, *drafts.RECIPE_KEYS, *actions.ACTION_KEYS, *domain._PROBLEM_KEYS, *steps.OPTIONS}
+    named = {*domain.DOMAIN_KEYS, *files.PLAN_KEYS, *files.RECIPE_KEYS, *actions.ACTION_KEYS, *domain._PROBLEM_KEYS, *steps.OPTIONS}
     spoken = {words._spelled(word) for word in (*words.VALUES, *words.UPDATES, *effects._WORDS)}
     planners = {*sections._OPERATORS, "minimize", "maximize", "constraint", "moment", "variables", "effects"}
     assert listed <= looked_for | named | spoken | planners | {
         *effects.MOMENTS,
         *effects._BOUNDS,
-        *recoveries._DURING,
+        *plan_tree._DURING,
         actions.OPERATION,
         "plans",
     }

@@ -21,27 +21,28 @@ from unified_planning.exceptions import UPInvalidActionError
 from unified_planning.io import PDDLReader
 from unified_planning.plans import ActionInstance, SequentialPlan, TimeTriggeredPlan
 
-from planner_bridge.grounding import ground_action
-from planner_bridge.model import ActionSchema, Problem
+from planner_bridge.model.grounding import dynamic_names, ground_action, initial_knowledge
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.problem import ActionSchema, Problem
+from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain, write_problem
-from planner_bridge.plan import Plan, PlanStep
-from planner_bridge.planning import plan_text, solve, validate
-from planner_bridge.plans import plan_graph
-from planner_bridge.sites import SimulatedSite
-from planner_bridge.state import dynamic_names, initial_knowledge
-from planner_bridge.validation import trace, why_invalid
-from pnm.analysis import verify
-from pnm.bindings import Bindings
+from planner_bridge.planning.kairos import validate
+from planner_bridge.planning.plan_text import plan_text
+from planner_bridge.planning.solve import solve
+from planner_bridge.planning.validate import trace, why_invalid
+from planner_bridge.simulation import SimulatedSite
 from pnm.clock import run_async
-from pnm.conditions import TRUE, evaluate
-from pnm.effects import changes, names_written
+from pnm.core.execution.call_results import RunResult
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.conditions import TRUE, evaluate
+from pnm.core.logic.effects import changes, names_written
+from pnm.core.logic.expressions import Fluent, State, same
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.plan_graph import Moment, PlanGraph, PlanGraphError
+from pnm.core.machine.verification.verify import verify
 from pnm.executor import Executor
-from pnm.expressions import Fluent, State, same
-from pnm.generation import generate
-from pnm.knowledge import KnowledgeBase, Layered
-from pnm.plan_graph import Moment, PlanGraph, PlanGraphError
-from pnm.results import RunResult
-from pnm.run import Run
 from tests.generated import Features, apart, calls, conditions, fluents, goal_of, plans, problems, states, walks
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # unified-planning calls pyparsing by its old names

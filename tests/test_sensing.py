@@ -14,19 +14,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner_bridge.loading import load
+from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.state import initial_knowledge
-from pnm.bindings import Bindings
 from pnm.clock import run_async
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
+from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError
-from pnm.expressions import UNDEFINED, UNKNOWN
-from pnm.knowledge import KnowledgeBase
-from pnm.message_fields import Comparison, Every, Field, Flag, Negation, Some, Source, Unreadable, parse_field, succeeds
-from pnm.reports import Reports
-from pnm.sensing import Instance, Polled, Topic, instances, read, unknown
-from pnm.sensing_file import read_sensing
-from pnm.silence import Silence
-from pnm.sites import Ros2Site
+from pnm.knowledge.message_fields import Comparison, Every, Field, Flag, Negation, Some, Source, Unreadable, parse_field, succeeds
+from pnm.knowledge.sensor_file import read_sensing
+from pnm.knowledge.sensor_model import Instance, Polled, Topic, instances, read, unknown
+from pnm.knowledge.state_reports import Reports, Silence
+from pnm.ros.backend import Ros2Site
 from tests.test_yaml_damage import damaged
 
 ROOT = Path(__file__).parents[1]

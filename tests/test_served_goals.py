@@ -11,20 +11,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner_bridge.common_knowledge import common_knowledge
-from planner_bridge.served_problem import NOTHING
-from planner_bridge.tasking import TaskMaster
-from planner_bridge.tasks import Settings
-from planner_bridge.written import simulated_site, together
+from planner_bridge.node.initial_world import common_knowledge
+from planner_bridge.node.problem_service import NOTHING
+from planner_bridge.tasks.plan_task import simulated_site, together
+from planner_bridge.tasks.scheduling.task_manager import TaskMaster
+from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async
-from pnm.conditions import Condition
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import Condition
 from pnm.errors import InputError
-from pnm.knowledge import KnowledgeBase
 from pnm.language.plan import read_plans
-from pnm.performing import Performer, Program
-from pnm.ros.served_goals import Ending, read_parameters
-from pnm.tasking import Code, TaskEnding, TaskListener, Wanted
+from pnm.language.runner import Performer, Program
+from pnm.ros.tasks.task_messages import Ending, read_parameters
+from pnm.tasks import Code, TaskEnding, TaskListener, Wanted
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner_bridge.pddl.sexpr import MAX_DEPTH, Atom, Group, Node, parse, where
+from planner_bridge.pddl.syntax.expressions import MAX_DEPTH, Atom, Group, Node, parse, where
 from pnm.errors import InputError
 
 BAD = [

@@ -8,10 +8,10 @@ from dataclasses import replace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pnm.conditions import TRUE
-from pnm.machine import After, Always, CancelAsked, Denied, Ending, Failing, Guard, Holding, PauseAsked
-from pnm.shapes import shape_of
-from pnm.state_space import Part, Step, Unsound, explore_part
+from pnm.core.logic.conditions import TRUE
+from pnm.core.machine.machine import After, Always, CancelAsked, Denied, Ending, Failing, Guard, Holding, PauseAsked
+from pnm.core.machine.verification.block_shape import shape_of
+from pnm.core.machine.verification.explore import Part, Step, Unsound, explore_part
 
 GUARDS: tuple[Guard, ...] = (Always(), Holding(TRUE), Denied(TRUE), After(1.0), Ending(), Failing(), CancelAsked(), PauseAsked())
 ROLES = ("failures", "records", "counters", "outputs", "finals", "early", "restarts", "resources")

@@ -13,17 +13,16 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from planner_bridge.loading import load
+from planner_bridge.model.grounding import initial_knowledge, problem_now
+from planner_bridge.node.problem_service import ServedProblem, load_texts, write_inside
+from planner_bridge.node.world_queries import MAX_LENGTH, MAX_TEXTS, SharedWorld, read_goals
 from planner_bridge.pddl import parse_domain, parse_problem, read_problem
-from planner_bridge.problem_files import load_texts, write_inside
-from planner_bridge.served_problem import ServedProblem
-from planner_bridge.shared_world import MAX_LENGTH, MAX_TEXTS, SharedWorld, read_goals
-from planner_bridge.state import initial_knowledge, problem_now
-from planner_bridge.tasks import Settings
+from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async
-from pnm.conditions import TRUE
+from pnm.core.knowledge_base import show_statement
+from pnm.core.logic.conditions import TRUE
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, show
 from pnm.errors import InputError
-from pnm.expressions import UNDEFINED, UNKNOWN, show
-from pnm.knowledge import show_statement
 
 ROOT = Path(__file__).parents[1]
 DOMAIN = parse_domain(

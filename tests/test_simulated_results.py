@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.written import PlanResult, carry_out
+from planner_bridge.tasks.plan_task import PlanResult, carry_out
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.errors import InputError
 

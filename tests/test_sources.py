@@ -20,9 +20,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.clock import run_async
+from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.errors import InputError, Position
-from pnm.queries import MISSING, Layer, Question
-from pnm.sources import (
+from pnm.knowledge.sources import (
     Asker,
     Choice,
     SourceError,
@@ -34,12 +34,11 @@ from pnm.sources import (
     registry,
     source_names,
 )
-from pnm.sources import sqlite as sqlite_source
-from pnm.sources.memory import MemoryKnowledge
-from pnm.sources.people import message_text, printable, question_text, read_answer
-from pnm.sources.sqlite import SqliteKnowledge, default_path
-from pnm.sources.terminal import Terminal
-from pnm.sources.values import read_value, write_value
+from pnm.knowledge.sources import sqlite as sqlite_source
+from pnm.knowledge.sources.memory import MemoryKnowledge, read_value, write_value
+from pnm.knowledge.sources.person_text import message_text, printable, question_text, read_answer
+from pnm.knowledge.sources.sqlite import SqliteKnowledge, default_path
+from pnm.knowledge.sources.terminal import Terminal
 
 ME = Asker(UUID(int=7), "tour")
 JSON = st.recursive(
@@ -403,9 +402,9 @@ WRITER = """
 import asyncio, sys
 from pathlib import Path
 from uuid import UUID
-from pnm.queries import Layer, Question
-from pnm.sources import Asker
-from pnm.sources.sqlite import SqliteKnowledge
+from pnm.core.logic.computed_values import Layer, Question
+from pnm.knowledge.sources import Asker
+from pnm.knowledge.sources.sqlite import SqliteKnowledge
 
 async def main(file, name, count):
     knowledge = SqliteKnowledge(Path(file))
@@ -484,7 +483,7 @@ def test_an_unknown_name_is_refused_with_the_nearest_and_the_way_to_register() -
     with pytest.raises(InputError) as caught:
         check_source("my.sqlit", Position("domain.yaml", 3, 5))
     assert str(caught.value).startswith("domain.yaml:3:5: there is no source of knowledge 'my.sqlit'; did you mean 'sqlite'?")
-    assert "pnm.sources.register_source('my.sqlit', factory)" in str(caught.value)
+    assert "pnm.knowledge.sources.register_source('my.sqlit', factory)" in str(caught.value)
     with pytest.raises(InputError, match="expected one of memory, person, ros2, sqlite, terminal, topics"):
         check_source("zzz")
 
@@ -505,11 +504,11 @@ def test_a_source_of_a_package(registered: None, tmp_path: Path, monkeypatch: py
     package.mkdir()
     (package / "METADATA").write_text("Name: shop_kb\nVersion: 1.0\n")
     points = (
-        "[pnm.sources]",
-        "shops = pnm.sources.factories:memory",
+        "[pnm.knowledge.sources]",
+        "shops = pnm.knowledge.sources.registry:memory",
         "broken = gone:make",
         "[pnm.people]",
-        "screen = pnm.sources.factories:memory",
+        "screen = pnm.knowledge.sources.registry:memory",
     )
     (package / "entry_points.txt").write_text("\n".join(points))
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -689,9 +688,9 @@ def test_the_terminal_is_closed_while_somebody_thinks(person: Person) -> None:
 NO_TERMINAL = """
 import asyncio, sys
 from uuid import UUID
-from pnm.queries import Layer, Question
-from pnm.sources import Asker, SourceError
-from pnm.sources.terminal import Terminal
+from pnm.core.logic.computed_values import Layer, Question
+from pnm.knowledge.sources import Asker, SourceError
+from pnm.knowledge.sources.terminal import Terminal
 question = Question("USER", Layer.PERSON, "null")
 for asking in (Terminal().query(question, Asker(UUID(int=1))), Terminal().update(question, 1, Asker(UUID(int=1)))):
     try:

@@ -9,26 +9,26 @@ from uuid import UUID
 
 import pytest
 
-from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
-from pnm.analysis import explore, verify
-from pnm.bindings import Binding, Bindings
-from pnm.calls import UnderWay
 from pnm.clock import run_async
-from pnm.conditions import Holds
-from pnm.effects import Set
+from pnm.core.execution.call_requests import UnderWay
+from pnm.core.execution.call_results import RunResult
+from pnm.core.execution.events import Begin, Cancel, Command, Pause, Send, Stop, Tick, Wake
+from pnm.core.execution.resources import Resources
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.computed_values import MISSING, Layer, Question
+from pnm.core.logic.conditions import Holds
+from pnm.core.logic.effects import Set
+from pnm.core.logic.expressions import Constant
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, PlanGraphError
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
+from pnm.core.machine.verification.verify import explore, verify
 from pnm.errors import RunError
-from pnm.events import Begin, Cancel, Command, Pause, Send, Stop, Tick, Wake
 from pnm.executor import Executor
-from pnm.expressions import Constant
-from pnm.generation import generate
-from pnm.knowledge import KnowledgeBase, Layered
-from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, PlanGraphError
-from pnm.queries import MISSING, Layer, Question
-from pnm.resources import Resources
-from pnm.results import RunResult
-from pnm.run import Run
-from pnm.sources.base import Asker, Source
-from pnm.sources.people import question_text
+from pnm.knowledge.sources.person_text import question_text
+from pnm.knowledge.sources.source import Asker, Source
 from tests.machines import ordering
 from tests.robots import Log, move
 from tests.test_machine import check_proof_of_mutants

@@ -16,16 +16,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner_bridge.loading import load
-from planner_bridge.model import Problem
-from planner_bridge.replanning import Limits
-from planner_bridge.tasking import Room
-from planner_bridge.tasks import OnChange, Settings
+from planner_bridge.model.problem import Problem
+from planner_bridge.tasks.replanning import Limits
+from planner_bridge.tasks.scheduling.task_manager import Room
+from planner_bridge.tasks.settings import OnChange, Settings
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
-from pnm.bindings import Binding, Bindings
-from pnm.machine import OnFailure
-from pnm.queries import MISSING, Layer, Question
-from pnm.sources.base import Asker, Source
-from pnm.tasking import Code, OnConflict, TaskListener, TaskRefused, TaskState, Wanted
+from pnm.core.logic.computed_values import MISSING, Layer, Question
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.machine import OnFailure
+from pnm.knowledge.sources.source import Asker, Source
+from pnm.tasks import Code, OnConflict, TaskListener, TaskRefused, TaskState, Wanted
 from tests.conftest import ROOT
 from tests.domains import fleet
 from tests.task_stage import Stage, play

@@ -11,10 +11,21 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pnm.conditions import All, Any, Condition, Holds, Not, evaluate
-from pnm.expressions import UNKNOWN, Unknown, Variable
-from pnm.knowledge import KnowledgeBase
-from pnm.trajectory import IMPOSSIBLE, Constraint, Watch, instances, is_fulfilled, moments, names_in, progressed, seen_of, shifted
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import All, Any, Condition, Holds, Not, evaluate
+from pnm.core.logic.expressions import UNKNOWN, Unknown, Variable
+from pnm.core.logic.trajectory import (
+    IMPOSSIBLE,
+    Constraint,
+    Watch,
+    instances,
+    is_fulfilled,
+    moments,
+    names_in,
+    progressed,
+    seen_of,
+    shifted,
+)
 
 P, Q = Holds(("p",)), Holds(("q",))
 Trace = list[tuple[float, KnowledgeBase]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from planner_bridge.turnstile import SLOW, Turnstile
+from planner_bridge.tasks.scheduling.planning_queue import SLOW, Turnstile
 from pnm.clock import run_async
 
 

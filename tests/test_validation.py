@@ -6,11 +6,11 @@ from typing import Final
 
 import pytest
 
-from planner_bridge.model import Problem
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.plan import Plan, PlanStep
-from planner_bridge.planning import validate
-from planner_bridge.validation import InvalidPlan, trace, why_invalid
+from planner_bridge.planning.kairos import validate
+from planner_bridge.planning.validate import InvalidPlan, trace, why_invalid
 from tests.domains import rooms
 
 RULES: Final = parse_domain("""

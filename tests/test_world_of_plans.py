@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.common_knowledge import common_knowledge
-from planner_bridge.served_problem import NOTHING, ServedProblem
-from planner_bridge.tasks import Settings
+from planner_bridge.node.initial_world import common_knowledge
+from planner_bridge.node.problem_service import NOTHING, ServedProblem
+from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async
 from pnm.errors import InputError
 from pnm.language.plan import parse_plans

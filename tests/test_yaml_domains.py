@@ -8,14 +8,14 @@ from typing import TypeAlias
 
 import pytest
 
-from pnm.conditions import TRUE, All, Any, Compare, Computed, Holds, Not
-from pnm.effects import Set, TimedChange
+from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
+from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Holds, Not
+from pnm.core.logic.effects import Set, TimedChange
+from pnm.core.logic.expressions import DURATION, Constant, ValueOf, Variable
+from pnm.core.logic.rules import Rule
 from pnm.errors import InputError
-from pnm.expressions import DURATION, Constant, ValueOf, Variable
 from pnm.language import LanguageDomain, read_domain
 from pnm.language.actions import ActionKind
-from pnm.queries import Layer, Literal, Operation, Query
-from pnm.rules import Rule
 
 Read: TypeAlias = Callable[[str], LanguageDomain]
 

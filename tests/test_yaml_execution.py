@@ -9,9 +9,9 @@ from collections.abc import Mapping
 
 import pytest
 
-from pnm.actions.base import Outcome, OutcomeKind, Request
+from pnm.core.logic.computed_values import Layer
+from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.language.plan import HandWrittenPlan, parse_plans
-from pnm.queries import Layer
 from tests.paper import PAPER_DOMAIN, PAPER_PLAN
 from tests.programs import Answer, Story, outcomes, play, succeed
 

@@ -6,16 +6,16 @@ from collections.abc import Callable
 
 import pytest
 
-from pnm.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
-from pnm.effects import ForEach, Set, When
+from pnm.core.logic.computed_values import Compound, Data, KnowledgeOperation, Layer, Literal, Operation, Parameter, Query, Update
+from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
+from pnm.core.logic.effects import ForEach, Set, When
+from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, ValueOf, Variable
 from pnm.errors import InputError
-from pnm.expressions import DURATION, Arithmetic, Constant, ValueOf, Variable
-from pnm.language.data import read_data, read_operation
-from pnm.language.effects import Timed, Written, read_conditions, read_duration, read_effects, read_timed_effects
-from pnm.language.formulas import FALSE, read_condition, read_expression
-from pnm.language.scope import Scope, read_names, read_typed
-from pnm.queries import Compound, Data, KnowledgeOperation, Layer, Literal, Operation, Parameter, Query, Update
-from pnm.yaml_files import Node, parse_yaml
+from pnm.files.yaml_nodes import Node, parse_yaml
+from pnm.language.formulas.conditions import FALSE, read_condition, read_expression
+from pnm.language.formulas.effects import Timed, Written, read_conditions, read_duration, read_effects, read_timed_effects
+from pnm.language.formulas.scope import Scope, read_names, read_typed
+from pnm.language.formulas.values import read_data, read_operation
 
 
 def node(text: str) -> Node:

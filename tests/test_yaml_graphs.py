@@ -10,9 +10,9 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pnm.generation import generate
+from pnm.core.machine.generate import generate
+from pnm.core.machine.plan_graph import ActionCall, Flow, Junction, flows
 from pnm.language.plan import HandWrittenPlan, parse_plans
-from pnm.plan_graph import ActionCall, Flow, Junction, flows
 
 # --- trees, and what comes before what in them ---------------------------------------------
 

@@ -11,23 +11,22 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from planner_bridge.comments import Note, Table
-from planner_bridge.model import ActionSchema, Domain, Preference, Problem
+from planner_bridge.model.problem import ActionSchema, Domain, Preference, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain
-from planner_bridge.pddl.comments import comments
-from planner_bridge.pddl.sexpr import tokens
-from planner_bridge.yaml_files.domains import write_domain as domain_as_yaml
-from planner_bridge.yaml_files.domains import write_problem as problem_as_yaml
-from planner_bridge.yaml_files.emitter import Entry, Mapping, Sequence, document
-from planner_bridge.yaml_files.export import exported, imported
-from planner_bridge.yaml_files.reader import parse
-from planner_bridge.yaml_files.scalars import scalar
-from pnm.conditions import All, Compare, Holds
-from pnm.effects import TimedChange
+from planner_bridge.pddl.comments.table import Note, Table
+from planner_bridge.pddl.read.attach_comments import comments
+from planner_bridge.pddl.syntax.expressions import tokens
+from planner_bridge.yaml.convert import exported, imported
+from planner_bridge.yaml.emitter import Entry, Mapping, Sequence, document, scalar
+from planner_bridge.yaml.reader import parse
+from planner_bridge.yaml.write_domain import write_domain as domain_as_yaml
+from planner_bridge.yaml.write_domain import write_problem as problem_as_yaml
+from pnm.core.logic.conditions import All, Compare, Holds
+from pnm.core.logic.effects import TimedChange
+from pnm.core.logic.expressions import Constant, Fluent, ValueOf
+from pnm.core.logic.rules import Rule
+from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError
-from pnm.expressions import Constant, Fluent, ValueOf
-from pnm.rules import Rule
-from pnm.trajectory import Constraint
 from tests import generated, test_pddl
 
 ROOT = Path(__file__).parents[1]

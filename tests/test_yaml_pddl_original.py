@@ -9,14 +9,13 @@ from typing import Any
 import pytest
 import yaml
 
-from planner_bridge.grounding import ground_action
-from planner_bridge.model import Problem
+from planner_bridge.model.grounding import ground_action, initial_knowledge
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.plan import Plan, PlanStep
-from planner_bridge.planning import solve
-from planner_bridge.state import initial_knowledge
-from planner_bridge.yaml_files.original import write_original
-from pnm.effects import changes
+from planner_bridge.planning.solve import solve
+from planner_bridge.yaml.first_implementation import write_original
+from pnm.core.logic.effects import changes
 from pnm.errors import InputError
 from pnm.language.plan import read_plans
 from tests.domains import matches, rooms, tanks

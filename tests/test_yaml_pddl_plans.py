@@ -9,13 +9,13 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner_bridge.plan import Plan, PlanStep
-from planner_bridge.plans import plan_graph
-from planner_bridge.yaml_files.domains import write_problem, written
-from planner_bridge.yaml_files.partial_order import Block, Mesh, Parallel, Series, blocks, closure, reduced
-from planner_bridge.yaml_files.plans import plan_entries
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.ordering.plan_to_graph import plan_graph
+from planner_bridge.yaml.series_parallel import Block, Mesh, Parallel, Series, blocks, closure, reduced
+from planner_bridge.yaml.write_domain import write_problem, written
+from planner_bridge.yaml.write_plan import plan_entries
+from pnm.core.machine.plan_graph import ActionCall, Junction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.language.plan import read_plans
-from pnm.plan_graph import ActionCall, Junction, Moment, Ordering, PlanEvent, PlanGraph
 from tests.domains import matches, rooms
 
 EDGES = st.integers(1, 9).flatmap(

@@ -9,17 +9,17 @@ from typing import TypeAlias
 
 import pytest
 
-from pnm.analysis import verify
-from pnm.conditions import TRUE, Compare, Computed, Holds
-from pnm.effects import Set
+from pnm.core.logic.computed_values import Layer, Literal, Operation, Query, Update
+from pnm.core.logic.conditions import TRUE, Compare, Computed, Holds
+from pnm.core.logic.effects import Set
+from pnm.core.logic.expressions import Constant, ValueOf
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import OnFailure
+from pnm.core.machine.plan_graph import EMPTY, ActionCall, Cause, Choice, Junction, Loop, Moment, Recovery, Then
+from pnm.core.machine.verification.verify import verify
 from pnm.errors import InputError
-from pnm.expressions import Constant, ValueOf
-from pnm.generation import generate
 from pnm.language import HandWrittenPlan, read_plans
-from pnm.language.lowering import MAX_NESTING, MAX_STEPS
-from pnm.machine import OnFailure
-from pnm.plan_graph import EMPTY, ActionCall, Cause, Choice, Junction, Loop, Moment, Recovery, Then
-from pnm.queries import Layer, Literal, Operation, Query, Update
+from pnm.language.to_plan_graph import MAX_NESTING, MAX_STEPS
 from tests.paper import PAPER_DOMAIN, PAPER_PLAN
 
 ReadAll: TypeAlias = Callable[[str], dict[str, HandWrittenPlan]]

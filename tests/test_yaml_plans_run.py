@@ -9,17 +9,17 @@ import pytest
 
 from planner_bridge.loading import load
 from planner_bridge.pipeline import pursue
-from planner_bridge.sites import SimulatedSite
-from planner_bridge.stopwatch import Stopwatch
-from planner_bridge.tasks import Settings, TaskObserver
-from planner_bridge.written import simulated_site, together
-from planner_bridge.yaml_files.export import exported
+from planner_bridge.simulation import SimulatedSite
+from planner_bridge.tasks.plan_task import simulated_site, together
+from planner_bridge.tasks.result import Stopwatch
+from planner_bridge.tasks.settings import Settings, TaskObserver
+from planner_bridge.yaml.convert import exported
 from pnm.clock import run_async
-from pnm.expressions import Fluent, Unknown, Value
-from pnm.knowledge import KnowledgeBase
+from pnm.core.execution.call_results import CallResult
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.language.plan import HandWrittenPlan, read_plans
-from pnm.performing import Performer, Program
-from pnm.results import CallResult
+from pnm.language.runner import Performer, Program
 from tests.conftest import ROOT
 
 Told = tuple[bool, list[tuple[str, ...]], dict[Fluent, Value | Unknown]]

@@ -12,11 +12,11 @@ from uuid import UUID
 import yaml
 from hypothesis import strategies as st
 
-from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind, Request
-from pnm.events import Answered, Ask, Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tell, Tick, Wake, Withdraw
-from pnm.knowledge import Layered
-from pnm.queries import MISSING
-from pnm.run import Run
+from pnm.core.execution.events import Answered, Ask, Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tell, Tick, Wake, Withdraw
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import Layered
+from pnm.core.logic.computed_values import MISSING
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Request
 
 Json = Any
 """What YAML is written from."""

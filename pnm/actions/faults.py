@@ -9,12 +9,12 @@ from enum import Enum
 from pathlib import Path
 from typing import Literal
 
+from pnm.core.knowledge_base import parse_statement
+from pnm.core.logic.declared_names import Vocabulary
+from pnm.core.logic.expressions import Fluent, Value
+from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError
-from pnm.expressions import Fluent, Value
-from pnm.knowledge import parse_statement
-from pnm.plan_graph import GroundAction
-from pnm.vocabulary import Vocabulary
-from pnm.yaml_files import Mapped, load_yaml
+from pnm.files.yaml_nodes import Mapped, load_yaml
 
 
 class FaultKind(Enum):

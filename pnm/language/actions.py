@@ -1,4 +1,4 @@
-"""The actions of a domain: from YAML to schemas, which `pnm.language.calls` makes ground actions from."""
+"""The actions of a domain: from YAML to schemas, which `pnm.language.ground_calls` makes ground actions from."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ from enum import Enum
 from functools import cached_property
 from typing import Final
 
-from pnm.bindings import DEFAULT, Binding, read_binding
-from pnm.conditions import TRUE, Condition, fluents, free_variables
-from pnm.effects import Effects, ForEach, Set, When
+from pnm.actions.bindings_file import read_binding
+from pnm.core.logic.computed_values import Data, Query, parts
+from pnm.core.logic.conditions import TRUE, Condition, fluents, free_variables
+from pnm.core.logic.effects import Effects, ForEach, Set, When
+from pnm.core.logic.expressions import Expression, Fluent, Variable, expression_variables, variables_in
+from pnm.core.machine.bindings import DEFAULT, Binding
 from pnm.errors import InputError, Position
-from pnm.expressions import Expression, Fluent, Variable, expression_variables, variables_in
-from pnm.language.data import read_data
+from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language.declarations import Declared
-from pnm.language.effects import read_conditions, read_duration, read_timed_effects
-from pnm.language.scope import Scope, read_typed, shown, unknown
-from pnm.queries import Data, Query, parts
-from pnm.yaml_files import Mapped, Node
+from pnm.language.formulas.effects import read_conditions, read_duration, read_timed_effects
+from pnm.language.formulas.scope import Scope, read_typed, shown, unknown
+from pnm.language.formulas.values import read_data
 
 
 class ActionKind(Enum):
@@ -71,7 +72,7 @@ class LanguageAction:
     returns: tuple[tuple[str, Data], ...] = ()
     """What a simulated server answers, by result field."""
     recoveries: Node | None = None
-    """What the domain says about recovering, for `pnm.language.recoveries` to read."""
+    """What the domain says about recovering, for `pnm.language.plan_tree` to read."""
 
     @cached_property
     def objects(self) -> frozenset[str]:

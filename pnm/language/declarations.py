@@ -1,8 +1,4 @@
-"""What a domain declares as PDDL does, and the facts of a problem: from YAML.
-
-Types, constants and objects are PDDL's text (``r1 r2 - robot``) or lists of such texts, predicates and functions lists
-of texts such as ``(at ?r - robot ?p - place)`` and ``(location ?r - robot) - place``.
-"""
+"""Declarations of the YAML language: types, objects, predicates, functions, derived facts, initial facts."""
 
 from __future__ import annotations
 
@@ -12,14 +8,14 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final
 
-from pnm.effects import TimedChange
+from pnm.core.knowledge_base import parse_statement
+from pnm.core.logic.effects import TimedChange
+from pnm.core.logic.expressions import Fluent, Value, Variable
+from pnm.core.logic.rules import Rule, Rules, UnstratifiedError
 from pnm.errors import InputError
-from pnm.expressions import Fluent, Value, Variable
-from pnm.knowledge import parse_statement
-from pnm.language.formulas import read_condition
-from pnm.language.scope import Scope, read_names, read_typed_text, unknown
-from pnm.rules import Rule, Rules, UnstratifiedError
-from pnm.yaml_files import Mapped, Node
+from pnm.files.yaml_nodes import Mapped, Node
+from pnm.language.formulas.conditions import read_condition
+from pnm.language.formulas.scope import Scope, read_names, read_typed_text, unknown
 
 _DECLARED: Final = re.compile(r"\(\s*([^\s()?-][^\s()?]*)\s*((?:[^()]|\([^()]*\))*)\)\s*(?:-\s*(\S+|\(\s*either\s[^()]*\)))?\s*\Z")
 

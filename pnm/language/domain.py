@@ -1,4 +1,10 @@
-"""Domains: which actions there are, and what else executing plans needs to know. What only planners need is left alone."""
+"""Domains: which actions there are, and what else executing plans needs to know. What only planners need is left alone.
+
+What a domain declares as PDDL does, and the facts of a problem: from YAML.
+
+Types, constants and objects are PDDL's text (``r1 r2 - robot``) or lists of such texts, predicates and functions lists
+of texts such as ``(at ?r - robot ?p - place)`` and ``(location ?r - robot) - place``.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +12,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from pnm.conditions import TRUE, Condition
-from pnm.effects import TimedChange
+from pnm.core.logic.conditions import TRUE, Condition
+from pnm.core.logic.effects import TimedChange
+from pnm.core.logic.expressions import Fluent, Value
+from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.errors import Tolerated
-from pnm.expressions import Fluent, Value
+from pnm.files.yaml_nodes import Mapped, Node
+from pnm.knowledge.sources.registry import Choice, check_source
 from pnm.language.actions import ACTION_KEYS, LanguageAction, read_action, read_class
 from pnm.language.declarations import NOTHING_DECLARED, Declared, read_declared, read_derived, read_initial
-from pnm.language.formulas import read_condition
-from pnm.language.scope import shown
-from pnm.rules import NO_RULES, Rules
-from pnm.sources.registry import Choice, check_source
-from pnm.yaml_files import Mapped, Node
+from pnm.language.formulas.conditions import read_condition
+from pnm.language.formulas.scope import shown
 
 DOMAIN_KEYS: Final = (
     *("name", "instances", "external_knowledge_base", "knowledge", "action_types", "actions"),

@@ -2,18 +2,26 @@
 
 Domains are printed without what defines their anchors, between ellipses, and with an indentation that no longer is
 what it was: such an excerpt is read as it was meant, with a warning, if it cannot be read as it stands.
+
+Files with plans: which plans and which domain they have, and what others need to know of a plan in order to call it.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from pnm.errors import InputError, Position, Tolerated
-from pnm.language.actions import CLASSES
-from pnm.text_files import read_text
-from pnm.yaml_files import MAX_BYTES, Mapped, parse_yaml
+from pnm.core.logic.expressions import Variable
+from pnm.core.machine.bindings import Binding
+from pnm.errors import InputError, Position, Tolerated, meant
+from pnm.files.text import read_text
+from pnm.files.yaml_nodes import MAX_BYTES, Mapped, parse_yaml
+from pnm.language.actions import CLASSES, ActionKind, LanguageAction, read_class
+from pnm.language.domain import DOMAIN_KEYS, LanguageDomain, domain_from
+from pnm.language.formulas.scope import read_typed, unknown
 
 ANCHORS: Final = {"base_action": {}, **{kind.value: {"type": kind.value} for kind in CLASSES.values()}}
 """What ``*ros_action`` and the like stand for in files that do not define them."""
@@ -82,3 +90,147 @@ def _push(lines: list[str], start: int, outer: int, inner: int) -> None:
 
 def _indent(line: str) -> int:
     return len(line) - len(line.lstrip(" ")) if line.strip() else 0
+
+
+_ALWAYS: Final = (
+    *("domain", "params", "results", "initial_knowledge", "facts", "goal"),
+    *("timeout", "restarts", "on_failure", "resources", "plan"),
+)
+PLAN_KEYS: Final = ("name", *_ALWAYS)
+"""What a document says about the plan in it."""
+RECIPE_KEYS: Final = ("server", "action", *_ALWAYS)
+"""What is said about a plan under its name."""
+_ONLY_DOMAINS: Final = frozenset(DOMAIN_KEYS) - frozenset(PLAN_KEYS)
+_SERVERS: Final = ("ActionServer", "SimpleActionServer", "BasicControllerPluginServer", "DAPluginServer")
+"""The classes that files for the original implementation name; every plan becomes a ROS 2 action server."""
+_CALLED: Final = Binding(retries=0, timeout=86_400.0, cancel=60.0)
+"""How a plan is called by another: its own limits, and those of what it calls, end it sooner than these."""
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A plan of which only the head has been read: what others need to know in order to call it."""
+
+    name: str
+    entry: Mapped
+    domain: LanguageDomain
+    parameters: tuple[Variable, ...] | None
+    warnings: tuple[Tolerated, ...] = ()
+
+    @property
+    def action(self) -> LanguageAction:
+        """The plan as an action that others call."""
+        return LanguageAction(self.name, ActionKind.PLAN, self.entry.start, self.parameters, binding=_CALLED)
+
+
+def read_domain(path: Path) -> LanguageDomain:
+    """Read the domain of a file, whatever else is in it.
+
+    Raises:
+        InputError: there is none, something is malformed, or has names that are not there.
+    """
+    documents, warnings = read_documents(path)
+    for document in documents:
+        _entries(document)
+    found = _domain_in(documents, warnings)
+    if found is None:
+        raise InputError("there is no domain in the file; expected the key 'actions'", Position(str(path), 1, 1))
+    return found
+
+
+def drafts(path: Path, domain: LanguageDomain | None = None) -> list[Draft]:
+    """Read the heads of all plans of a file.
+
+    Raises:
+        InputError: there is none, or something is malformed.
+    """
+    return drafts_in(*read_documents(path), domain)
+
+
+def drafts_in(documents: tuple[Mapped, ...], warnings: tuple[Tolerated, ...], domain: LanguageDomain | None) -> list[Draft]:
+    """Read the heads of all plans of a file's documents; see `drafts`."""
+    own = _domain_in(documents, warnings)
+    found: list[Draft] = []
+    for document in documents:
+        for name, entry in _entries(document):
+            _check_classes(entry)
+            params = entry.node("params")
+            parameters = None if params is None or params.is_null else read_typed(params)
+            chosen = _domain_of(entry, own, domain)
+            found.append(Draft(name, entry, chosen, parameters, tuple(dict.fromkeys((*warnings, *chosen.warnings)))))
+    if not found:
+        raise InputError("there is no plan in the file; expected the key 'plan'", documents[0].start)
+    return found
+
+
+def _entries(document: Mapped) -> list[tuple[str, Mapped]]:
+    """Return the plans of a document: itself, or its recipes; refuse whatever else is in it."""
+    if "plan" in document.nodes:
+        document.only(*PLAN_KEYS, *DOMAIN_KEYS)
+        return [(document.string("name") or Path(document.file).stem, document)]
+    if "plans" in document.nodes:
+        raise InputError("this is a world; expected a plan", document.nodes["plans"][0])
+    found: list[tuple[str, Mapped]] = []
+    for key, where, node in document.entries():
+        if key in DOMAIN_KEYS:
+            continue
+        if node.is_mapping and "recipes" in node.mapped().nodes:
+            raise node.wrong("this is a world; expected a plan")
+        recipe = node.mapped() if node.is_mapping and key not in PLAN_KEYS else None
+        if recipe is None or recipe.nodes.keys().isdisjoint(RECIPE_KEYS):
+            if key in PLAN_KEYS:
+                raise InputError(f"the key 'plan' is missing beside {key!r}", where)
+            Mapped(document.file, document.start, {key: document.nodes[key]}).only(*PLAN_KEYS, *DOMAIN_KEYS)
+            continue
+        recipe.only(*RECIPE_KEYS)
+        recipe.needed("plan")
+        found.append((key, recipe))
+    return found
+
+
+def _domain_in(documents: Iterable[Mapped], warnings: tuple[Tolerated, ...] = ()) -> LanguageDomain | None:
+    found: LanguageDomain | None = None
+    for document in documents:
+        if not document.nodes.keys() & _ONLY_DOMAINS:
+            continue
+        if found is not None:
+            raise InputError("there is a domain in this file already", document.start)
+        found = domain_from(document, warnings)
+    return found
+
+
+def _domain_of(entry: Mapped, own: LanguageDomain | None, given: LanguageDomain | None) -> LanguageDomain:
+    path = entry.string("domain")
+    if path is None:
+        return own or given or LanguageDomain()
+    if own is not None:
+        raise InputError("the file has a domain itself; it cannot name another", entry.position("domain"))
+    return read_domain(beside(entry, "domain", path))
+
+
+def beside(entry: Mapped, key: str, path: str) -> Path:
+    """Return a file that is named relative to the one the entry stands in.
+
+    Raises:
+        InputError: there is no such file.
+    """
+    found = Path(entry.file).parent / path
+    if not found.is_file():
+        others = sorted(one.name for one in found.parent.glob("*.y*ml")) if found.parent.is_dir() else []
+        hint = meant(found.name, others)
+        raise InputError(f"there is no file {path!r} beside this one{f'; {hint}' if hint else ''}", entry.position(key))
+    return found
+
+
+def _check_classes(entry: Mapped) -> None:
+    """Refuse what the original implementation would import, unless it is what every plan has here."""
+    server, message = entry.node("server"), entry.node("action")
+    if server is not None and not server.is_null:
+        _, name = read_class(server)
+        if name not in _SERVERS:
+            error = unknown("kind of server", name, _SERVERS, server.position)
+            raise InputError(f"{error.message}; every plan becomes a ROS 2 action server, so the key may be left out", server.position)
+    if message is not None and not message.is_null:
+        module, _ = read_class(message)
+        if not module.endswith(".msg"):
+            raise message.wrong(f"{module!r} has no messages; expected a module such as 'rpn_recipe_planner_msgs.msg', or no key 'action'")

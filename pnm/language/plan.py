@@ -1,4 +1,7 @@
-"""Plans that people write: files with a plan, with recipes, with a domain, or with all of these."""
+"""Plans that people write: files with a plan, with recipes, with a domain, or with all of these.
+
+Worlds: a domain and the plans that are offered together, each of which becomes an action server.
+"""
 
 from __future__ import annotations
 
@@ -7,32 +10,31 @@ from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-from pnm.bindings import Bindings
-from pnm.conditions import TRUE, Condition
-from pnm.effects import TimedChange
+from pnm.core.logic.conditions import TRUE, Condition
+from pnm.core.logic.effects import TimedChange
+from pnm.core.logic.expressions import Fluent, Value
+from pnm.core.logic.rules import Rules
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.machine import OnFailure
+from pnm.core.machine.plan_graph import PlanGraph
 from pnm.errors import InputError, Tolerated
-from pnm.expressions import Fluent, Value
+from pnm.files.yaml_nodes import Mapped
+from pnm.knowledge.sources.registry import Choice
 from pnm.language.actions import LanguageAction
-from pnm.language.calls import Facts
-from pnm.language.data import read_literal
 from pnm.language.declarations import NOTHING_DECLARED, Declared, read_facts
 from pnm.language.domain import LanguageDomain, read_goal
-from pnm.language.drafts import Draft, drafts, drafts_in, read_domain
-from pnm.language.files import parse_documents
-from pnm.language.lowering import Lowering
-from pnm.language.scope import unknown
+from pnm.language.files import Draft, beside, drafts, drafts_in, parse_documents, read_documents, read_domain
+from pnm.language.formulas.scope import unknown
+from pnm.language.formulas.values import read_literal
+from pnm.language.ground_calls import Facts
+from pnm.language.plan_tree import WrittenRecovery
 from pnm.language.steps import StepReader
-from pnm.language.tree import WrittenRecovery
-from pnm.machine import OnFailure
-from pnm.plan_graph import PlanGraph
-from pnm.rules import Rules
-from pnm.sources.registry import Choice
-from pnm.yaml_files import Mapped
+from pnm.language.to_plan_graph import Lowering
 
 
 @dataclass(frozen=True)
 class HandWrittenPlan:
-    """A plan, ready for `pnm.generation.generate`, and what it is carried out with."""
+    """A plan, ready for `pnm.core.machine.generate`, and what it is carried out with."""
 
     name: str
     graph: PlanGraph
@@ -187,3 +189,54 @@ def _on_failure(entry: Mapped) -> OnFailure:
     if name is not None and name not in known:
         raise unknown("way to end", name, known, entry.position("on_failure"))
     return OnFailure.DRAIN if name is None else known[name]
+
+
+@dataclass(frozen=True)
+class World:
+    """Plans by name, and the domain they share."""
+
+    name: str
+    plans: Mapping[str, HandWrittenPlan]
+    domain: LanguageDomain
+
+    @property
+    def sources(self) -> tuple[Choice, ...]:
+        """The sources of knowledge that the domain chose."""
+        return self.domain.sources
+
+
+def read_world(path: Path, name: str | None = None) -> World:
+    """Read a world.
+
+    Args:
+        path: a file with ``domain`` and ``plans``, or with several worlds, each with ``domain`` and ``recipes``.
+        name: which of several worlds.
+
+    Raises:
+        InputError: there is no such world, or something in it or its files is wrong.
+    """
+    documents, _ = read_documents(path)
+    if len(documents) > 1:
+        raise InputError("a second document begins here; expected one", documents[1].start)
+    top = documents[0]
+    if not top.nodes.keys().isdisjoint(("plans", "domain")):
+        top.only("domain", "plans", "name")
+        return _world(top.string("name") or path.stem, top, "plans")
+    worlds = top.mappings()
+    if name is None and len(worlds) == 1:
+        name = next(iter(worlds))
+    if name is None:
+        raise InputError(f"there are several worlds; expected the name of one: {', '.join(worlds)}", top.start)
+    if name not in worlds:
+        raise unknown("world", name, worlds, top.start)
+    worlds[name].only("domain", "recipes")
+    return _world(name, worlds[name], "recipes")
+
+
+def _world(name: str, entry: Mapped, key: str) -> World:
+    file = entry.string("domain")
+    domain = LanguageDomain() if file is None else read_domain(beside(entry, "domain", file))
+    paths = [beside(entry, key, one) for one in entry.strings(key)]
+    if not paths:
+        raise InputError(f"the world {name!r} has no plans; expected files under {key!r}", entry.start)
+    return World(name, finished([draft for path in paths for draft in drafts(path, domain)]), domain)

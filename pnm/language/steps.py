@@ -1,4 +1,4 @@
-"""Steps of plans: from YAML to `pnm.language.tree`, checked against the known actions."""
+"""Steps of plans: from YAML to `pnm.language.plan_tree`, checked against the known actions."""
 
 from __future__ import annotations
 
@@ -8,18 +8,29 @@ from functools import cached_property
 from math import inf
 from typing import Final
 
-from pnm.bindings import read_texts
+from pnm.actions.bindings_file import read_texts
+from pnm.core.logic.computed_values import KnowledgeOperation
+from pnm.core.machine.plan_graph import Moment
 from pnm.errors import InputError, Position
+from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language.actions import OPERATION, RESERVED, ActionKind, LanguageAction
-from pnm.language.data import read_data, read_operation
 from pnm.language.declarations import Declared
-from pnm.language.formulas import read_condition
-from pnm.language.recoveries import read_recoveries
-from pnm.language.scope import Scope, shown, unknown
-from pnm.language.tree import CallStep, ChoiceStep, ConcurrentStep, Given, LoopStep, Place, SequenceStep, Wait, WrittenRecovery, WrittenStep
-from pnm.plan_graph import Moment
-from pnm.queries import KnowledgeOperation
-from pnm.yaml_files import Mapped, Node
+from pnm.language.formulas.conditions import read_condition
+from pnm.language.formulas.scope import Scope, shown, unknown
+from pnm.language.formulas.values import read_data, read_operation
+from pnm.language.plan_tree import (
+    CallStep,
+    ChoiceStep,
+    ConcurrentStep,
+    Given,
+    LoopStep,
+    Place,
+    SequenceStep,
+    Wait,
+    WrittenRecovery,
+    WrittenStep,
+    read_recoveries,
+)
 
 DEFAULT_LIMIT: Final = 1000
 """How often a loop is repeated at most when the plan does not say."""

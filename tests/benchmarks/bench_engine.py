@@ -14,15 +14,15 @@ from uuid import UUID
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from pnm.actions.base import Accepted, Ended, Outcome, OutcomeKind
-from pnm.analysis import verify
-from pnm.compiled import CompiledNet, Engine
-from pnm.events import Begin, Send
-from pnm.generation import generate
-from pnm.knowledge import KnowledgeBase, Layered
-from pnm.net import NetBuilder, PetriNet
-from pnm.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
-from pnm.run import Run
+from pnm.core.execution.events import Begin, Send
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.machine.generate import generate
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
+from pnm.core.machine.verification.verify import verify
+from pnm.core.net.firing_engine import CompiledNet, Engine
+from pnm.core.net.net import NetBuilder, PetriNet
 
 
 def seconds(work: Callable[[], object], times: int = 3) -> float:

@@ -17,9 +17,9 @@ import yaml
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from planner_bridge.loading import load
-from planner_bridge.yaml_files.export import exported, imported
-from pnm.analysis import verify
-from pnm.generation import generate
+from planner_bridge.yaml.convert import exported, imported
+from pnm.core.machine.generate import generate
+from pnm.core.machine.verification.verify import verify
 from pnm.language.plan import read_plans
 from tests.programs import play
 

@@ -18,20 +18,21 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 from planner_bridge.loading import load
-from planner_bridge.model import Problem
+from planner_bridge.model.plan import Plan
+from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline import pursue
-from planner_bridge.plan import Plan
-from planner_bridge.replanning import Limits
-from planner_bridge.sites import robots_of
-from planner_bridge.stopwatch import Stopwatch
-from planner_bridge.tasks import OnChange, Settings, TaskObserver
+from planner_bridge.simulation import robots_of
+from planner_bridge.tasks.replanning import Limits
+from planner_bridge.tasks.result import Stopwatch
+from planner_bridge.tasks.settings import OnChange, Settings, TaskObserver
+from pnm.actions.backend import RobotsSite
+from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import Fault, FaultKind, Faults
-from pnm.bindings import Bindings, read_bindings
 from pnm.clock import run_async
+from pnm.core.execution.call_results import Failure
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.machine import OnFailure, Rule
 from pnm.errors import PnmError
-from pnm.machine import OnFailure, Rule
-from pnm.results import Failure
-from pnm.sites import RobotsSite
 
 SEEDS = range(8)
 SPEED = 50.0

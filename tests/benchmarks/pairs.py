@@ -25,7 +25,7 @@ HEAD = "| problem | read | planner | calls | planned | executed | goal |\n|---|-
 def one(folder: Path) -> dict[str, Any]:
     """Do everything with one pair, in this process."""
     from planner_bridge import TaskObserver, achieve, load
-    from planner_bridge.plan import Plan, PlanningResult
+    from planner_bridge.model.plan import Plan, PlanningResult
     from pnm.errors import InputError
 
     class Watch(TaskObserver):

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from planner_bridge.loading import load
-from planner_bridge.model import Problem
-from planner_bridge.state import initial_knowledge
-from pnm.conditions import evaluate
-from pnm.knowledge import KnowledgeBase, parse_statement
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.problem import Problem
+from pnm.core.knowledge_base import KnowledgeBase, parse_statement
+from pnm.core.logic.conditions import evaluate
 from tests.e2e.processes import LIMIT, ROOT, Program
 
 QUICK = """<?xml version="1.0" encoding="UTF-8"?>

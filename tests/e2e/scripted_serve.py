@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from planner_bridge import serving
-from planner_bridge.cli import main
+from planner_bridge.cli.commands import main
+from planner_bridge.node import serve as serving
 from tests.scripted_tasks import open_scripted
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from planner_bridge import mall_demo
+from planner_bridge.cli import demo_mall as mall_demo
 from tests.e2e.processes import Program
 from tests.mall_scripts.scene import Mall
 from tests.ros_domains import ros_domain

@@ -6,8 +6,8 @@ import threading
 
 import pytest
 
-from pnm.ros.messages import import_type
-from pnm.ros.node import RosThread
+from pnm.ros.node.messages import import_type
+from pnm.ros.node.ros_thread import RosThread
 from tests.e2e.processes import LIMIT, Program
 
 DOMAIN = """

@@ -8,9 +8,9 @@ from uuid import UUID
 
 import pytest
 
-from pnm.queries import Layer, Question
-from pnm.sources import Asker
-from pnm.sources.sqlite import SqliteKnowledge
+from pnm.core.logic.computed_values import Layer, Question
+from pnm.knowledge.sources import Asker
+from pnm.knowledge.sources.sqlite import SqliteKnowledge
 from tests.e2e.plans import ABORTED, CANCELED, SUCCEEDED, PlanScene, Workers
 
 DOMAIN = """

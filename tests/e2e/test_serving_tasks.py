@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from planner_bridge.serving_options import PARAMETERS
+from planner_bridge.node.options import PARAMETERS
 from tests.e2e.plans import ABORTED, CANCELED, SUCCEEDED, Client, PlanScene, Serving
 from tests.e2e.processes import ROOT
 from tests.e2e.test_serving_ends import FILES

@@ -21,11 +21,11 @@ from uuid import UUID, uuid4
 
 import pytest
 
-from pnm.actions.base import Accepted, Ended, Outcome, Report, Request
-from pnm.bindings import Binding, Bindings
-from pnm.plan_graph import GroundAction
-from pnm.ros.action_client import Ros2ActionClient
-from pnm.ros.node import RosThread
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import Accepted, Ended, Outcome, Report, Request
+from pnm.ros.action_client.client import Ros2ActionClient
+from pnm.ros.node.ros_thread import RosThread
 from tests.ros.scripts import Script
 from tests.ros_domains import ros_domain
 

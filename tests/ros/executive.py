@@ -12,17 +12,17 @@ from dataclasses import dataclass, field
 from typing import Any
 from uuid import UUID, uuid4, uuid5
 
-from pnm.actions.base import Ended, Outcome, OutcomeKind, Report, Request
-from pnm.bindings import Binding, Bindings
-from pnm.knowledge import KnowledgeBase, Layered
-from pnm.plan_graph import GroundAction
-from pnm.queries import Question
-from pnm.ros.action_client import Ros2ActionClient
-from pnm.ros.goal_ids import service_prefix
-from pnm.ros.knowledge_services import KnowledgeServices
-from pnm.ros.node import RosThread
-from pnm.sources import Asker, Source, Sources
-from pnm.sources.memory import MemoryKnowledge
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.computed_values import Question
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Request
+from pnm.knowledge.sources import Asker, Source, Sources
+from pnm.knowledge.sources.memory import MemoryKnowledge
+from pnm.ros.action_client.client import Ros2ActionClient
+from pnm.ros.knowledge.goal_ids import service_prefix
+from pnm.ros.knowledge.knowledge_services import KnowledgeServices
+from pnm.ros.node.ros_thread import RosThread
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""The example of `pnm.ros.action_server` as a process. Run as a script; prints "ready" once it serves."""
+"""The example of `pnm.ros.action_server.python_server` as a process. Run as a script; prints "ready" once it serves."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pnm_interfaces.action import GroundAction
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
-from pnm.ros import action_server
+from pnm.ros.action_server import python_server as action_server
 
 
 def main() -> None:

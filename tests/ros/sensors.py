@@ -18,7 +18,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
-from pnm.ros.messages import import_type, to_data, to_message
+from pnm.ros.node.messages import import_type, to_data, to_message
 
 
 def say(what: object) -> None:

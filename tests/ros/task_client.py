@@ -15,9 +15,9 @@ from rclpy.action.client import ClientGoalHandle
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from unique_identifier_msgs import msg
 
-from pnm.ros.messages import import_type, to_data, to_message
-from pnm.ros.node import RosThread
-from pnm.ros.service_client import ServiceClient, until_true
+from pnm.ros.node.messages import import_type, to_data, to_message
+from pnm.ros.node.ros_thread import RosThread
+from pnm.ros.node.service_client import ServiceClient, until_true
 
 LIMIT = 30.0
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6

@@ -9,10 +9,10 @@ from time import monotonic
 
 import pytest
 
-from pnm.actions.base import OutcomeKind
-from pnm.bindings import Binding
-from pnm.plan_graph import GroundAction
-from pnm.ros.node import RosThread
+from pnm.core.machine.bindings import Binding
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import OutcomeKind
+from pnm.ros.node.ros_thread import RosThread
 
 GROUND = "pnm_interfaces/action/GroundAction"
 FIBONACCI = "test_msgs/action/Fibonacci"
@@ -299,11 +299,11 @@ def test_goals_end_when_the_ros_thread_is_closed_under_the_client(play, shared):
 CLOSING = """
 import asyncio, sys
 from uuid import uuid4
-from pnm.actions.base import Request
-from pnm.bindings import Bindings
-from pnm.plan_graph import GroundAction
-from pnm.ros.action_client import Ros2ActionClient
-from pnm.ros.node import RosThread
+from pnm.core.machine.requests import Request
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.ros.action_client.client import Ros2ActionClient
+from pnm.ros.node.ros_thread import RosThread
 
 ros = RosThread("closing")
 

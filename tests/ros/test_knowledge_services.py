@@ -12,14 +12,14 @@ from pnm_interfaces.srv import QueryKnowledge, UpdateKnowledge
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
-from pnm.actions.base import OutcomeKind
-from pnm.queries import MISSING, Layer, Question
-from pnm.ros.goal_ids import may_be_ours, service_prefix
-from pnm.ros.knowledge_client import uuid_field
-from pnm.ros.knowledge_services import KnowledgeServices
-from pnm.ros.service_client import ServiceClient, until_true
-from pnm.sources import Asker, SourceError, Sources
-from pnm.sources.memory import MemoryKnowledge
+from pnm.core.logic.computed_values import MISSING, Layer, Question
+from pnm.core.machine.requests import OutcomeKind
+from pnm.knowledge.sources import Asker, SourceError, Sources
+from pnm.knowledge.sources.memory import MemoryKnowledge
+from pnm.ros.knowledge.goal_ids import may_be_ours, service_prefix
+from pnm.ros.knowledge.knowledge_services import KnowledgeServices
+from pnm.ros.knowledge.knowledge_source import uuid_field
+from pnm.ros.node.service_client import ServiceClient, until_true
 from tests.ros.executive import Executive, executive
 from tests.ros.scripts import Script, run
 
@@ -467,7 +467,7 @@ def test_ids_say_where_to_ask():
 
 
 def test_the_layers_of_the_interfaces_are_those_of_queries():
-    from pnm.ros.knowledge_services import LAYERS
+    from pnm.ros.knowledge.knowledge_services import LAYERS
 
     for kind in (QueryKnowledge.Request, UpdateKnowledge.Request):
         assert [LAYERS[getattr(kind, layer.name)] for layer in Layer] == list(Layer)

@@ -8,11 +8,11 @@ from uuid import UUID
 
 import pytest
 
-from pnm.queries import MISSING, Layer, Question
-from pnm.ros.knowledge_client import Ros2Knowledge
-from pnm.ros.person import Ros2Person
-from pnm.ros.service_client import ServiceClient
-from pnm.sources import Asker, Choice, SourceError, Surroundings, open_sources
+from pnm.core.logic.computed_values import MISSING, Layer, Question
+from pnm.knowledge.sources import Asker, Choice, SourceError, Surroundings, open_sources
+from pnm.ros.knowledge.knowledge_source import Ros2Knowledge
+from pnm.ros.knowledge.person_source import Ros2Person
+from pnm.ros.node.service_client import ServiceClient
 from tests.ros.scripts import Script, run
 
 ME = Asker(UUID(int=7), "tour")
@@ -226,7 +226,7 @@ def test_answers_that_are_none_leave_the_question_open(ros, names, begin, caplog
 
 
 def test_telling_nobody_is_an_error(ros, names, monkeypatch):
-    monkeypatch.setattr("pnm.ros.person.LISTENER", 0.3)
+    monkeypatch.setattr("pnm.ros.knowledge.person_source.LISTENER", 0.3)
 
     async def main():
         person = Ros2Person(ros, name := names())

@@ -12,12 +12,11 @@ from typing import Any
 
 import pytest
 
-from pnm.errors import InputError
-from pnm.parameter import Parameter
-from pnm.ros import request_services
-from pnm.ros.lifecycle import Lifecycle
-from pnm.ros.node import RosError, RosThread
-from pnm.ros.parameters import declare
+from pnm.errors import InputError, RosError
+from pnm.ros.node import service_server as request_services
+from pnm.ros.node.lifecycle import Lifecycle
+from pnm.ros.node.parameters import Parameter, declare
+from pnm.ros.node.ros_thread import RosThread
 from tests.ros.scripts import run
 from tests.ros.task_client import TaskClient
 

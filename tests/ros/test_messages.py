@@ -14,7 +14,7 @@ from test_msgs import msg
 from test_msgs.action import Fibonacci, NestedMessage
 
 from pnm.errors import InputError
-from pnm.ros.messages import FieldError, fields, import_type, to_data, to_message
+from pnm.ros.node.messages import FieldError, fields, import_type, to_data, to_message
 
 
 def sent(message):

@@ -9,7 +9,8 @@ import threading
 
 import pytest
 
-from pnm.ros.node import RosError, RosThread
+from pnm.errors import RosError
+from pnm.ros.node.ros_thread import RosThread
 
 
 def test_functions_run_on_the_thread_in_order(ros):
@@ -77,8 +78,8 @@ def test_a_node_that_cannot_be_made_says_why():
 WITHOUT = """
 import sys
 sys.modules["rclpy"] = None
-import pnm.ros.action_client, pnm.ros.sensing
-from pnm.ros.node import RosError, RosThread
+import pnm.ros.action_client.client, pnm.ros.sensors.state_topic
+from pnm.ros.node.ros_thread import RosError, RosThread
 try:
     RosThread()
 except RosError as error:

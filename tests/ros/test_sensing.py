@@ -10,11 +10,11 @@ import pytest
 from pnm_interfaces.msg import State
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
 from pnm.errors import InputError
-from pnm.expressions import UNDEFINED, UNKNOWN
-from pnm.knowledge import KnowledgeBase
-from pnm.ros.messages import to_message
-from pnm.ros.sensing import SensedReports, read_state, write_state
+from pnm.ros.node.messages import to_message
+from pnm.ros.sensors.state_topic import SensedReports, read_state, write_state
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FACTS = {

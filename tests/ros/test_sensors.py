@@ -14,17 +14,17 @@ from pathlib import Path
 
 import pytest
 
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.expressions import UNKNOWN
+from pnm.core.logic.rules import Rules
 from pnm.errors import InputError
-from pnm.expressions import UNKNOWN
-from pnm.knowledge import KnowledgeBase
-from pnm.message_fields import parse_field
-from pnm.ros.fields import fitted, found_at, value_at
-from pnm.ros.messages import import_type, to_message
-from pnm.ros.sensors import Sensors
-from pnm.ros.service_client import until_true
-from pnm.rules import Rules
-from pnm.sensing import Instance, Sensing, read
-from pnm.sensing_file import read_sensing
+from pnm.knowledge.message_fields import parse_field
+from pnm.knowledge.sensor_file import read_sensing
+from pnm.knowledge.sensor_model import Instance, Sensing, read
+from pnm.ros.node.messages import import_type, to_message
+from pnm.ros.node.service_client import until_true
+from pnm.ros.sensors.fields import fitted, found_at, value_at
+from pnm.ros.sensors.sensors import Sensors
 from tests.ros.scripts import run
 from tests.test_sensing import DOMAIN, PROBLEM
 

@@ -7,7 +7,7 @@ from uuid import UUID
 import pytest
 
 from planner_bridge.loading import load
-from pnm.ros.service_client import ServiceClient
+from pnm.ros.node.service_client import ServiceClient
 from tests.e2e.processes import ROOT, Program
 from tests.ros.scripts import run
 from tests.ros.task_client import ABORTED, CANCELED, SERVICES, TaskClient, uuid_data

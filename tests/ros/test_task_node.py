@@ -12,15 +12,16 @@ from uuid import UUID, uuid4
 
 import pytest
 
+from pnm.core.knowledge_base import KnowledgeBase
 from pnm.errors import InputError
-from pnm.knowledge import KnowledgeBase
-from pnm.ros import request_services, task_topics
-from pnm.ros.goal_server import GoalServer
-from pnm.ros.node import RosThread
-from pnm.ros.task_messages import TRACE, run_ending_fields
-from pnm.ros.task_node import TaskNode, action_names
-from pnm.ros.task_topics import TaskTopics
-from pnm.tasking import Code, OnConflict, TaskEnding, TaskState, Wanted
+from pnm.ros.action_server.goal_server import GoalServer
+from pnm.ros.node import service_server as request_services
+from pnm.ros.node.ros_thread import RosThread
+from pnm.ros.tasks import executor_topics as task_topics
+from pnm.ros.tasks.executor_topics import TaskTopics
+from pnm.ros.tasks.task_messages import TRACE, run_ending_fields
+from pnm.ros.tasks.task_node import TaskNode, action_names
+from pnm.tasks import Code, OnConflict, TaskEnding, TaskState, Wanted
 from tests.ros.scripts import run
 from tests.ros.task_client import ABORTED, CANCELED, LIMIT, SUCCEEDED, SentGoal, TaskClient, uuid_data
 from tests.scripted_tasks import ScriptedTasks, ScriptedWorld, scripted_search

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pnm.ros.watch import AGAIN, ASKS, GRACE, Verdict, Watch
+from pnm.ros.action_client.liveness import AGAIN, ASKS, GRACE, Verdict, Watch
 
 OLD, NEW = b"old", b"new"
 

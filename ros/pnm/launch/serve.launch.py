@@ -6,8 +6,8 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode
 from launch_ros.parameter_descriptions import ParameterValue
 
-from planner_bridge.serving_options import PARAMETERS
-from pnm.parameter import Parameter
+from planner_bridge.node.options import PARAMETERS
+from pnm.ros.node.parameters import Parameter
 
 
 def generate_launch_description() -> LaunchDescription:

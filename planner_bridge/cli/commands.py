@@ -1,0 +1,278 @@
+"""The `pnm` command. Exit status: 0 the goal holds, 1 it does not, 2 the input is wrong.
+
+Commands import what they need themselves: the first thing a person notices is how long a command
+takes to begin.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from planner_bridge.cli.options import (
+    FILE,
+    Seconds,
+    as_json_option,
+    bindings_option,
+    chosen_files,
+    command,
+    faults_option,
+    files,
+    files_or_plan,
+    knowledge_option,
+    planning,
+    problem_in,
+    sensing_option,
+    tell,
+    write,
+)
+from pnm.errors import InputError
+
+if TYPE_CHECKING:
+    from planner_bridge.pipeline import Where
+
+
+class Commands(click.Group):
+    """The commands, of which `serve` is looked for only when somebody asks for it: its options tell of much that others do not need."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return their names."""
+        return sorted((*super().list_commands(ctx), "serve"))
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return a command by its name."""
+        if cmd_name != "serve":
+            return super().get_command(ctx, cmd_name)
+        from planner_bridge.cli.serve import serve
+
+        return serve
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(package_name="petri-net-machines", prog_name="pnm")
+def app() -> None:
+    """Run robots from goals: PDDL goal, plan, Petri Net Machine, ROS 2 actions, and a new plan when something fails."""
+
+
+@app.command()
+@files
+@planning
+@as_json_option
+@command
+def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: bool) -> int:
+    """Find and print a plan."""
+    from planner_bridge.model.plan import PlanningStatus
+    from planner_bridge.planning.solve import solve
+
+    found = solve(problem_in(domain, problem), planner=planner, timeout=timeout)
+    if as_json:
+        steps = [
+            {"action": step.action, "arguments": list(step.arguments), "start": step.start, "duration": step.duration}
+            for step in (found.plan.steps if found.plan else ())
+        ]
+        told = {"status": found.status.value, "message": found.message, "planner": found.planner}
+        print(json.dumps({**told, "steps": steps if found.plan else None}))
+    elif found.plan:
+        print(f"plan     {found.plan}")
+        if found.planner != planner:
+            print(f"planner  {found.planner}")
+        if found.message:
+            print(f"note     {found.message}")
+    else:
+        print(f"no plan: {found.reason}")
+    return 0 if found.plan else 2 if found.status is PlanningStatus.INVALID else 1
+
+
+@app.command()
+@files_or_plan
+@click.option("--format", "written_as", type=click.Choice(["json", "dot"]), default="json", show_default=True, help="how it is written")
+@click.option("-o", "--output", type=FILE, help="a file; by default the terminal")
+@bindings_option
+@planning
+@command
+def net(
+    *,
+    domain: Path | None,
+    problem: Path | None,
+    plan_file: Path | None,
+    name: str | None,
+    written_as: str,
+    output: Path | None,
+    bindings: Path | None,
+    planner: str,
+    timeout: float,
+) -> int:
+    """Plan, and write the machine; or write that of a plan that somebody has written."""
+    from planner_bridge.cli.options import bindings_for
+    from planner_bridge.ordering.plan_to_graph import plan_graph
+    from planner_bridge.planning.solve import solve
+    from pnm.core.machine.export import to_dot, to_json
+    from pnm.core.machine.generate import generate
+
+    chosen = chosen_files(domain, problem, plan_file)
+    if isinstance(chosen, Path):
+        from planner_bridge.cli.run import machine_of
+
+        machine = machine_of(chosen, name, bindings)
+    else:
+        loaded = problem_in(*chosen)
+        bound = bindings_for(loaded, chosen[0], bindings)
+        found = solve(loaded, planner=planner, timeout=timeout)
+        if found.plan is None:
+            print(f"no plan: {found.reason}", file=sys.stderr)
+            return 1
+        machine = generate(plan_graph(loaded, found.plan), bound)
+    write(output, to_json(machine) if written_as == "json" else to_dot(machine))
+    return 0
+
+
+@app.command()
+@files_or_plan
+@click.option("--set", "given", metavar="NAME=VALUE", multiple=True, help="a parameter of that plan; the value as YAML")
+@click.option("--actions", type=click.Choice(["simulated", "ros2"]), default="simulated", show_default=True, help="who performs actions")
+@bindings_option
+@faults_option
+@knowledge_option
+@sensing_option
+@planning
+@click.option("--replans", type=click.IntRange(0), default=10, show_default=True, help="how many new machines may follow the first")
+@click.option(
+    "--seconds", type=Seconds(0), help="how long the goal is pursued; by default an hour, or thrice what the plan takes if longer"
+)
+@click.option(
+    "--on-failure",
+    type=click.Choice(["drain", "cancel", "continue_others"]),
+    help="what running actions do when one has failed; by default what a hand-written plan says, or else drain",
+)
+@as_json_option
+@command
+def run(
+    *,
+    domain: Path | None,
+    problem: Path | None,
+    plan_file: Path | None,
+    name: str | None,
+    given: tuple[str, ...],
+    actions: Where,
+    bindings: Path | None,
+    faults: Path | None,
+    knowledge: Path | None,
+    sensing: Path | None,
+    planner: str,
+    timeout: float,
+    replans: int,
+    seconds: float | None,
+    on_failure: str | None,
+    as_json: bool,
+) -> int:
+    """Plan, execute, and replan until the goal holds; or carry out a plan that somebody has written."""
+    from planner_bridge.cli.options import Files
+    from planner_bridge.cli.run import run_problem
+    from planner_bridge.tasks.replanning import Limits
+    from planner_bridge.tasks.settings import Settings
+    from pnm.core.machine.machine import OnFailure
+
+    if faults and actions == "ros2":
+        raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
+    if sensing and actions != "ros2":
+        raise InputError("--sensing tells of topics and services of ROS 2; expected --actions ros2")
+    others = Files(bindings, faults, knowledge, sensing)
+    policy = OnFailure(on_failure) if on_failure else None
+    settings = Settings(planner, timeout, limits=Limits(replans=replans, seconds=seconds), on_failure=policy or OnFailure.DRAIN)
+    chosen = chosen_files(domain, problem, plan_file)
+    if isinstance(chosen, Path):
+        from planner_bridge.cli.run import run_written
+
+        return run_written(chosen, name, given, others, actions=actions, settings=settings, on_failure=policy, as_json=as_json)
+    if name or given or knowledge:
+        raise InputError("--name, --set and --knowledge belong to hand-written plans; expected --plan and a file")
+    return run_problem(*chosen, others, actions=actions, settings=settings, as_json=as_json)
+
+
+@app.command()
+@files
+@bindings_option
+@faults_option
+@click.option("--speed", type=Seconds(0.001), help="seconds simulated per real second; default 20, or 1 if facts change by themselves")
+@click.option("--log", type=FILE, help="write what truly happens, a JSON object per line")
+@command
+def simulate(domain: Path, problem: Path, bindings: Path | None, faults: Path | None, speed: float | None, log: Path | None) -> int:
+    """Play the robots: offer a ROS 2 action server per action, and publish what sensors see."""
+    from planner_bridge.cli.options import bindings_for, faults_for
+    from planner_bridge.node.simulate import play
+
+    loaded = problem_in(domain, problem)
+    bound, wrong = bindings_for(loaded, domain, bindings), faults_for(loaded, faults)
+    return play(loaded, bound, wrong, speed or (1.0 if loaded.timed else 20.0), log)
+
+
+@app.command()
+@click.argument("domain", type=FILE)
+@click.argument("problem", type=FILE, required=False)
+@click.option("-o", "--output", type=FILE, help="a file; by default the terminal")
+@click.option("--plan", "with_plan", is_flag=True, help="find a plan for the problem, and write it as well")
+@click.option(
+    "--seed-compatible", "original", is_flag=True, help="write the plan as the first implementation of Petri Net Machines loads it"
+)
+@planning
+@command
+def export(domain: Path, problem: Path | None, output: Path | None, with_plan: bool, original: bool, planner: str, timeout: float) -> int:
+    """Write a domain, a problem and a plan for it as YAML."""
+    from planner_bridge.yaml.convert import exported
+
+    found = exported(domain, problem, with_plan=with_plan, original=original, planner=planner, timeout=timeout)
+    tell(found.warnings)
+    if found.reason:
+        print(f"no plan: {found.reason}", file=sys.stderr)
+        return 1
+    write(output, found.text)
+    return 0
+
+
+@app.command("import")
+@click.argument("file", type=FILE)
+@click.option("-o", "--output", type=FILE, required=True, help="a folder, for domain.pddl and problem.pddl")
+@command
+def from_yaml(file: Path, output: Path) -> int:
+    """Write the domain of a YAML file, and its problem if there is one, as PDDL."""
+    from planner_bridge.yaml.convert import imported
+
+    found = imported(file)
+    tell(found.warnings)
+    for name, text in found.texts.items():
+        write(output / name, text)
+    return 0
+
+
+@app.command()
+@click.option("-o", "--output", type=FILE, help="a file; by default the terminal")
+@command
+def schema(output: Path | None) -> int:
+    """Write the JSON Schema of the language's YAML files, for editors to complete and check them by."""
+    from pnm.language.files import SCHEMA
+
+    write(output, SCHEMA.read_text(encoding="utf-8"))
+    return 0
+
+
+@app.command()
+@click.argument("story", type=click.Choice(["delivery", "mall"]), default="delivery")
+@command
+def demo(story: str) -> int:
+    """Show the whole story on simulated robots: plan, machine, run, failure, replan, goal.
+
+    `mall`, over ROS 2: several tasks that share a robot, with people who interrupt it and answer late.
+    """
+    from planner_bridge.cli import demo, demo_mall
+    from planner_bridge.cli.console import Terminal
+
+    return demo_mall.show(Terminal()) if story == "mall" else demo.show(Terminal())
+
+
+def main() -> None:
+    """Run the command line."""
+    app()

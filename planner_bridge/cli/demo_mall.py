@@ -1,0 +1,210 @@
+"""`pnm demo mall`: a visitor asks a robot for the way, interrupts it, chats, answers late; and everything comes to its end.
+
+Robot, node and visitor are processes of their own, over real ROS 2. The programs of robot and visitor lie beside the domain.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import sys
+import tempfile
+from asyncio.subprocess import DEVNULL, PIPE, Process
+from collections.abc import AsyncIterator, Mapping
+from contextlib import AsyncExitStack
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Final
+
+from rich.console import Console
+from rich.markup import escape
+
+from planner_bridge.cli.demo import examples
+
+NEEDED: Final = {"rclpy": "pip install 'petri-net-machines[ros2]'", "pnm_interfaces": "pip install ./ros/pnm_interfaces"}
+"""What is imported by the processes, and how it is installed."""
+SPEED: Final = "1.2"
+"""How many times faster than real time the robot is."""
+BEGINNING: Final = 60.0
+"""Seconds that a process may take until it is ready."""
+LIMIT: Final = 120.0
+"""Seconds that everything may take."""
+SCRIPT: Final = {
+    "late": 6.0,
+    "patience": 60.0,
+    "scripts": [
+        {
+            "name": "demo",
+            "visitor": "ann",
+            "requests": [
+                {"shop": "shop_0", "replies": ["no"]},
+                {"shop": "shop_1", "replies": ["late"], "on": "describe_route", "after": 0.8},
+                {"topic": "films", "turns": 2, "replies": [], "on": "question", "after": 0.8},
+            ],
+        }
+    ],
+}
+_SAID: Final = {"describe_route": "The way to {1} is as follows …", "ask_understood": "Do you know the way to {1} now?", "say": "{0}"}
+"""What the robot says when it begins an action, given its arguments."""
+_STATES: Final = {"RUNNING": "green", "PAUSED": "yellow", "OVER": "bold green"}
+"""The states of tasks that are told, and their colours."""
+
+
+def show(console: Console) -> int:
+    """Play the script and say what is to be seen."""
+    missing = [advice for module, advice in NEEDED.items() if find_spec(module) is None]
+    if missing:
+        console.print(f"This demo needs ROS 2 and our interfaces: {' && '.join(missing)}", highlight=False, soft_wrap=True, markup=False)
+        return 1
+    return asyncio.run(_show(console))
+
+
+async def _show(console: Console) -> int:
+    console.print("A robot in a mall, over ROS 2. Every request is a task of its own; all share the robot's voice and arm.", soft_wrap=True)
+    story = Story(console)
+    try:
+        async with asyncio.timeout(LIMIT), AsyncExitStack() as stack:
+            await _play(story, stack)
+    except (TimeoutError, ChildProcessError) as error:
+        console.print(f"[bold red]failed[/]   {escape(str(error) or f'it is not over after {LIMIT:g} s')}", highlight=False, soft_wrap=True)
+        return 1
+    story.sum_up()
+    return 0 if story.is_fine else 1
+
+
+async def _play(story: Story, stack: AsyncExitStack) -> None:
+    folder = stack.enter_context(tempfile.TemporaryDirectory())
+    script = Path(folder) / "script.json"
+    script.write_text(json.dumps(SCRIPT), encoding="utf-8")
+    domain, problem = examples() / "domains" / "mall", examples() / "problems" / "mall" / "p01.pddl"
+    robot = await _start(stack, str(domain / "robot.py"), SPEED)
+    world = ("--world", str(domain / "plans" / "world.yaml"))
+    node = await _start(stack, "-m", "planner_bridge", "serve", str(domain / "domain.pddl"), str(problem), *world)
+    await asyncio.gather(_ready(robot, "the robot"), _ready(node, "the node"))
+    visitor = await _start(stack, str(domain / "visitor.py"), str(script))
+    quiet = asyncio.ensure_future(_read(node))  # who is not read from stands still in the end
+    stack.callback(quiet.cancel)
+    doing = asyncio.ensure_future(_each(robot, story.done))
+    stack.callback(doing.cancel)
+    await _each(visitor, story.seen)
+    if await visitor.wait():
+        raise ChildProcessError("the visitor has found nobody")
+
+
+async def _start(stack: AsyncExitStack, *arguments: str) -> Process:
+    own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID") or str(os.getpid() % 100 + 1)}
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, *arguments, env={**os.environ, **own}, stdin=DEVNULL, stdout=PIPE, stderr=DEVNULL
+    )
+    stack.push_async_callback(_end, process)
+    return process
+
+
+async def _end(process: Process) -> None:
+    if process.returncode is None:
+        process.kill()
+        await process.wait()
+
+
+async def _lines(process: Process) -> AsyncIterator[str]:
+    assert process.stdout is not None
+    while line := await process.stdout.readline():
+        yield line.decode(errors="replace")
+
+
+async def _ready(process: Process, who: str) -> None:
+    async with asyncio.timeout(BEGINNING):
+        async for line in _lines(process):
+            if line.startswith("ready"):
+                return
+    raise ChildProcessError(f"{who} has not started")
+
+
+async def _read(process: Process) -> None:
+    async for _ in _lines(process):
+        pass
+
+
+async def _each(process: Process, hear: Any) -> None:
+    async for line in _lines(process):
+        if line.startswith("{"):
+            hear(json.loads(line))
+
+
+@dataclass
+class Story:
+    """Prints who speaks and how the tasks are doing. All fields but the first change."""
+
+    console: Console
+    began: float | None = None
+    names: dict[str, str] = field(default_factory=dict)
+    """What tasks are about, by their ids."""
+    states: dict[str, str] = field(default_factory=dict)
+    paused: int = 0
+    requests: int = 0
+    reached: int = 0
+    answers: int = 0
+    clashes: int = 0
+
+    def done(self, line: Mapping[str, Any]) -> None:
+        """Tell what the robot does."""
+        self.clashes += "clash" in line
+        name, _, told = line["call"].rstrip(")").partition("(")
+        if line["event"] == "start" and name in _SAID:
+            self._tell(line, "[bold cyan]robot[/]", f'"{_SAID[name].format(*told.split(", "))}"')
+        elif line["event"] == "start" and name == "point_at":
+            self._tell(line, "[bold cyan]robot[/]", f"points at {told.split(', ')[-1]}")
+        elif line["event"] == "end" and line["outcome"] == "canceled":
+            self._tell(line, "[bold cyan]robot[/]", f"breaks off: {name}({told})")
+
+    def seen(self, line: Mapping[str, Any]) -> None:
+        """Tell what the visitor does and sees."""
+        match line["event"]:
+            case "request":
+                self.requests += 1
+                shop = line["about"].startswith("shop")
+                self._tell(
+                    line, "[bold magenta]ann  [/]", f'"Where is {line["about"]}?"' if shop else f'"Let us talk about {line["about"]}!"'
+                )
+            case "accepted":
+                self.names[line["task"]] = line["about"]
+            case "answer":
+                self.answers += 1
+                self._tell(line, "[bold magenta]ann  [/]", f'"{line["value"].rpartition(" ")[0]}"  (about {line["about"]})')
+            case "result":
+                self.reached += line["reason"] == "goal_reached"
+            case "state":
+                self._state(line)
+
+    def _state(self, line: Mapping[str, Any]) -> None:
+        task, state = line["task"], line["state"]
+        if state not in _STATES or self.states.get(task) == state:
+            return
+        resumed = self.states.get(task) == "PAUSED" and state == "RUNNING"
+        self.states[task] = state
+        self.paused += state == "PAUSED"
+        word = "resumed" if resumed else state.lower()
+        self._tell(line, "[bold]task [/]", f"[{_STATES[state]}]{self.names.get(task, line['about'])}: {word}[/]", line["reason"])
+
+    def _tell(self, line: Mapping[str, Any], who: str, text: str, more: str = "") -> None:
+        if self.began is None:
+            self.began = line["time"]
+        text = text if text.startswith("[") else escape(text)
+        said = f"{text}{f', {escape(more)}' if more else ''}"
+        self.console.print(f"  {line['time'] - self.began:6.2f} s  {who}  {said}", highlight=False, soft_wrap=True)
+
+    @property
+    def is_fine(self) -> bool:
+        """Whether everything came to its end as it should."""
+        return self.reached == self.requests > 0 and not self.clashes
+
+    def sum_up(self) -> None:
+        """Say what was to be seen."""
+        self.console.print(
+            f"{self.reached} of {self.requests} tasks reached their goal; {self.paused} times one was paused and resumed by itself; "
+            f"{self.answers} answers found their question; {self.clashes} times voice or arm were used by two.",
+            highlight=False,
+            soft_wrap=True,
+        )

@@ -1,0 +1,181 @@
+"""What commands share: options, and how their results become exit statuses and their errors messages.
+
+The files that commands are given besides those of a problem or of a plan.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import wraps
+from math import isfinite
+from pathlib import Path
+from typing import Any, ParamSpec
+
+import click
+
+from planner_bridge.loading import load, told
+from planner_bridge.model.problem import Problem
+from pnm.actions.bindings_file import read_bindings
+from pnm.actions.faults import NO_FAULTS, Faults, read_faults
+from pnm.core.machine.bindings import Bindings
+from pnm.errors import InputError, PnmError, Tolerated
+
+P = ParamSpec("P")
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+
+FILE = click.Path(path_type=Path)
+
+
+class Seconds(click.FloatRange):
+    """A finite number."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Refuse what is not a finite number of at least the minimum."""
+        number = super().convert(value, param, ctx)
+        if not isfinite(number):
+            self.fail(f"{value} is not a finite number", param, ctx)
+        return number
+
+
+def command(function: Callable[P, int]) -> Callable[P, None]:
+    """Turn the returned status into the exit status, and errors into one message without a traceback."""
+
+    @wraps(function)
+    def run(*args: P.args, **kwargs: P.kwargs) -> None:
+        try:
+            status = function(*args, **kwargs)
+            sys.stdout.flush()
+        except InputError as error:
+            print(error, file=sys.stderr)
+            status = 2
+        except PnmError as error:
+            print(error, file=sys.stderr)
+            status = 1
+        except BrokenPipeError:  # nobody reads what we print: not our fault, and no more can be said
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            status = 1
+        except KeyboardInterrupt:
+            print("cancelled", file=sys.stderr)
+            status = 1
+        except Exception as error:  # a fault of ours, but nobody wants to read our stack
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            place = f"{Path(where.filename).name}:{where.lineno}"
+            print(f"internal error, please report it: {type(error).__name__} at {place}: {error}", file=sys.stderr)
+            status = 1
+        sys.exit(status)
+
+    return run
+
+
+def options(*options: Decorator) -> Decorator:
+    """Combine options that several commands share."""
+
+    def add(function: Callable[..., Any]) -> Callable[..., Any]:
+        for option in reversed(options):
+            function = option(function)
+        return function
+
+    return add
+
+
+files = options(click.argument("domain", type=FILE), click.argument("problem", type=FILE))
+files_or_plan = options(
+    click.argument("domain", type=FILE, required=False),
+    click.argument("problem", type=FILE, required=False),
+    click.option("--plan", "plan_file", type=FILE, help="a hand-written plan in YAML, in place of DOMAIN and PROBLEM"),
+    click.option("--name", help="which plan of that file, if there are several"),
+)
+planning = options(
+    click.option("--planner", default="kairos", show_default=True, help="kairos, any engine of unified-planning, race, or race:NAME,NAME"),
+    click.option("--timeout", type=Seconds(0.01), default=30.0, show_default=True, help="seconds the planner may take"),
+)
+as_json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object as the last line, and nothing else")
+bindings_option = click.option("--bindings", type=FILE, help="how actions are bound to servers; by default bindings.yaml beside DOMAIN")
+knowledge_option = click.option("--knowledge", type=FILE, help="the SQLite file of the global knowledge, in place of what plans choose")
+sensing_option = click.option("--sensing", type=FILE, help="which topics and services of ROS 2 tell what is so in the world")
+faults_option = click.option("--faults", type=FILE, help="what goes wrong in simulation")
+
+
+def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | None) -> Path | tuple[Path, Path]:
+    """Return the file of a plan, or DOMAIN and PROBLEM.
+
+    Raises:
+        InputError: there is neither, or both.
+    """
+    if plan_file is not None:
+        if domain is not None:
+            raise InputError("--plan comes in the place of DOMAIN and PROBLEM")
+        return plan_file
+    if domain is None or problem is None:
+        raise InputError("expected DOMAIN and PROBLEM, or --plan and a file")
+    return domain, problem
+
+
+def problem_in(domain: Path, problem: Path) -> Problem:
+    """Read a problem, and say on stderr what in its files was not as it should be.
+
+    Raises:
+        InputError: a file is wrong, or cannot be read.
+    """
+    loaded = load(domain, problem)
+    tell(loaded.warnings)
+    return loaded
+
+
+def write(path: Path | None, text: str) -> None:
+    """Write a file, or on the terminal when there is none.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    if path is None:
+        print(text, end="")
+        return
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def tell(warnings: Iterable[Tolerated]) -> None:
+    """Say on stderr what in files was not as it should be."""
+    for line in told(warnings):
+        print(line, file=sys.stderr)
+
+
+@dataclass(frozen=True, slots=True)
+class Files:
+    """Those that options name."""
+
+    bindings: Path | None = None
+    faults: Path | None = None
+    knowledge: Path | None = None
+    sensing: Path | None = None
+
+
+def bindings_for(problem: Problem, domain: Path, file: Path | None) -> Bindings:
+    """Read bindings from a file, or from ``bindings.yaml`` beside the domain if that is there.
+
+    Raises:
+        InputError: the file is wrong, or cannot be read.
+    """
+    beside = domain.parent / "bindings.yaml"
+    if file is None and not beside.is_file():
+        return Bindings()
+    return read_bindings(file or beside, problem.vocabulary)
+
+
+def faults_for(problem: Problem, file: Path | None) -> Faults:
+    """Read what goes wrong in simulation.
+
+    Raises:
+        InputError: the file is wrong, or cannot be read.
+    """
+    return read_faults(file, problem.vocabulary) if file else NO_FAULTS

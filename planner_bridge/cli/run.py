@@ -1,0 +1,127 @@
+"""What `pnm run` does with DOMAIN and PROBLEM, and what it prints in the end.
+
+What `pnm run --plan` and `pnm net --plan` do.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Console
+
+from planner_bridge.cli.console import ConsoleObserver, Terminal, print_result
+from planner_bridge.cli.options import Files, bindings_for, faults_for, problem_in, tell
+from planner_bridge.pipeline import Where, achieve
+from planner_bridge.planning.solve import check_planner
+from planner_bridge.tasks.plan_task import carry_out, chosen_plan
+from planner_bridge.tasks.result import Stopwatch, TaskResult
+from planner_bridge.tasks.settings import Settings, TaskObserver
+from pnm.actions.bindings_file import read_bindings
+from pnm.actions.faults import NO_FAULTS, read_faults
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import OnFailure, PetriNetMachine
+from pnm.errors import InputError
+from pnm.files.yaml_nodes import parse_value
+from pnm.knowledge.sensor_file import read_sensing
+from pnm.knowledge.sensor_model import NO_SENSING
+from pnm.language.plan import read_plans
+
+
+def run_problem(domain: Path, problem: Path, files: Files, *, actions: Where, settings: Settings, as_json: bool) -> int:
+    """Plan, execute and replan, tell how it went, and return the exit status.
+
+    Raises:
+        InputError: a file is wrong; nothing was started.
+    """
+    console, stopwatch = Terminal(), Stopwatch()
+    with stopwatch.of("parse"):
+        loaded = problem_in(domain, problem)
+        sensors = read_sensing(files.sensing, loaded.vocabulary) if files.sensing else NO_SENSING
+        settings = replace(settings, bindings=bindings_for(loaded, domain, files.bindings), sensing=sensors)
+        faults = faults_for(loaded, files.faults)
+    observer = TaskObserver() if as_json else ConsoleObserver(console)
+    result = achieve(None, loaded, actions=actions, faults=faults, settings=settings, observer=observer, stopwatch=stopwatch)
+    return print_ending(result, console, result.as_json() if as_json else None)
+
+
+def print_ending(task: TaskResult, console: Console, told: Mapping[str, object] | None) -> int:
+    """Print how a task ended, for people or as one JSON object; return the exit status.
+
+    Args:
+        task: what has ended.
+        console: where people read.
+        told: the object, if it is to be printed in place of words.
+    """
+    if told is None:
+        print_result(console, task)
+    else:
+        print(json.dumps(told, default=str), flush=True)
+    return 0 if task.goal_reached else 1
+
+
+def machine_of(file: Path, name: str | None, bindings: Path | None) -> PetriNetMachine:
+    """Return the machine of a hand-written plan.
+
+    Raises:
+        InputError: a file is wrong, or it is not clear which plan is meant.
+    """
+    plans = read_plans(file)
+    plan = plans[chosen_plan(plans, name)]
+    chosen = read_bindings(bindings).before(plan.bindings) if bindings else plan.bindings
+    return generate(plan.graph, chosen, on_failure=plan.on_failure)
+
+
+def run_written(
+    file: Path,
+    name: str | None,
+    given: tuple[str, ...],
+    files: Files,
+    *,
+    actions: Where,
+    settings: Settings,
+    on_failure: OnFailure | None,
+    as_json: bool,
+) -> int:
+    """Carry out a hand-written plan, tell how it went, and return the exit status.
+
+    Raises:
+        InputError: a file or a parameter is wrong; nothing was started.
+    """
+    check_planner(settings.planner)  # now, not when a plan is given up that took an hour
+    console = Terminal()
+    if files.bindings:
+        settings = replace(settings, bindings=read_bindings(files.bindings))
+    if files.sensing:
+        settings = replace(settings, sensing=read_sensing(files.sensing))
+    result = carry_out(
+        file,
+        name,
+        _parameters(given),
+        actions=actions,
+        faults=read_faults(files.faults, None) if files.faults else NO_FAULTS,
+        settings=settings,
+        on_failure=on_failure,
+        observer=TaskObserver() if as_json else ConsoleObserver(console),
+        knowledge=files.knowledge,
+        warn=tell,
+    )
+    return print_ending(result.task, console, result.as_json() if as_json else None)
+
+
+def _parameters(given: tuple[str, ...]) -> dict[str, object]:
+    """Read ``name=value``, with values as YAML has them."""
+    found: dict[str, object] = {}
+    for one in given:
+        name, equals, text = one.partition("=")
+        if not name or not equals:
+            raise InputError(f"expected NAME=VALUE after --set, found {one!r}")
+        value = parse_value(text, f"--set {name}")
+        try:
+            json.dumps(value, allow_nan=False)
+        except ValueError as error:
+            raise InputError(f"expected finite numbers after --set {name}, found {text!r}") from error
+        found[name] = value
+    return found

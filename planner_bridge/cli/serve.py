@@ -1,0 +1,60 @@
+"""`pnm serve`: options that are the parameters of a node, and arguments for ROS 2 behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+import click
+
+from planner_bridge.cli.options import command, options, tell
+from planner_bridge.node.options import PARAMETERS
+from pnm.ros.node.parameters import Parameter, ParameterValue
+
+ROS_ARGUMENTS: Final = "--ros-args"
+
+
+class RosCommand(click.Command):
+    """A command that leaves everything from ``--ros-args`` on to ROS 2, as `ros2 run` and `ros2 launch` give it."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Keep those arguments apart."""
+        end = args.index(ROS_ARGUMENTS) if ROS_ARGUMENTS in args else len(args)
+        ctx.meta[ROS_ARGUMENTS] = args[end:]
+        return super().parse_args(ctx, args[:end])
+
+
+def _option(parameter: Parameter) -> Callable[[Any], Any]:
+    name = (parameter.option or parameter.name).replace("_", "-")
+    default = f"  [default: {parameter.default}]" if parameter.default not in ("", True) else ""
+    about: dict[str, Any] = {"help": parameter.description + default, "default": None}
+    match parameter.default:
+        case bool():
+            return click.option(f"--{name}/--no-{name}", parameter.name, **about)
+        case int():
+            return click.option(f"--{name}", parameter.name, type=click.IntRange(int(parameter.least)), **about)
+        case float():
+            return click.option(f"--{name}", parameter.name, type=click.FloatRange(parameter.least), **about)
+        case _ if parameter.choices:
+            return click.option(f"--{name}", parameter.name, type=click.Choice(parameter.choices), **about)
+        case _:
+            return click.option(f"--{name}", parameter.name, metavar="TEXT", **about)
+
+
+@click.command(cls=RosCommand)
+@click.argument("domain", required=False)
+@click.argument("problem", required=False)
+@options(*(_option(one) for one in PARAMETERS if one.name not in ("domain", "problem")))
+@command
+def serve(**given: ParameterValue | None) -> int:
+    """Take goals over ROS 2, and pursue them until interrupted: the node that a robot runs.
+
+    Offers actions for goals of DOMAIN and PROBLEM, and for each plan of a world. What follows --ros-args is for ROS 2;
+    parameters that are given there come before options.
+    """
+    from planner_bridge.cli.console import Terminal
+    from planner_bridge.node.serve import serve
+
+    arguments = click.get_current_context().meta[ROS_ARGUMENTS]
+    serve({name: value for name, value in given.items() if value is not None}, arguments, Terminal(), tell)
+    return 0

@@ -1,0 +1,1 @@
+"""The model of a planning problem: domain, problem, plan, grounding, plan simulation."""

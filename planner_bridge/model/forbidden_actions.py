@@ -1,0 +1,104 @@
+"""Calls that no plan may use any more."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from string import Formatter
+from typing import Final
+
+from planner_bridge.model.problem import ActionSchema, Declaration, Domain, Problem
+from pnm.core.logic.conditions import All, Holds, Not
+from pnm.core.logic.expressions import Fluent, Value
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.plan_graph import GroundAction
+
+ANY: Final = "?"
+"""In the place of an argument: whatever it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class ForbiddenCall:
+    """A ground action that no plan may use any more, or all that have these arguments."""
+
+    action: str
+    arguments: tuple[str, ...]
+
+    @staticmethod
+    def of(action: GroundAction) -> ForbiddenCall:
+        """Return what forbids this ground action."""
+        return ForbiddenCall(action.name, action.arguments)
+
+    def covers(self, action: GroundAction) -> bool:
+        """Tell whether the ground action is forbidden."""
+        return self.action == action.name and all(mine in (ANY, its) for mine, its in zip(self.arguments, action.arguments, strict=True))
+
+    @property
+    def fixed(self) -> tuple[int, ...]:
+        """The positions of the arguments that matter."""
+        return tuple(number for number, argument in enumerate(self.arguments) if argument != ANY)
+
+    def __str__(self) -> str:
+        return f"{self.action}({', '.join(self.arguments)})"
+
+
+def forbid(problem: Problem, forbidden: frozenset[ForbiddenCall]) -> Problem:
+    """Return the problem in which every action concerned has a precondition that is false for the forbidden arguments."""
+    if not forbidden:
+        return problem
+    domain, init = problem.domain, dict[Fluent, Value](problem.init)
+    predicates, actions = dict(domain.predicates), dict(domain.actions)
+    facts: dict[tuple[str, tuple[int, ...]], str] = {}
+    for name, fixed in sorted({(call.action, call.fixed) for call in forbidden}):
+        fact = facts[name, fixed] = unused(f"forbidden-{name}", replace(domain, predicates=predicates))
+        parameters = tuple(actions[name].parameters[number] for number in fixed)
+        predicates[fact] = Declaration(fact, parameters)
+        actions[name] = guarded(actions[name], Not(Holds((fact, *(variable.name for variable in parameters)))))
+    for call in forbidden:
+        init[(facts[call.action, call.fixed], *(call.arguments[number] for number in call.fixed))] = True
+    return replace(problem, domain=changed(domain, predicates, actions), init=init)
+
+
+def users(domain: Domain, bindings: Bindings, names: Collection[str]) -> frozenset[ForbiddenCall]:
+    """Return the calls that have one of these resources for themselves."""
+    found: set[ForbiddenCall] = set()
+    for schema in domain.actions.values():
+        for pattern in bindings.of(schema.name).resources:
+            for name in names:
+                if (values := _values(pattern, name)) is not None:
+                    arguments = (values.get(variable.name.removeprefix("?"), ANY) for variable in schema.parameters)
+                    found.add(ForbiddenCall(schema.name, tuple(arguments)))
+    return frozenset(found)
+
+
+def _values(pattern: str, name: str) -> dict[str, str] | None:
+    """Return for which values of the parameters in braces the pattern becomes the name; None if for none."""
+    parts = list(Formatter().parse(pattern))
+    expression = "".join(re.escape(text) + ("" if parameter is None else "(.+)") for text, parameter, _, _ in parts)
+    match = re.fullmatch(expression, name)
+    if match is None:
+        return None
+    values: dict[str, str] = {}
+    for parameter, value in zip((one for _, one, _, _ in parts if one is not None), match.groups(), strict=True):
+        if values.setdefault(parameter, value) != value:
+            return None
+    return values
+
+
+def unused(name: str, domain: Domain) -> str:
+    """Return a name for a predicate that begins so and is not in the domain."""
+    while name in domain.predicates or name in domain.functions:
+        name += "-"
+    return name
+
+
+def guarded(schema: ActionSchema, guard: Not) -> ActionSchema:
+    """Return the action with one more precondition."""
+    return replace(schema, precondition=All((guard, schema.precondition)))
+
+
+def changed(domain: Domain, predicates: dict[str, Declaration], actions: dict[str, ActionSchema]) -> Domain:
+    """Return the domain with these predicates and actions, and the requirement that negated preconditions ask for."""
+    requirements = tuple(dict.fromkeys((*domain.requirements, ":negative-preconditions")))
+    return replace(domain, requirements=requirements, predicates=predicates, actions=actions)

@@ -1,0 +1,105 @@
+"""An action schema and objects → a ground action of the neutral plan.
+
+Knowledge ↔ initial state: what a problem says at first, and the problem as the world now is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import isfinite
+
+from planner_bridge.model.problem import ActionSchema, Problem
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import ground
+from pnm.core.logic.effects import TimedChange, ground_effects, names_written
+from pnm.core.logic.expressions import DURATION, UNKNOWN, Environment, Fluent, State, Unknown, Value, value_of
+from pnm.core.logic.rules import Rules
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.errors import InputError
+
+
+def ground_action(schema: ActionSchema, arguments: tuple[str, ...], duration: float | None = None) -> GroundAction:
+    """Substitute the arguments for the parameters; `duration` is the planned one, in seconds.
+
+    Raises:
+        InputError: the number of arguments is not that of the parameters.
+    """
+    if len(arguments) != len(schema.parameters):
+        expected = " ".join(variable.name for variable in schema.parameters) or "none"
+        raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(arguments)}")
+    env: dict[str, str] = {variable.name: argument for variable, argument in zip(schema.parameters, arguments, strict=True)}
+    if duration is not None:
+        env[DURATION[0]] = repr(duration)
+    return GroundAction(
+        name=schema.name,
+        arguments=arguments,
+        parameters=tuple(variable.name[1:] for variable in schema.parameters),
+        precondition=ground(schema.precondition, env),
+        invariant=ground(schema.invariant, env),
+        end_condition=ground(schema.end_condition, env),
+        start_effects=ground_effects(schema.start_effects, env),
+        end_effects=ground_effects(schema.end_effects, env),
+        duration=duration if schema.duration is not None else None,
+    )
+
+
+def modelled_duration(schema: ActionSchema, arguments: tuple[str, ...], state: State) -> float | None:
+    """Return the shortest duration the schema allows in the state; None for an instantaneous action."""
+    if schema.duration is None:
+        return None
+    env: Environment = {variable.name: argument for variable, argument in zip(schema.parameters, arguments, strict=True)}
+    bounds = [value_of(one.bound, state, env) for one in schema.duration if one.operation in ("=", ">=")]
+    numbers = [float(bound) for bound in bounds if bound is not UNKNOWN and not isinstance(bound, str)]
+    return max(numbers, default=0.0)
+
+
+def initial_knowledge(problem: Problem) -> KnowledgeBase:
+    """Return a knowledge base with the problem's objects and initial state, and the domain's rules."""
+    return KnowledgeBase(problem.init, objects=problem.objects_by_type, rules=Rules(problem.domain.rules))
+
+
+def dynamic_names(problem: Problem) -> frozenset[str]:
+    """Return the predicates and functions that actions or timed changes may alter."""
+    actions = (names_written((*schema.start_effects, *schema.end_effects)) for schema in problem.domain.actions.values())
+    timed = (frozenset(fluent[0] for fluent in change.changes) for change in problem.timed)
+    return frozenset().union(*actions, *timed)
+
+
+def problem_now(problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0) -> Problem:
+    """Return the problem that starts from what is known, so many seconds after the original one.
+
+    What sensors report about things that the problem does not declare is left out, and so are numbers that are none.
+    """
+    is_declared = _Declared(problem)
+    known = knowledge.facts().items()
+    init = {fluent: value for fluent, value in known if not isinstance(value, Unknown) and is_declared(fluent, value)}
+    timed = tuple(TimedChange(change.time - elapsed, change.changes) for change in problem.timed if change.time > elapsed)
+    return replace(problem, init=init, timed=timed)
+
+
+class _Declared:
+    """Tells what an initial state of a problem may say. The mutable state is what was looked up so far."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self._members: dict[tuple[str, ...], frozenset[str]] = {}
+
+    def __call__(self, fluent: Fluent, value: Value) -> bool:
+        domain = self._problem.domain
+        declared = domain.predicates.get(fluent[0]) if isinstance(value, bool) else domain.functions.get(fluent[0])
+        if declared is None or len(declared.parameters) != len(fluent) - 1:
+            return False
+        if not all(name in self._of(variable.types) for name, variable in zip(fluent[1:], declared.parameters, strict=True)):
+            return False
+        match value:
+            case bool():
+                return True
+            case str():
+                return value in self._of(declared.values)
+            case _:
+                return not declared.values and isfinite(value)
+
+    def _of(self, types: tuple[str, ...]) -> frozenset[str]:
+        if types not in self._members:
+            self._members[types] = frozenset(name for kind in types for name in self._problem.objects_by_type.get(kind, ()))
+        return self._members[types]

@@ -1,0 +1,1 @@
+"""`pnm serve` and `pnm simulate`: the ROS 2 nodes."""

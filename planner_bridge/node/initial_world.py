@@ -1,0 +1,183 @@
+"""The world that everything a node does shares, as it is at first.
+
+The world of hand-written plans as a problem without actions: what may be asked of it, and told.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final, TypeAlias, assert_never
+
+from planner_bridge.model.problem import Declaration, Domain, Problem
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.computed_values import fluents_in
+from pnm.core.logic.conditions import Compare, Computed, Condition, Holds, every_part
+from pnm.core.logic.effects import Effects, ForEach, Set, When
+from pnm.core.logic.expressions import DURATION, UNDEFINED, Constant, Expression, Fluent, Value, Variable, expression_fluents, show
+from pnm.core.logic.rules import Rule, Rules
+from pnm.core.machine.plan_graph import Choice, Loop
+from pnm.errors import InputError
+from pnm.language.plan import HandWrittenPlan
+
+
+@dataclass(frozen=True, slots=True)
+class _Beginning:
+    """What one of those who share a world says of it."""
+
+    name: str
+    facts: Mapping[Fluent, Value]
+    objects: Mapping[str, tuple[str, ...]]
+    rules: Rules
+
+
+def common_knowledge(plans: Iterable[HandWrittenPlan], problem: Problem | None = None) -> KnowledgeBase:
+    """Return the world that all tasks share, which begins as the problem and the plans say.
+
+    Raises:
+        InputError: two of them say different things.
+    """
+    beginnings = [_Beginning(plan.name, plan.facts, plan.objects, plan.rules) for plan in plans]
+    if problem is not None:
+        beginnings.insert(0, _Beginning(problem.name, problem.init, problem.objects_by_type, Rules(problem.domain.rules)))
+    facts: dict[Fluent, Value] = {}
+    said: dict[Fluent, str] = {}
+    objects: dict[str, tuple[str, ...]] = {}
+    rules: dict[str, Rule] = {}
+    for one in beginnings:
+        for fluent, value in one.facts.items():
+            if facts.setdefault(fluent, value) != value:
+                raise InputError(f"{said[fluent]} and {one.name} begin with different values of {show(fluent)}: {facts[fluent]}, {value}")
+            said.setdefault(fluent, one.name)
+        for kind, names in one.objects.items():
+            objects[kind] = tuple(dict.fromkeys((*objects.get(kind, ()), *names)))
+        rules |= {str(rule): rule for rule in one.rules.rules}
+    return KnowledgeBase(facts, objects=objects, rules=Rules(tuple(rules.values())))
+
+
+_WORD: Final = re.compile(r"[^\s()]+")
+
+Use: TypeAlias = tuple[Fluent, Value | None]
+"""A fluent as it is spoken of, and a value of its kind: true for a fact; None when it may be of any."""
+
+
+def world_of_plans(plans: Iterable[HandWrittenPlan]) -> Problem:
+    """Return what the plans declare, and the names that they use where they declare none."""
+    plans = tuple(plans)
+    spoken = _Spoken()
+    types: dict[str, tuple[str, ...]] = {}
+    objects: dict[str, tuple[str, ...]] = {}
+    for plan in plans:
+        spoken.declare(plan)
+        types |= plan.declared.types
+        objects |= plan.declared.objects
+    for fluent, value in (use for plan in plans for use in _uses(plan)):
+        spoken.use(fluent, value)
+    rules = tuple({str(rule): rule for plan in plans for rule in plan.rules.rules}.values())
+    domain = Domain("plans", types=types, predicates=spoken.predicates, functions=spoken.functions, rules=rules)
+    return Problem("plans", domain, objects or dict.fromkeys(spoken.objects, ("object",)))
+
+
+def with_names_of(problem: Problem, plans: Iterable[HandWrittenPlan], texts: Iterable[str]) -> Problem:
+    """Return the problem with all words of the texts among its objects, if the plans declare none: where none are, any may be.
+
+    Raises:
+        InputError: a text speaks of all objects, or of some.
+    """
+    if any(plan.declared.objects for plan in plans):
+        return problem
+    words = dict.fromkeys(word for text in texts for word in _WORD.findall(text))
+    if quantifier := next((word for word in words if word.lower() in ("forall", "exists")), None):
+        raise InputError(f"the plans declare no objects; expected a condition without {quantifier}")
+    known = {name.lower() for name in problem.objects}
+    others = (word for word in words if word[0] != "?" and word.lower() not in known)
+    return replace(problem, own_objects={**problem.own_objects, **dict.fromkeys(others, ("object",))})
+
+
+@dataclass
+class _Spoken:
+    """The predicates and functions that plans declare or use, and the objects in them. Everything in it is mutable state."""
+
+    predicates: dict[str, Declaration] = field(default_factory=dict)
+    functions: dict[str, Declaration] = field(default_factory=dict)
+    objects: dict[str, None] = field(default_factory=dict)
+
+    def declare(self, plan: HandWrittenPlan) -> None:
+        for name, parameters in plan.declared.fluents.items():
+            is_fact = name in plan.declared.predicates
+            (self.predicates if is_fact else self.functions)[name] = Declaration(name, parameters, plan.declared.values.get(name, ()))
+
+    def use(self, fluent: Fluent, value: Value | None) -> None:
+        name, *arguments = fluent
+        values = ("object",) if isinstance(value, str) else ()
+        named = (*arguments, value) if isinstance(value, str) else arguments
+        self.objects |= dict.fromkeys(one for one in named if _WORD.fullmatch(one) and one[0] != "?" and one != UNDEFINED)
+        if value is None or name in self.predicates or name == DURATION[0]:
+            return
+        parameters = tuple(Variable(f"?x{number}") for number in range(len(arguments)))
+        declared = self.functions.get(name)
+        if isinstance(value, bool) and declared is None:
+            self.predicates[name] = Declaration(name, parameters)
+        elif declared is None or (values and not declared.values):
+            self.functions[name] = Declaration(name, declared.parameters if declared else parameters, values)
+
+
+# --- what a plan speaks of -----------------------------------------------------------------
+
+
+def _uses(plan: HandWrittenPlan) -> Iterator[Use]:
+    yield from plan.facts.items()
+    for change in plan.timed:
+        yield from change.changes.items()
+    for call in plan.graph.calls:
+        action = call.action
+        for condition in (action.precondition, action.invariant, action.end_condition, action.expected):
+            yield from _in_condition(condition)
+        yield from _in_effects((*action.start_effects, *action.end_effects))
+        yield (action.name, *action.arguments), None
+    for step in plan.graph.every_step:
+        if isinstance(step, Loop | Choice):
+            yield from _in_condition(step.condition)
+    yield from _in_condition(plan.goal)
+    for rule in plan.rules.rules:
+        yield from _in_rule(rule)
+
+
+def _in_rule(rule: Rule) -> Iterator[Use]:
+    yield (rule.name, *(variable.name for variable in rule.variables)), True
+    yield from _in_condition(rule.condition)
+
+
+def _in_condition(condition: Condition) -> Iterator[Use]:
+    for part in every_part(condition):
+        match part:
+            case Holds(fluent):
+                yield fluent, True
+            case Compare(_, left, right):
+                yield from _in_equation(left, right)
+            case Computed(data):
+                yield from ((fluent, None) for fluent in fluents_in(data))
+            case _:
+                pass
+
+
+def _in_equation(left: Expression, right: Expression) -> Iterator[Use]:
+    """Yield the functions that are compared: with an object, or else with numbers."""
+    named = [side.value for side in (left, right) if isinstance(side, Constant) and isinstance(side.value, str)]
+    yield from ((fluent, named[0] if named else 0.0) for side in (left, right) for fluent in expression_fluents(side))
+
+
+def _in_effects(effects: Effects) -> Iterator[Use]:
+    for effect in effects:
+        match effect:
+            case Set(fluent, value):
+                yield fluent, value.value if isinstance(value, Constant) else 0.0
+                yield from ((one, 0.0) for one in expression_fluents(value))
+            case When(condition, inner):
+                yield from _in_condition(condition)
+                yield from _in_effects(inner)
+            case ForEach(_, inner):
+                yield from _in_effects(inner)
+            case _:
+                assert_never(effect)

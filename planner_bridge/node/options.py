@@ -1,0 +1,93 @@
+"""What `pnm serve` is told when it starts: parameters of the node, which are options of the command as well."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from planner_bridge.planning.kairos import DEFAULT_PLANNER
+from planner_bridge.tasks.settings import OnChange
+from pnm.core.machine.machine import OnFailure
+from pnm.errors import InputError
+from pnm.ros.node.parameters import Parameter, ParameterValue
+from pnm.tasks import OnConflict
+
+PARAMETERS: Final = (
+    Parameter("domain", "", "file with the domain, in PDDL"),
+    Parameter("problem", "", "file with the problem, in PDDL: the world as it is at first, and the goal when none is named"),
+    Parameter("bindings", "", "file that says how actions are bound to servers; by default bindings.yaml beside the domain"),
+    Parameter("sensing", "", "file that says what topics and services tell about the world"),
+    Parameter("goals", "", "YAML file with goals by name"),
+    Parameter("problems", ".", "folder in which problem/save and problem/load find files"),
+    Parameter("world", "", "YAML file with a domain and files of hand-written plans, each of which becomes an action server"),
+    Parameter("world_name", "", "which world of that file, if there are several", option="name"),
+    Parameter("knowledge", "", "SQLite file of the global knowledge, in place of what plans choose"),
+    Parameter("planner", DEFAULT_PLANNER, "kairos, any engine of unified-planning, race, or race:NAME,NAME"),
+    Parameter("planner_timeout", 30.0, "seconds the planner may take"),
+    Parameter("replans", 10, "how often the plan of a task may be replaced"),
+    Parameter("max_tasks", 8, "how many tasks are planned for and carried out at a time", least=1),
+    Parameter("max_queue", 100, "how many tasks may wait besides; more are refused"),
+    Parameter(
+        "on_failure", "continue_others", "what running actions do when another one of the task has failed",
+        choices=tuple(one.value for one in OnFailure),
+    ),
+    Parameter(
+        "on_change", "eager", "whether a task plans anew as soon as its plan cannot work any more, or when it gets there",
+        choices=tuple(one.value for one in OnChange),
+    ),
+    Parameter(
+        "on_conflict", "plan_around", "what becomes of a goal that cannot be pursued beside others, unless the goal says so",
+        choices=tuple(one.value for one in OnConflict),
+    ),
+    Parameter("cancel", 20.0, "seconds in which tasks have to end when the node is shut down"),
+    Parameter("autostart", True, "whether the node configures and activates itself"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """The values of the parameters."""
+
+    domain: Path | None
+    problem: Path | None
+    bindings: Path | None
+    sensing: Path | None
+    goals: Path | None
+    problems: Path
+    world: Path | None
+    world_name: str | None
+    knowledge: Path | None
+    planner: str
+    planner_timeout: float
+    replans: int
+    max_tasks: int
+    max_queue: int
+    on_failure: OnFailure
+    on_change: OnChange
+    on_conflict: OnConflict
+    cancel: float
+    autostart: bool
+
+    @classmethod
+    def of(cls, values: Mapping[str, ParameterValue]) -> Options:
+        """Return what the parameters say, which have the right types.
+
+        Raises:
+            InputError: they do not go together.
+        """
+        given: dict[str, Any] = dict(values)
+        for name in ("domain", "problem", "bindings", "sensing", "goals", "problems", "world", "knowledge"):
+            given[name] = Path(given[name]).expanduser() if given[name] else None
+        if (given["domain"] is None) != (given["problem"] is None):
+            raise InputError("a domain and a problem belong together; expected both or neither")
+        if given["domain"] is None and given["world"] is None:
+            raise InputError("there is nothing to serve; expected a domain and a problem, or a world of plans, or both")
+        if given["goals"] and given["domain"] is None:
+            raise InputError("goals with names need a domain and a problem; expected both, or no goals")
+        given["problems"] = given["problems"] or Path()
+        given["world_name"] = given["world_name"] or None
+        given["on_failure"], given["on_conflict"] = OnFailure(given["on_failure"]), OnConflict(given["on_conflict"])
+        given["on_change"] = OnChange(given["on_change"])
+        return cls(**given)

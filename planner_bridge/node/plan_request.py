@@ -1,0 +1,74 @@
+"""Looks for plans that nobody carries out, from the world as it is."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+from planner_bridge.model.grounding import problem_now
+from planner_bridge.model.plan import Plan
+from planner_bridge.model.problem import Problem
+from planner_bridge.ordering.plan_to_graph import plan_graph
+from planner_bridge.planning.solve import solve
+from planner_bridge.tasks.result import code_of_planning
+from planner_bridge.tasks.settings import Settings
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import Condition
+from pnm.tasks import Code, MadePlan, Step, StepState
+
+
+@dataclass(frozen=True)
+class Maker:
+    """Looks for plans, as `pnm.tasks.Make`.
+
+    Args:
+        problem: the domain and the objects.
+        knowledge: what is known of the world.
+        settings: planner and limit, if nothing else is said.
+        read_goal: finds out what a text means as a goal; raises InputError.
+        began: when the problem was as it says, on the clock of the event loop.
+    """
+
+    problem: Problem
+    knowledge: KnowledgeBase
+    settings: Settings
+    read_goal: Callable[[str], Condition]
+    began: float
+
+    async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:
+        """Look for a plan.
+
+        Raises:
+            InputError: the goal or the planner makes no sense.
+        """
+        elapsed = asyncio.get_running_loop().time() - self.began
+        problem = replace(problem_now(self.problem, self.knowledge, elapsed), goal=self.read_goal(goal))
+        stop = threading.Event()
+        search = partial(
+            solve,
+            problem,
+            planner=planner or self.settings.planner,
+            timeout=seconds or self.settings.planner_timeout,
+            cancel=stop,
+            executor=self.settings.executor,
+        )
+        try:
+            found = await asyncio.to_thread(search)
+        finally:
+            stop.set()
+        if found.plan is None:
+            return MadePlan(code_of_planning(found.status, ()), found.reason, str(problem.goal))
+        return MadePlan(Code.GOAL_REACHED, f"found by {found.planner}", str(problem.goal), _steps(problem, found.plan))
+
+
+def _steps(problem: Problem, plan: Plan) -> tuple[Step, ...]:
+    before: dict[int, set[int]] = {}
+    for ordering in plan_graph(problem, plan).orderings:
+        before.setdefault(ordering.after.call, set()).add(ordering.before.call)
+    return tuple(
+        Step(step.action, step.arguments, step.start, step.duration, StepState.WAITING, tuple(sorted(before.get(number, ()))))
+        for number, step in enumerate(plan.steps)
+    )

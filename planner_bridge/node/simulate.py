@@ -1,0 +1,199 @@
+"""`pnm simulate`: the robots of a problem as real ROS 2 action servers, in a process of their own.
+
+One server per action, or per robot where the binding's server name has a parameter in braces. The
+process has its own true world and publishes what sensors see of it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import product, starmap
+from pathlib import Path
+from typing import TextIO
+
+from planner_bridge.model.grounding import ground_action, initial_knowledge, modelled_duration
+from planner_bridge.model.problem import ActionSchema, Problem
+from planner_bridge.simulation import robots_of
+from pnm.actions.faults import Faults
+from pnm.actions.simulated_robots import SimulatedRobots
+from pnm.core.knowledge_base import show_statement
+from pnm.core.logic.expressions import Fluent, Unknown, Value
+from pnm.core.machine.bindings import Bindings, placeholders
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import Accepted, Ended, Report, Reporter, Request
+from pnm.errors import InputError
+
+DEFAULT_TYPE = "pnm_interfaces/action/GroundAction"
+
+
+def play(problem: Problem, bindings: Bindings, faults: Faults, speed: float, log: Path | None) -> int:
+    """Serve until SIGINT or SIGTERM.
+
+    Raises:
+        InputError: the log cannot be written; nothing was started.
+    """
+    try:
+        stream = log.open("w", encoding="utf-8") if log else None
+    except OSError as error:
+        raise InputError(f"{log}: cannot be written: {error.strerror}") from error
+    try:
+        asyncio.run(_serve(problem, bindings, faults, speed, stream))
+    finally:
+        if stream:
+            stream.close()
+    return 0
+
+
+async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: float, log: TextIO | None) -> None:
+    from pnm.ros.action_server.simulated_servers import ActionServers, Offer  # here, because rclpy is an extra
+    from pnm.ros.action_server.state_publisher import StatePublisher
+    from pnm.ros.node.ros_thread import RosThread
+
+    loop = asyncio.get_running_loop()
+    stopped = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stopped.set)
+    robots = robots_of(problem, bindings, faults, speed=speed)
+    ros = RosThread("robots")
+    try:
+        logged = LoggedRobots(robots, log)
+        servers = ActionServers(ros, logged, loop, robots.progress)
+        found = serving(problem, bindings)
+        publisher = StatePublisher(ros, loop, robots.world, robots.world.reported(bindings.assumed))
+        await publisher.open(robots.begin)  # before the servers: who finds them shall know the world
+        await servers.offer([Offer(one.server, one.type, one.decode) for one in found])
+        print(f"ready: {len(found)} action servers: {', '.join(one.server for one in found)}", flush=True)
+        await stopped.wait()
+        logged.write("state", facts=sorted(starmap(show_statement, robots.world.truth.facts().items())))
+    finally:
+        await asyncio.to_thread(ros.close)  # it may be waiting for an answer of this loop
+
+
+@dataclass(frozen=True)
+class Serving:
+    """One action server and the schemas it may perform, each with the arguments its name fixes."""
+
+    server: str
+    type: str
+    choices: tuple[tuple[ActionSchema, Mapping[str, str]], ...]
+    problem: Problem
+    bindings: Bindings
+
+    def decode(self, data: Mapping[str, object]) -> GroundAction:
+        """Find the ground action that a goal means: by the field `action`, by field names, by the goal mapping backwards.
+
+        Raises:
+            InputError: no argument, or no known object, for some parameter.
+        """
+        schema, fixed = self._meant(data)
+        known = {**_arguments(schema, self.bindings, data), **fixed}
+        missing = [variable.name for variable in schema.parameters if known.get(variable.name[1:]) not in self.problem.objects]
+        if missing:
+            raise InputError(f"the goal names no object of the problem for {', '.join(missing)} of {schema.name}: {dict(data)}")
+        arguments = tuple(str(known[variable.name[1:]]) for variable in schema.parameters)
+        planned = data.get("duration")
+        if isinstance(planned, float) and planned > 0:
+            return ground_action(schema, arguments, planned)
+        duration = modelled_duration(schema, arguments, initial_knowledge(self.problem))
+        return ground_action(schema, arguments, duration)
+
+    def _meant(self, data: Mapping[str, object]) -> tuple[ActionSchema, Mapping[str, str]]:
+        """Return the schema that the goal names, or the only one there is."""
+        named = data.get("action")
+        choices = [one for one in self.choices if named in (None, one[0].name)]
+        if len(choices) != 1:
+            known = ", ".join(schema.name for schema, _ in self.choices)
+            raise InputError(f"the goal's field `action` must name one of {known}; found {named!r}")
+        return choices[0]
+
+
+def _arguments(schema: ActionSchema, bindings: Bindings, data: Mapping[str, object]) -> dict[str, object]:
+    names = [variable.name[1:] for variable in schema.parameters]
+    found = {name: data[name] for name in names if name in data}
+    listed = data.get("arguments")
+    if isinstance(listed, list):
+        found = {**dict(zip(names, listed, strict=False)), **found}
+    for field_name, source in (bindings.of(schema.name).goal or {}).items():
+        if isinstance(source, str) and source.startswith("?") and field_name in data:
+            found[source[1:]] = data[field_name]
+    return found
+
+
+def serving(problem: Problem, bindings: Bindings) -> list[Serving]:
+    """Return every action server that performs an action of the problem."""
+    found: dict[str, list[tuple[ActionSchema, Mapping[str, str]]]] = {}
+    types: dict[str, str] = {}
+    for schema in problem.domain.actions.values():
+        for fixed in _fixed(problem, schema, bindings):
+            server = (bindings.of(schema.name).server or schema.name).format_map(fixed)
+            found.setdefault(server, []).append((schema, fixed))
+            types.setdefault(server, bindings.of(schema.name).type or DEFAULT_TYPE)
+    return [Serving(server, types[server], tuple(choices), problem, bindings) for server, choices in found.items()]
+
+
+def _fixed(problem: Problem, schema: ActionSchema, bindings: Bindings) -> Iterator[dict[str, str]]:
+    """Yield the arguments that each server of the action has in its name."""
+    pattern = bindings.of(schema.name).server or schema.name
+    types = {variable.name[1:]: variable.types for variable in schema.parameters}
+    names = list(dict.fromkeys(placeholders(pattern)))
+    for name in names:
+        if name not in types:
+            raise InputError(f"the server {pattern!r} of {schema.name} names {{{name}}}, which is not a parameter ({', '.join(types)})")
+    state = initial_knowledge(problem)
+    for chosen in product(*(state.objects(types[name]) for name in names)):
+        yield dict(zip(names, chosen, strict=True))
+
+
+@dataclass
+class LoggedRobots:
+    """Simulated robots that write down what truly happens, a JSON object per line."""
+
+    robots: SimulatedRobots
+    log: TextIO | None
+    _clashes: int = 0
+    """How many have been written down."""
+    _began: float = field(default_factory=lambda: asyncio.get_running_loop().time())
+
+    def __post_init__(self) -> None:
+        self.robots.world.truth.listen(self._changed)
+
+    def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
+        """Return what the robots need to know."""
+        return self.robots.goal_fields(action)
+
+    def send(self, request: Request, report: Reporter, /) -> None:
+        """Pass the request on and note what becomes of it."""
+
+        def noting(what: Report) -> None:
+            match what:
+                case Accepted():
+                    self.write("start", action=str(request.action))
+                    asyncio.get_running_loop().call_soon(self._note_clashes)  # the robots begin right after they have accepted
+                case Ended(_, outcome):
+                    self.write("end", action=str(request.action), outcome=outcome.kind.value, message=outcome.message)
+            report(what)
+
+        self.robots.send(request, noting)
+
+    def cancel(self, request: object, /) -> None:
+        """Pass the wish on."""
+        self.robots.cancel(request)  # type: ignore[arg-type]
+
+    def write(self, event: str, **data: object) -> None:
+        """Write one line, at once: the process may be killed at any time."""
+        if self.log:
+            time = round(asyncio.get_running_loop().time() - self._began, 4)
+            self.log.write(json.dumps({"time": time, "event": event, **data}) + "\n")
+            self.log.flush()
+
+    def _note_clashes(self) -> None:
+        for text in self.robots.clashes[self._clashes :]:
+            self.write("clash", text=text)
+        self._clashes = len(self.robots.clashes)
+
+    def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
+        self.write("change", facts=sorted(starmap(show_statement, changes.items())))

@@ -1,0 +1,296 @@
+"""The world that all tasks share, as texts: questions and their answers, changes, goals, and domain and problem as they now are.
+
+Everything is written as in PDDL. A text that is wrong is refused with the line and column in it, and the nearest word.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import prod
+from pathlib import Path
+from typing import Final, assert_never
+
+from planner_bridge.model.grounding import problem_now
+from planner_bridge.model.problem import Problem
+from planner_bridge.pddl import write_domain, write_problem
+from planner_bridge.pddl.read.formulas import condition
+from planner_bridge.pddl.read.requirements import Requirements
+from planner_bridge.pddl.read.symbols import Names
+from planner_bridge.pddl.read.terms import Scope
+from planner_bridge.pddl.syntax.expressions import Group, Node, parse, wrong
+from planner_bridge.pddl.syntax.words import number, number_text, operands
+from pnm.core.knowledge_base import KnowledgeBase, show_statement
+from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, evaluate
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Unknown, Value, show
+from pnm.errors import InputError, Position, meant
+from pnm.files.yaml_nodes import load_yaml
+
+MAX_TEXTS: Final = 10_000
+"""Questions or changes at once."""
+MAX_LENGTH: Final = 100_000
+"""Characters of one of them, or of a goal."""
+MAX_CHOICES: Final = 1_000_000
+"""Choices of objects that the quantifiers of a condition range over."""
+
+
+@dataclass(frozen=True, slots=True)
+class Function:
+    """The value of a function is asked for."""
+
+    fluent: Fluent
+    otherwise: Value | Unknown
+    """Its value when nothing is recorded."""
+
+
+class SharedWorld:
+    """A problem, and what is known of its world; nothing here waits for anything.
+
+    The mutable state is which functions are known to have which objects for their values, for `changes`.
+
+    Args:
+        problem: the domain and the objects, and the goal that is meant when none is given.
+        knowledge: what is known.
+        goals: texts of goals by name.
+        elapsed: returns how many seconds ago the problem began: facts that change by themselves do so that much earlier.
+
+    Raises:
+        InputError: a goal cannot be read.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        knowledge: KnowledgeBase,
+        goals: Mapping[str, str] | None = None,
+        elapsed: Callable[[], float] = lambda: 0.0,
+    ) -> None:
+        self.problem = problem
+        self._knowledge = knowledge
+        self._elapsed = elapsed
+        derived = frozenset(rule.name for rule in problem.domain.rules)
+        self._scope = Scope(Names(problem.domain, problem.objects, Requirements(problem.domain.requirements), derived=derived))
+        self._goals = {name: self._condition(text, f"goal {name}") for name, text in (goals or {}).items()}
+        self._objects: dict[Fluent, str] = {}
+        self.attend()
+
+    def __repr__(self) -> str:
+        return f"<SharedWorld {self.problem.name}: {self._knowledge!r}>"
+
+    # --- questions and changes -------------------------------------------------------------------
+
+    def query(self, questions: Sequence[str]) -> list[tuple[str, str]]:
+        """Return each question with its answer: ``true``, ``false``, ``unknown``, a number or an object.
+
+        A question is a condition, or a function whose value is asked for; ``undefined`` is the value of one that has no
+        object. Without any question, everything that is recorded is returned.
+
+        Raises:
+            InputError: a question cannot be read, or there are too many.
+        """
+        _bounded(questions, "questions")
+        if not questions:
+            return [(show(fluent), _said(value)) for fluent, value in self._knowledge.facts().items()]
+        read = [self._question(_single(text, f"questions[{index}]")) for index, text in enumerate(questions)]
+        return [(text, _said(self._answer(question))) for text, question in zip(questions, read, strict=True)]
+
+    def update(self, add: Sequence[str] = (), remove: Sequence[str] = (), forget: Sequence[str] = ()) -> int:
+        """Record facts that are so, that are not so, and of which nothing is known; return how many of them are news.
+
+        Functions are written with their value: ``(= (battery r1) 0.8)``; to remove ``(= (location r1) hall)`` changes
+        nothing while the location is another one.
+
+        Raises:
+            InputError: a text cannot be read, speaks of a derived fact, or two speak of the same; nothing is recorded.
+        """
+        _bounded((*add, *remove, *forget), "changes")
+        changes: dict[Fluent, Value | Unknown] = {}
+        for kind, texts, read in (("add", add, self._added), ("forget", forget, self._forgotten), ("remove", remove, self._removed)):
+            for index, text in enumerate(texts):
+                node = _single(text, f"{kind}[{index}]")
+                fluent, value = read(node)
+                if kind == "remove" and isinstance(value, str):  # the object that the function no longer has
+                    if changes.get(fluent, self._knowledge.value(fluent)) != value:
+                        continue
+                    value = UNDEFINED
+                if changes.setdefault(fluent, value) != value:
+                    raise wrong(node, f"another one of the changes says something else of {show(fluent)}")
+        return len(self._knowledge.update(changes))
+
+    def attend(self) -> None:
+        """Note which functions have which objects now: what is told to `changes` follows it."""
+        self._objects = {
+            fluent: value for fluent, value in self._knowledge.facts().items() if isinstance(value, str) and value != UNDEFINED
+        }
+
+    def changes(self, batch: Mapping[Fluent, Value | Unknown]) -> dict[str, object]:
+        """Return what has changed as fields of a ``pnm_interfaces/msg/KnowledgeChange``; to be called with every batch in order."""
+        added: list[str] = []
+        removed: list[str] = []
+        unknown: list[str] = []
+        numbers: dict[str, float] = {}
+        for fluent, value in batch.items():
+            before = self._objects.pop(fluent, UNDEFINED)
+            if before not in (UNDEFINED, value) and value is not UNKNOWN:
+                removed.append(show_statement(fluent, before))
+            match value:
+                case Unknown():
+                    unknown.append(show(fluent))
+                case bool():
+                    (added if value else removed).append(show(fluent))
+                case str():
+                    if value != UNDEFINED:
+                        self._objects[fluent] = value
+                    if value != UNDEFINED or before == UNDEFINED:  # nobody knew whether it has an object: it has none
+                        added.append(show_statement(fluent, value))
+                case _:
+                    numbers[show(fluent)] = float(value)
+        return {"added": added, "removed": removed, "unknown": unknown, "fluents": [*numbers], "values": [*numbers.values()]}
+
+    # --- domain, problem and goals ---------------------------------------------------------------
+
+    def domain_text(self) -> str:
+        """Return the domain as PDDL."""
+        return write_domain(self.problem.domain)
+
+    def problem_text(self) -> str:
+        """Return the problem that begins with the world as it is known now, as PDDL."""
+        return write_problem(problem_now(self.problem, self._knowledge, self._elapsed()))
+
+    def read_goal(self, text: str) -> Condition:
+        """Return the goal that is meant: a condition, the name of a goal, or nothing for the goal of the problem.
+
+        Raises:
+            InputError: there is no goal of this name, or it is no condition over the objects of the problem.
+        """
+        text = text.strip()
+        if not text:
+            return self.problem.goal
+        if text in self._goals:
+            return self._goals[text]
+        if text[0] not in "(;":
+            known = f"expected one of {', '.join(self._goals)}, or a condition" if self._goals else ""
+            hint = meant(text, self._goals) or known or "expected a condition such as (at r1 kitchen)"
+            raise InputError(f"there is no goal {text[:80]!r}; {hint}", Position("goal", 1, 1))
+        return self._condition(text, "goal")
+
+    # --- reading ---------------------------------------------------------------------------------
+
+    def _condition(self, text: str, origin: str) -> Condition:
+        return self._checked(_single(text, origin))
+
+    def _question(self, node: Node) -> Condition | Function:
+        declared = self._scope.names.find_function(node)
+        if declared is None:
+            return self._checked(node)
+        return Function(self._scope.function(node), UNDEFINED if declared.values else UNKNOWN)
+
+    def _checked(self, node: Node) -> Condition:
+        found = condition(node, self._scope)
+        if self._choices(found) > MAX_CHOICES:
+            raise wrong(node, f"its quantifiers range over more than {MAX_CHOICES} choices of objects")
+        return found
+
+    def _choices(self, found: Condition) -> int:
+        match found:
+            case Holds() | Compare() | Computed():
+                return 1
+            case Not(operand):
+                return self._choices(operand)
+            case All(operands) | Any(operands):
+                return sum(map(self._choices, operands))
+            case Implies(left, right):
+                return self._choices(left) + self._choices(right)
+            case ForAll(variables, body) | Exists(variables, body):
+                return self._choices(body) * prod(len(self._knowledge.objects(variable.types)) for variable in variables)
+            case _:
+                assert_never(found)
+
+    def _answer(self, question: Condition | Function) -> Value | Unknown:
+        if not isinstance(question, Function):
+            return evaluate(question, self._knowledge)
+        found = self._knowledge.value(question.fluent)
+        return question.otherwise if found is None else found
+
+    def _added(self, node: Node) -> tuple[Fluent, Value]:
+        if not isinstance(node, Group) or node.head != "=":
+            return self._fact(node), True
+        target, value = operands(node, 2)
+        fluent, types = self._scope.function(target), self._scope.names.function(target).values
+        if not types:
+            return fluent, number(value)
+        found = self._scope.value(value, types)
+        if not isinstance(found, Constant):
+            raise wrong(value, f"expected an object, found {value}")
+        return fluent, found.value
+
+    def _removed(self, node: Node) -> tuple[Fluent, Value]:
+        if not isinstance(node, Group) or node.head != "=":
+            return self._fact(node), False
+        fluent, value = self._added(node)
+        if not isinstance(value, str):
+            raise wrong(node, f"{show(fluent)} always has a number; expected it among what is added or forgotten")
+        return fluent, value
+
+    def _forgotten(self, node: Node) -> tuple[Fluent, Unknown]:
+        is_function = self._scope.names.find_function(node) is not None
+        return self._scope.function(node) if is_function else self._fact(node), UNKNOWN
+
+    def _fact(self, node: Node) -> Fluent:
+        if self._scope.names.find_function(node) is not None:
+            raise wrong(node, f"{node} is a function; expected it with its value, such as (= (battery r1) 0.8)")
+        fluent = self._scope.fact(node)
+        if fluent[0] in self._scope.names.derived:
+            raise wrong(node, f"{fluent[0]!r} is a derived predicate; it follows from others and cannot be set")
+        return fluent
+
+
+def read_goals(path: Path) -> dict[str, str]:
+    """Read a YAML file with the texts of goals by name, under ``goals``.
+
+    Raises:
+        InputError: it is something else.
+    """
+    top = load_yaml(path)
+    top.only("goals")
+    node = top.node("goals")
+    found: dict[str, str] = {}
+    for name, where, value in node.mapped().entries() if node is not None and not node.is_null else ():
+        if not name or name[0] in "(;" or name != name.strip():
+            raise InputError(f"{name!r} cannot name a goal; expected a word", where)
+        if value.text is None:
+            raise value.wrong(f"expected a condition as a text for {name}")
+        found[name] = value.text
+    return found
+
+
+def _bounded(texts: Sequence[str], what: str) -> None:
+    if len(texts) > MAX_TEXTS:
+        raise InputError(f"{len(texts)} {what} at once; expected {MAX_TEXTS} at most")
+
+
+def _single(text: str, origin: str) -> Node:
+    start = Position(origin, 1, 1)
+    if len(text) > MAX_LENGTH:
+        raise InputError(f"{len(text)} characters; expected {MAX_LENGTH} at most", start)
+    match parse(text, origin):
+        case (Group() as node,):
+            return node
+        case (Group(), extra, *_):
+            raise wrong(extra, f"expected the end of the text, found {extra}")
+        case (found, *_):
+            raise wrong(found, f"expected something in parentheses, such as (at r1 kitchen), found {found}")
+        case _:
+            raise InputError("the text is empty; expected something such as (at r1 kitchen)", start)
+
+
+def _said(value: Value | Unknown) -> str:
+    match value:
+        case Unknown():
+            return value.value
+        case bool():
+            return str(value).lower()
+        case str():
+            return value
+        case _:
+            return number_text(value)

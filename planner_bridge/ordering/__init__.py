@@ -1,0 +1,1 @@
+"""Plan → plan graph: causal links and enclosing actions."""

@@ -1,0 +1,173 @@
+"""What plans need of the world and change in it, and whether two of them can go on side by side.
+
+A plan *needs* the facts that its calls and its goal read, as they must be. Two plans are in conflict when one may
+write what the other needs otherwise. That is careful: a fact that a plan makes true for itself is needed like any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import assert_never
+
+from planner_bridge.model.forbidden_actions import changed, guarded, unused
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.problem import Declaration, Problem
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents
+from pnm.core.logic.effects import Effects, ForEach, Set, When, assignments, read, unconditional
+from pnm.core.logic.expressions import NOTHING, Constant, Environment, Fluent, State, bind, choices, show
+from pnm.core.machine.plan_graph import ActionCall
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """What the rest of a plan needs and changes."""
+
+    facts: Mapping[Fluent, frozenset[bool]] = field(default_factory=dict)
+    """Facts that must be true, false, or each at some time."""
+    reads: frozenset[Fluent] = frozenset()
+    """What else is read, such as numbers: no other value will do."""
+    writes: Mapping[Fluent, frozenset[bool | None]] = field(default_factory=dict)
+    """What may become of fluents: true, false, or, as None, another value."""
+
+    def disturbed_by(self, other: Footprint) -> Fluent | None:
+        """Return something that this plan needs and that the other may change, if there is anything."""
+        for fluent, values in other.writes.items():
+            if fluent in self.reads:
+                return fluent
+            if fluent in self.facts and any(value is None or (not value) in self.facts[fluent] for value in values):
+                return fluent
+        return None
+
+
+def conflict(mine: Footprint, other: Footprint) -> str:
+    """Say what stands in the way of carrying out both plans at once; empty when nothing does."""
+    if disturbed := other.disturbed_by(mine):
+        return f"it would change {show(disturbed)}, which the other needs"
+    if disturbed := mine.disturbed_by(other):
+        return f"it needs {show(disturbed)}, which the other is going to change"
+    return ""
+
+
+def footprint(calls: Iterable[ActionCall], goal: Condition, knowledge: KnowledgeBase) -> Footprint:
+    """Return what these calls, those that are under way among them, and the goal need and change."""
+    facts: dict[Fluent, set[bool]] = {}
+    reads: set[Fluent] = set()
+    writes: dict[Fluent, set[bool | None]] = {}
+    conditions, derived = [goal], knowledge.rules.derived
+    for call in calls:
+        action = call.action
+        effects: Effects = action.end_effects
+        conditions += [action.invariant, action.end_condition]
+        if not call.under_way:
+            conditions.append(action.precondition)
+            effects = (*action.start_effects, *effects)
+        written = _written(effects, knowledge)
+        reads |= knowledge.rests_on(read(effects, knowledge)) - written.keys()
+        for fluent, values in written.items():
+            writes.setdefault(fluent, set()).update(values)
+    for fluent, needed in (one for condition in conditions for one in _needed(condition, True, knowledge)):
+        if needed is None or fluent[0] in derived:
+            reads |= knowledge.rests_on(frozenset({fluent}))
+        else:
+            facts.setdefault(fluent, set()).add(needed)
+    return Footprint(
+        {fluent: frozenset(values) for fluent, values in facts.items()},
+        frozenset(reads),
+        {fluent: frozenset(values) for fluent, values in writes.items()},
+    )
+
+
+def _needed(condition: Condition, value: bool, state: State, env: Environment = NOTHING) -> Iterator[tuple[Fluent, bool | None]]:
+    """Yield the fluents that a condition mentions, and which value of theirs helps to make it this; None when that depends."""
+    match condition:
+        case Holds(fluent):
+            yield bind(fluent, env), value
+        case Not(inner):
+            yield from _needed(inner, not value, state, env)
+        case All(parts) | Any(parts):
+            for part in parts:
+                yield from _needed(part, value, state, env)
+        case Implies(condition, then):
+            yield from _needed(condition, not value, state, env)
+            yield from _needed(then, value, state, env)
+        case ForAll(variables, body) | Exists(variables, body):
+            for chosen in choices(variables, state, env):
+                yield from _needed(body, value, state, chosen)
+        case Compare() | Computed():
+            yield from ((fluent, None) for fluent in fluents(condition, state, env))
+        case _:
+            assert_never(condition)
+
+
+def _written(effects: Effects, state: State) -> dict[Fluent, set[bool | None]]:
+    found: dict[Fluent, set[bool | None]] = {}
+    for fluent, effect, _ in assignments(unconditional(effects), state):
+        value = effect.value.value if isinstance(effect.value, Constant) else None
+        found.setdefault(fluent, set()).add(value if isinstance(value, bool) else None)
+    return found
+
+
+def around(problem: Problem, others: Iterable[Footprint]) -> Problem:
+    """Return a problem whose plans leave other plans alone, as far as PDDL can say that.
+
+    What others are going to change is taken for changed already, so no plan relies on it; no action may change the facts
+    that they need. Effects under quantifiers are not looked at: whether a plan that is found is in no conflict is still to be seen.
+    """
+    for other in others:
+        init = {fluent: value for fluent, value in problem.init.items() if not _is_lost(fluent, value, other)}
+        problem = _kept(replace(problem, init=init), other)
+    return problem
+
+
+def at_best(problem: Problem, under_way: Iterable[ActionCall]) -> Problem:
+    """Return a problem that begins when these calls are over, with every fact that may be so then.
+
+    That is what they make true when they end well, and what they had made false when they do not.
+    """
+    init, world = dict(problem.init), initial_knowledge(problem)
+    for call in under_way:
+        begun, ended = (_written(effects, world) for effects in (call.action.start_effects, call.action.end_effects))
+        for fluent in (one for one, values in (begun | ended).items() if None not in values):
+            if_undone = False in begun[fluent] if fluent in begun else problem.init.get(fluent) is True
+            init[fluent] = if_undone or True in ended.get(fluent, begun.get(fluent, ()))
+    return replace(problem, init=init)
+
+
+def _is_lost(fluent: Fluent, value: object, other: Footprint) -> bool:
+    return fluent in other.writes and (isinstance(value, str) or (value is True and not {False, None}.isdisjoint(other.writes[fluent])))
+
+
+def _kept(problem: Problem, other: Footprint) -> Problem:
+    """Guard every action that makes a fact other than it is needed."""
+    domain, init = problem.domain, dict(problem.init)
+    predicates, actions = dict(domain.predicates), dict(domain.actions)
+    for needed in (True, False):
+        kept = [
+            fluent for fluent, values in other.facts.items() if needed in values and (problem.init.get(fluent, False) is True) == needed
+        ]
+        for name in sorted({fluent[0] for fluent in kept} & domain.predicates.keys()):
+            guard = unused(f"kept-{name}-{needed}".lower(), replace(domain, predicates=predicates))
+            makers = [(action, _makes(name, not needed, (*action.start_effects, *action.end_effects))) for action in actions.values()]
+            if any(made for _, made in makers):
+                predicates[guard] = Declaration(guard, domain.predicates[name].parameters)
+                init |= {(guard, *fluent[1:]): True for fluent in kept if fluent[0] == name}
+            for action, made in makers:
+                for arguments in made:
+                    actions[action.name] = guarded(actions[action.name], Not(Holds((guard, *arguments))))
+    return replace(problem, domain=changed(domain, predicates, actions), init=init)
+
+
+def _makes(predicate: str, value: bool, effects: Effects) -> list[tuple[str, ...]]:
+    """Return the arguments for which effects give the predicate this value, whatever their conditions."""
+    found: list[tuple[str, ...]] = []
+    for effect in effects:
+        match effect:
+            case Set(fluent, Constant(new)) if fluent[0] == predicate and new is value:
+                found.append(fluent[1:])
+            case When(_, inner):
+                found += _makes(predicate, value, inner)
+            case Set() | ForEach():
+                pass
+    return list(dict.fromkeys(found))

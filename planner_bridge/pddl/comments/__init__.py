@@ -1,0 +1,1 @@
+"""Comments of PDDL files, kept across PDDL ↔ YAML."""

@@ -1,0 +1,212 @@
+"""PDDL domains and problems: text to model. Model to text is in `planner_bridge.pddl.write.writer`.
+
+Sections may stand in any order, so a file is first cut into its sections and these are then
+interpreted in the order in which they need each other: types, constants, predicates and
+functions, rules, constraints, actions. Every error is an `InputError` with file, line and
+column; what is not as it should be but can be understood becomes a warning of the model.
+
+Names are compared without case and spelled as first declared, in a problem as in its domain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, Literal
+
+from planner_bridge.model.problem import Domain, Metric, Preference, Problem
+from planner_bridge.pddl.read import declarations
+from planner_bridge.pddl.read.actions import DURATIVE, INSTANTANEOUS, actions
+from planner_bridge.pddl.read.constraints import constraints, told_apart
+from planner_bridge.pddl.read.derived import DERIVED, heads, rules
+from planner_bridge.pddl.read.initial_state import initial
+from planner_bridge.pddl.read.requirements import Requirements, requirements
+from planner_bridge.pddl.read.symbols import TOTAL_COST, Names
+from planner_bridge.pddl.read.terms import Scope
+from planner_bridge.pddl.syntax.expressions import Atom, Group, text_of, tolerate, wrong
+from planner_bridge.pddl.syntax.sections import Definition, define
+from pnm.core.logic.conditions import TRUE, Condition
+from pnm.errors import Tolerated
+from pnm.files.text import read_any_text
+
+MAX_BYTES: Final = 50_000_000
+
+HIERARCHY: Final = (":task", ":method")
+NETWORK: Final = (":htn", ":tasks")
+DOMAIN_SECTIONS: Final = (
+    *(":requirements", ":predicates", ":types", ":constants", ":functions", INSTANTANEOUS, DURATIVE, DERIVED, ":constraints"),
+    *HIERARCHY,
+)
+PROBLEM_SECTIONS: Final = (
+    *(":domain", ":init", ":goal", ":objects", ":metric", ":constraints", ":requirements", ":length"),
+    *NETWORK,
+)
+_DIRECTIONS: Final[dict[str, Literal["minimize", "maximize"]]] = {"minimize": "minimize", "maximize": "maximize"}
+
+
+def read_domain(path: Path) -> Domain:
+    """Read a PDDL domain.
+
+    Raises:
+        InputError: the file cannot be read, is not a domain, or uses PDDL that is not supported.
+    """
+    text, warnings = read_any_text(path, MAX_BYTES)
+    return domain_from(define(text, str(path), "domain", DOMAIN_SECTIONS), warnings)
+
+
+def read_problem(path: Path, domain: Domain) -> Problem:
+    """Read a PDDL problem for a domain.
+
+    Raises:
+        InputError: the file cannot be read, is not a problem for this domain, or uses PDDL that is not supported.
+    """
+    text, warnings = read_any_text(path, MAX_BYTES)
+    return problem_from(define(text, str(path), "problem", PROBLEM_SECTIONS), domain, warnings)
+
+
+def parse_domain(text: str, file: str = "domain.pddl") -> Domain:
+    """Read a PDDL domain from its text.
+
+    >>> parse_domain("(define (domain d) (:predicates (at ?r)))").predicates["at"].parameters
+    (Variable(name='?r', types=('object',)),)
+
+    Raises:
+        InputError: the text is not a domain, or uses PDDL that is not supported.
+    """
+    return domain_from(define(text, file, "domain", DOMAIN_SECTIONS))
+
+
+def parse_problem(text: str, domain: Domain, file: str = "problem.pddl") -> Problem:
+    """Read a PDDL problem from its text.
+
+    Raises:
+        InputError: the text is not a problem for this domain, or uses PDDL that is not supported.
+    """
+    return problem_from(define(text, file, "problem", PROBLEM_SECTIONS), domain)
+
+
+# --- domains -------------------------------------------------------------------------------
+
+
+def domain_from(definition: Definition, warnings: tuple[Tolerated, ...] = ()) -> Domain:
+    """Interpret the sections of a domain, of which these warnings have been given already.
+
+    Raises:
+        InputError: they use PDDL that is not supported, or names that are not declared.
+    """
+    words = requirements(definition.parts(":requirements"))
+    needed = Requirements(words)
+    domain = Domain(definition.name, words, declarations.types(definition.lists(":types"), needed))
+    names = Names(domain, {}, needed)
+    sections = definition.every(DERIVED)
+    facts = declarations.predicates(definition.parts(":predicates"), names)
+    domain = replace(
+        domain,
+        constants=declarations.objects(definition.lists(":constants"), names),
+        predicates=facts,
+        functions=declarations.functions(definition.lists(":functions"), names, facts),
+    )
+    derived = heads(sections, Names(domain, domain.constants, needed))
+    domain = replace(domain, predicates={**domain.predicates, **derived})
+    names = Names(domain, domain.constants, needed, lenient=True, derived=frozenset(derived))
+    found = rules(sections, names)
+    hard, soft = constraints(definition.parts(":constraints"), Scope(names))
+    schemas = actions(definition.every(INSTANTANEOUS, DURATIVE), names)
+    return replace(
+        domain,
+        functions={**domain.functions, **({TOTAL_COST: names.costs} if names.costs else {})},
+        borrowed=names.borrowed,
+        actions=schemas,
+        rules=found,
+        constraints=hard,
+        preferences=soft,
+        hierarchy=_kept(definition, HIERARCHY, needed),
+        warnings=(*warnings, *definition.whole.source.tolerated),
+    )
+
+
+def _kept(definition: Definition, keys: tuple[str, ...], needed: Requirements) -> tuple[str, ...]:
+    sections = definition.every(*keys)
+    for section in sections:
+        needed.need(section, ":hierarchy", ":htn")
+    return tuple([definition.texts.get(section.offset) or text_of(section) for section in sections])
+
+
+# --- problems ------------------------------------------------------------------------------
+
+
+def problem_from(definition: Definition, domain: Domain, warnings: tuple[Tolerated, ...] = ()) -> Problem:
+    """Interpret the sections of a problem, of which these warnings have been given already.
+
+    Raises:
+        InputError: they use PDDL that is not supported, or names that are not declared.
+    """
+    _belongs(definition, domain)
+    words = requirements(definition.parts(":requirements"))
+    needed = Requirements((*domain.requirements, *words, ":typing"))
+    shared = Names(domain, domain.constants, needed)
+    own = declarations.borrow(declarations.objects(definition.lists(":objects"), shared), shared, definition.whole)
+    names = Names(
+        domain, {**domain.constants, **own}, needed, derived=frozenset(rule.name for rule in domain.rules), wishes=_wishes(domain)
+    )
+    network = "\n".join(_kept(definition, NETWORK, needed))
+    init, timed = initial(definition.parts(":init"), Scope(names))
+    goal, goals = _goal(definition, Scope(names))
+    hard, soft = constraints(definition.parts(":constraints"), Scope(names))
+    metric = _metric(definition, Scope(names, metric=True))
+    return Problem(
+        definition.name,
+        replace(domain, functions={**domain.functions, TOTAL_COST: names.costs}) if names.costs else domain,
+        own,
+        init,
+        timed,
+        goal,
+        metric,
+        hard,
+        (*goals, *soft),
+        network,
+        words,
+        (*domain.warnings, *warnings, *definition.whole.source.tolerated),
+    )
+
+
+def _belongs(definition: Definition, domain: Domain) -> None:
+    section = definition.one(":domain")
+    match section:
+        case Group(items=(_, Atom() as name)):
+            if name.key != domain.name.lower():
+                tolerate(name, f"the problem is for a domain {name}; this one is {domain.name!r}")
+        case None:
+            tolerate(definition.whole, f"the problem does not name its domain; expected (:domain {domain.name})")
+        case _:
+            raise wrong(section, f"expected (:domain {domain.name})")
+    length = definition.one(":length")
+    if length is not None:
+        tolerate(length, "':length' is ignored")
+
+
+def _wishes(domain: Domain) -> dict[str, str]:
+    every = (*domain.preferences, *(one for action in domain.actions.values() for one in action.preferences))
+    return {one.name.lower(): one.name for one in every if one.name}
+
+
+def _goal(definition: Definition, scope: Scope) -> tuple[Condition, tuple[Preference, ...]]:
+    section = definition.one(":goal")
+    if section is None:
+        if not definition.every(*NETWORK):
+            tolerate(definition.whole, "there is no :goal; any state will do")
+        return TRUE, ()
+    if len(section.rest) != 1:
+        raise wrong(section, f"expected (:goal CONDITION), found {len(section.rest)} conditions")
+    return told_apart(section.rest[0], scope)
+
+
+def _metric(definition: Definition, scope: Scope) -> Metric | None:
+    section = definition.one(":metric")
+    if section is None:
+        return None
+    match section.rest:
+        case (Atom() as direction, expression) if direction.key in _DIRECTIONS:
+            return Metric(_DIRECTIONS[direction.key], scope.expression(expression))
+        case _:
+            raise wrong(section, "expected (:metric minimize EXPRESSION) or (:metric maximize EXPRESSION)")

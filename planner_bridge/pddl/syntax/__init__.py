@@ -1,0 +1,1 @@
+"""PDDL as text: s-expressions with positions, sections, words, pretty printing."""

@@ -1,0 +1,262 @@
+"""PDDL domains and problems: model to text, which reads back to an equal model.
+
+A model becomes nested lists of words first and these become lines: a list that fits is written
+on one line, any other with each of its parts on a line of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Final
+
+from planner_bridge.model.problem import ActionSchema, Declaration, Domain, Preference, Problem
+from planner_bridge.pddl.comments.table import Notes, Table, with_all
+from planner_bridge.pddl.syntax.anchors import ACTION, INNER, PARTS, fact_said, hierarchy_said, is_timed, rule_said, said
+from planner_bridge.pddl.syntax.pretty_print import Form, Keyed, Verbatim, definition_text, flat, noted
+from planner_bridge.pddl.syntax.words import number_text
+from planner_bridge.pddl.write.forms import condition_form, effects_form, expression_form, joined, typed_lines, types_form, variables_form
+from pnm.core.logic.conditions import TRUE, Condition, conjuncts
+from pnm.core.logic.effects import Effect, Effects, ForEach, TimedChange, When, is_early
+from pnm.core.logic.expressions import Constant, Fluent, Value, Variable
+from pnm.core.logic.rules import Rule
+from pnm.core.logic.trajectory import Constraint
+
+_NUMBER: Final = "number"
+NOTHING_SAID: Final[Table] = {}
+
+
+def write_domain(domain: Domain, table: Table = NOTHING_SAID) -> str:
+    """Write a domain as PDDL, with its own requirements and the comments of the table."""
+    return with_all(table, lambda notes: _domain(domain, notes.at("domain")))
+
+
+def write_problem(problem: Problem, table: Table = NOTHING_SAID) -> str:
+    """Write a problem as PDDL, with the comments of the table; its domain is only named."""
+    return with_all(table, lambda notes: _problem(problem, notes.at("problem")))
+
+
+def _domain(domain: Domain, notes: Notes) -> str:
+    sections: list[Form] = []
+    if domain.requirements:
+        sections.append(_section([":requirements", *domain.requirements], notes))
+    if domain.types:
+        sections.append(_names(":types", ((name, above or ("object",)) for name, above in domain.types.items()), notes))
+    if domain.constants:
+        sections.append(_names(":constants", domain.constants.items(), notes))
+    if domain.predicates:
+        sections.append(_declarations(":predicates", map(_declaration, domain.predicates.values()), domain.predicates, notes))
+    if domain.functions:
+        sections.append(_declarations(":functions", _functions(tuple(domain.functions.values())), domain.functions, notes))
+    sections.extend(_rule(rule, notes) for rule in domain.rules)
+    sections.extend(_constraints(domain.constraints, domain.preferences, notes))
+    sections.extend(_verbatim(text, notes) for text in domain.hierarchy)  # other planners read tasks only in front of actions
+    sections.extend(_action(schema, notes.at(ACTION, schema.name.lower())) for schema in domain.actions.values())
+    return definition_text(["domain", domain.name], sections, notes.take())
+
+
+def _problem(problem: Problem, notes: Notes) -> str:
+    sections: list[Form] = [_section([":domain", problem.domain.name], notes)]
+    if problem.requirements:
+        sections.append(_section([":requirements", *problem.requirements], notes))
+    if problem.own_objects:
+        sections.append(_names(":objects", problem.own_objects.items(), notes))
+    if problem.network:
+        sections.append(_verbatim(problem.network, notes))  # other planners read it only in front of :init
+    facts = notes.at(":init")
+    init: list[Form] = [noted(form, facts.at(fact_said(form)).take()) if facts else form for form in _initial(problem)]
+    sections.append(noted([":init", *init], facts.take()))
+    goal = notes.at(":goal")
+    wanted = _with_preferences(problem.goal, problem.preferences)
+    sections.append(noted([":goal", commented(wanted, goal)], goal.take()))
+    sections.extend(_constraints(problem.constraints, problem.preferences, notes))
+    if problem.metric:
+        sections.append(_section([":metric", problem.metric.direction, expression_form(problem.metric.expression)], notes))
+    return definition_text(["problem", problem.name], sections, notes.take())
+
+
+# --- sections, with what is said about them ------------------------------------------------
+
+
+def _section(form: list[Form], notes: Notes) -> Form:
+    return noted(form, notes.at(str(form[0])).take())
+
+
+def _names(head: str, pairs: Iterable[tuple[str, tuple[str, ...]]], notes: Notes) -> Form:
+    inner = notes.at(head)
+    lines = [noted(text, note) for text, note in typed_lines(pairs, inner)]
+    return noted([head, *lines], inner.take())
+
+
+def _declarations(head: str, forms: Iterable[Form], names: Iterable[str], notes: Notes) -> Form:
+    inner = notes.at(head)
+    lines = [noted(form, inner.at(name.lower()).take()) for form, name in zip(forms, names, strict=True)]
+    return noted([head, *lines], inner.take())
+
+
+def _verbatim(text: str, notes: Notes) -> Form:
+    return noted(Verbatim(text), notes.at(*hierarchy_said(text)).take())
+
+
+def commented(form: Form, notes: Notes) -> Form:
+    """Put the comments on conditions or effects, and on what is in them, where they belong."""
+    if not notes or not isinstance(form, list) or not form or str(form[0]).startswith("?"):
+        return form
+    if form[0] == "and":
+        return ["and", *(commented(part, notes) for part in form[1:])]
+    if is_timed(form):
+        return [*form[:2], commented(form[2], notes)]
+    own = notes.at(said(form))
+    inner: list[Form] = [form[0], *(commented(part, own) for part in form[1:])] if form[0] in INNER else form
+    return noted(inner, own.take())
+
+
+# --- declarations --------------------------------------------------------------------------
+
+
+def _declaration(declared: Declaration) -> Form:
+    return [declared.name, *variables_form(declared.parameters)]
+
+
+def _functions(functions: tuple[Declaration, ...]) -> list[Form]:
+    if not any(declared.values for declared in functions):
+        return [_declaration(declared) for declared in functions]
+    return [f"{flat(_declaration(declared))} - {flat(types_form(declared.values or (_NUMBER,)))}" for declared in functions]
+
+
+def _initial(problem: Problem) -> Iterator[Form]:
+    for fluent, value in problem.init.items():
+        if value is not False:
+            yield change_form(fluent, value)
+    for change in problem.timed:
+        yield from _timed_change(change)
+
+
+def _timed_change(timed: TimedChange) -> Iterator[Form]:
+    for fluent, value in timed.changes.items():
+        yield ["at", number_text(timed.time), change_form(fluent, value)]
+
+
+def change_form(fluent: Fluent, value: Value) -> Form:
+    """Return a fact that becomes true or false, or a function that gets a value."""
+    match value:
+        case True:
+            return list(fluent)
+        case False:
+            return ["not", list(fluent)]
+        case _:
+            return ["=", list(fluent), expression_form(Constant(value))]
+
+
+# --- rules, preferences, constraints -------------------------------------------------------
+
+
+def rule_form(rule: Rule) -> list[Form]:
+    """Return a rule as its section."""
+    # each variable with its type: one without has the type of the declaration, not ``object``
+    typed: list[Form] = [form for variable in rule.variables for form in (variable.name, "-", types_form(variable.types))]
+    return [":derived", [rule.name, *typed], condition_form(rule.condition)]
+
+
+def _rule(rule: Rule, notes: Notes) -> Form:
+    key, head, body = form = rule_form(rule)
+    own = notes.at(":derived", rule_said(form))
+    return noted([key, head, commented(body, own)], own.take())
+
+
+def _with_preferences(condition: Condition, preferences: Iterable[Preference]) -> Form:
+    """Write a goal or a precondition, with the preferences that stand in it."""
+    soft = [preference_form(one) for one in preferences if not isinstance(one.wanted, tuple)]
+    return joined([*map(condition_form, conjuncts(condition)), *soft]) if soft else condition_form(condition)
+
+
+def _constraints(constraints: tuple[Constraint, ...], preferences: tuple[Preference, ...], notes: Notes) -> Iterator[Form]:
+    own = notes.at(":constraints")
+    soft = [preference_form(one) for one in preferences if isinstance(one.wanted, tuple)]
+    if constraints or soft:
+        yield noted([":constraints", commented(joined([*map(constraint_form, constraints), *soft]), own)], own.take())
+
+
+def preference_form(preference: Preference) -> Form:
+    """Return a preference as nested lists of words."""
+    match preference.wanted:
+        case tuple() as constraints:
+            wanted = joined([*map(constraint_form, constraints)])
+        case condition:
+            wanted = condition_form(condition)
+    if preference.moment:
+        wanted = _at(preference.moment, wanted)
+    return _under(preference.variables, ["preference", *([preference.name] if preference.name else []), wanted])
+
+
+def constraint_form(constraint: Constraint) -> Form:
+    """Return a constraint as nested lists of words."""
+    times: list[Form] = [number_text(time) for time in constraint.times]
+    return _under(constraint.variables, [*constraint.operator.split(), *times, *map(condition_form, constraint.conditions)])
+
+
+def _under(variables: tuple[Variable, ...], form: Form) -> Form:
+    """Write a quantifier around a form, and another one inside it where a variable hides one of the same name."""
+    for count, variable in enumerate(variables):
+        if variable.name.lower() in {before.name.lower() for before in variables[:count]}:
+            return ["forall", variables_form(variables[:count]), _under(variables[count:], form)]
+    return ["forall", variables_form(variables), form] if variables else form
+
+
+# --- actions -------------------------------------------------------------------------------
+
+
+def _action(schema: ActionSchema, notes: Notes) -> Form:
+    kind = ":action" if schema.duration is None else ":durative-action"
+    parts: list[Form] = [_part(key, form, notes.at(PARTS[key])) for key, form in _body(schema)]
+    return noted([kind, schema.name, *parts], notes.take())
+
+
+def _part(key: str, form: Form, notes: Notes) -> Form:
+    return noted(Keyed(key, commented(form, notes)), notes.take())
+
+
+def _body(schema: ActionSchema) -> Iterator[tuple[str, Form]]:
+    yield ":parameters", variables_form(schema.parameters)
+    if schema.duration is None:
+        if schema.precondition != TRUE or schema.preferences:
+            yield ":precondition", _with_preferences(schema.precondition, schema.preferences)
+        yield ":effect", effects_form(schema.end_effects)
+    else:
+        bounds: list[Form] = [[bound.operation, "?duration", expression_form(bound.bound)] for bound in schema.duration]
+        yield ":duration", joined(bounds) if bounds else []
+        yield ":condition", joined(_timed_conditions(schema))
+        yield ":effect", joined([*_timed_effects("start", schema.start_effects), *_timed_effects("end", schema.end_effects)])
+
+
+def _timed_conditions(schema: ActionSchema) -> list[Form]:
+    every = (("at start", schema.precondition), ("over all", schema.invariant), ("at end", schema.end_condition))
+    hard = [_at(moment, condition_form(part)) for moment, condition in every for part in conjuncts(condition)]
+    return [*hard, *map(preference_form, schema.preferences)]
+
+
+def _at(moment: str, form: Form) -> Form:
+    return [*moment.split(), form]
+
+
+def _timed_effects(moment: str, effects: Effects) -> list[Form]:
+    return [_timed_effect(moment, effect) for effect in effects]
+
+
+def _timed_effect(moment: str, effect: Effect) -> Form:
+    # The moment goes inside `forall` and `when`: other planners read no other order.
+    match effect:
+        case ForEach(variables, effects) if effects:
+            return ["forall", variables_form(variables), joined(_timed_effects(moment, effects))]
+        case When(early, (When(late, effects, early=False),), early=True):
+            both: Form = ["and", ["at", "start", condition_form(early)], ["at", moment, condition_form(late)]]
+            return ["when", both, _timed_body(moment, effects)]
+        case When(condition, effects, early):
+            return ["when", ["at", "start" if early else moment, condition_form(condition)], _timed_body(moment, effects)]
+        case _:
+            return ["at", moment, effects_form((effect,))]
+
+
+def _timed_body(moment: str, effects: Effects) -> Form:
+    if any(map(is_early, effects)):
+        return joined(_timed_effects(moment, effects))
+    return ["at", moment, effects_form(effects)]

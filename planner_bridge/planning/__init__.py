@@ -1,0 +1,1 @@
+"""Problem → plan: Kairos, other engines in processes, portfolios; validation of plans."""

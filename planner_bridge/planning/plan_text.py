@@ -1,0 +1,86 @@
+"""Plans as planners print them: one call a line, such as ``0.0: (move r1 hall kitchen) [5.0]``, times optional."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from planner_bridge.model.grounding import initial_knowledge, modelled_duration
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.problem import ActionSchema, Problem
+from pnm.errors import InputError, Position, meant
+
+_LINE: Final = re.compile(r"\s*(?:(?P<time>[0-9.eE+-]+)\s*:)?\s*\((?P<call>[^()]*)\)\s*(?:\[(?P<duration>[0-9.eE+-]+)\])?\s*")
+_APART: Final = 0.001
+"""Seconds between the end of a call and the start of the next one, where the text has no times."""
+LONGEST: Final = 1_000_000
+"""Characters of a plan."""
+
+
+def read_plan(text: str, problem: Problem, name: str = "plan") -> Plan:
+    """Read a plan for the problem.
+
+    Args:
+        text: the lines; what follows a semicolon, and empty lines, do not count.
+        problem: whose actions and objects it names.
+        name: what errors call the text.
+
+    Raises:
+        InputError: a line is not a call, or names what the problem does not have.
+    """
+    if len(text) > LONGEST:
+        raise InputError(f"{name}: {len(text)} characters; a plan may have {LONGEST}")
+    steps: list[PlanStep] = []
+    now = 0.0
+    for number, line in enumerate(text.splitlines(), 1):
+        content = line.partition(";")[0]
+        if content.strip():
+            step = _step(content, problem, Position(name, number, len(content) - len(content.lstrip()) + 1), now)
+            steps.append(step)
+            now = step.start + step.duration + _APART
+    return Plan(tuple(sorted(steps, key=lambda one: one.start)), problem.is_timed)
+
+
+def _step(line: str, problem: Problem, position: Position, now: float) -> PlanStep:
+    found = _LINE.fullmatch(line)
+    if found is None or not found["call"].split():
+        raise InputError(f"expected a call such as (move r1 hall kitchen), found {line.strip()[:60]!r}", position)
+    action, *arguments = found["call"].lower().split()
+    schema = problem.domain.actions.get(action)
+    if schema is None:
+        hint = (
+            meant(action, problem.domain.actions)
+            or f"expected one of {', '.join(problem.domain.actions) or 'none, for there is no domain'}"
+        )
+        raise InputError(f"there is no action {action!r}; {hint}", position)
+    _check(schema, tuple(arguments), problem, position)
+    duration = _number(found["duration"], position)
+    if duration is None:
+        duration = modelled_duration(schema, tuple(arguments), initial_knowledge(problem))
+    start = _number(found["time"], position)
+    return PlanStep(action, tuple(arguments), now if start is None else start, duration or 0.0)
+
+
+def _check(schema: ActionSchema, arguments: tuple[str, ...], problem: Problem, position: Position) -> None:
+    if len(arguments) != len(schema.parameters):
+        expected = " ".join(variable.name for variable in schema.parameters) or "none"
+        raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(arguments)}", position)
+    for variable, argument in zip(schema.parameters, arguments, strict=True):
+        fitting = {name for kind in variable.types for name in problem.objects_by_type.get(kind, ())}
+        if argument not in fitting:
+            hint = meant(argument, fitting) or f"expected one of {', '.join(sorted(fitting)[:8]) or 'none, for there are none'}"
+            raise InputError(f"{argument!r} is no object for {variable.name} of {schema.name}; {hint}", position)
+
+
+def _number(text: str | None, position: Position) -> float | None:
+    try:
+        return None if text is None else float(text)
+    except ValueError as error:
+        raise InputError(f"expected a number of seconds, found {text!r}", position) from error
+
+
+def plan_text(plan: Plan) -> str:
+    """Write the plan in the format of the planning competitions."""
+    if not plan.temporal:
+        return "".join(f"({' '.join((step.action, *step.arguments))})\n" for step in plan.steps)
+    return "".join(f"{step.start:.6f}: ({' '.join((step.action, *step.arguments))}) [{step.duration:.6f}]\n" for step in plan.steps)

@@ -1,0 +1,17 @@
+"""The door to unified-planning: its Problems in, ours out, and its engines, in a child process of their own.
+
+The only package that imports unified-planning, and only what asks for it loads a module of this
+package: that takes 1 to 3 seconds and 150 MB. `declarations` → `expressions` → `problems` is the
+way out; run as a program this is the child of `planner_bridge.planning.engine_process`, and `engine` what it does.
+"""
+
+from typing import TYPE_CHECKING
+
+from pnm.files.lazy_exports import lazily
+
+if TYPE_CHECKING:
+    from planner_bridge.planning.unified_planning.problems import from_unified_planning, to_unified_planning
+
+__all__ = ["from_unified_planning", "to_unified_planning"]
+
+__getattr__, __dir__ = lazily(__name__, dict.fromkeys(__all__, "planner_bridge.planning.unified_planning.problems"))

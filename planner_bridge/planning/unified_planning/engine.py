@@ -1,0 +1,180 @@
+"""Asks an engine of unified-planning for a plan."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import unified_planning.shortcuts as up
+from unified_planning.engines import PDDLPlanner
+from unified_planning.engines import PlanGenerationResultStatus as Status
+from unified_planning.engines.factory import DEFAULT_ENGINES
+from unified_planning.engines.results import PlanGenerationResult
+from unified_planning.exceptions import UPException, UPUnsupportedProblemTypeError
+from unified_planning.io import PDDLReader
+from unified_planning.model import ProblemKind
+
+from planner_bridge.model.plan import PlanningStatus
+from planner_bridge.model.problem import Problem
+from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.planning.engines import ENGINES, Feature, features
+from planner_bridge.planning.unified_planning.problems import Translation
+from pnm.errors import InputError, meant
+
+_STATUS: Final = {
+    Status.UNSOLVABLE_PROVEN: PlanningStatus.UNSOLVABLE,
+    Status.TIMEOUT: PlanningStatus.TIMED_OUT,
+    Status.MEMOUT: PlanningStatus.OUT_OF_MEMORY,
+    Status.INTERNAL_ERROR: PlanningStatus.CRASHED,
+    Status.UNSUPPORTED_PROBLEM: PlanningStatus.UNSUPPORTED,
+}
+_OUT_OF_MEMORY: Final = re.compile(r"OutOfMemoryError|bad_alloc|MemoryError|insufficient memory|exit code: -9")
+_UNSUPPORTED: Final = re.compile(r"^Unsupported \w|not supported")
+_LENGTH: Final = 400
+"""Characters of what an engine says that are passed on, half of them from the beginning and half from the end."""
+
+
+class _Stated(up.Problem):  # type: ignore[misc]  # unified-planning ships no types
+    """A problem as planners want it that are given PDDL: without a value for every combination of objects."""
+
+    @property
+    def initial_values(self) -> dict[Any, Any]:
+        """Only what is stated: the rest is false, or has no value."""
+        return self.explicit_initial_values  # type: ignore[no-any-return]
+
+    @cached_property
+    def kind(self) -> ProblemKind:
+        """Which is asked for again and again, and is long in the making."""
+        return super().kind
+
+
+Answer: TypeAlias = dict[str, object]
+"""The status by name, a message, and the steps of the plan; or `unknown`, if there is no such engine."""
+
+
+def ask(name: str, seconds: float) -> Answer:
+    """Ask an engine for a plan for the problem in this folder.
+
+    An engine that cannot cope with the metric is asked for any plan.
+    """
+    if unknown := look_for(name):
+        return unknown
+    deadline = time.monotonic() + seconds
+    problem = parse_problem(Path("problem.pddl").read_text(), parse_domain(Path("domain.pddl").read_text()))
+    answer = _answer(name, problem, deadline)
+    if problem.metric is None or not _cannot(answer):
+        return answer
+    again = _answer(name, replace(problem, metric=None), deadline)
+    return answer if _cannot(again) else {**again, "message": f"{again['message']} (without the metric: {answer['message']})".strip()}
+
+
+def look_for(name: str) -> Answer:
+    """Say so if there is no such engine; nothing if there is."""
+    environment = up.get_environment()
+    environment.credits_stream = None
+    there = sorted(one for one in environment.factory.engines if environment.factory.engine(one).is_oneshot_planner())
+    if name in there:
+        return {}
+    if name in DEFAULT_ENGINES:
+        package = DEFAULT_ENGINES[name][0].partition(".")[0].replace("_", "-")
+        return {"unknown": f"the planner {name} is not installed: pip install {package}"}
+    planners = ("kairos", *(one for one in there if "[" not in one))
+    hint = meant(name, (*planners, "race", *ENGINES))
+    return {"unknown": f"there is no planner {name!r}; installed: {', '.join(planners)}{f'; {hint}' if hint else ''}"}
+
+
+def _cannot(answer: Answer) -> bool:
+    return answer["status"] in (PlanningStatus.UNSUPPORTED.name, PlanningStatus.CRASHED.name)
+
+
+def _answer(name: str, problem: Problem, deadline: float) -> Answer:
+    try:
+        there, actions, objects = _problem(name, problem)
+        with up.OneshotPlanner(name=name) as planner:
+            planner.skip_checks = True  # what it declares has been looked at already
+            result = planner.solve(there, timeout=max(0.01, deadline - time.monotonic()))
+    except (InputError, UPUnsupportedProblemTypeError) as error:
+        return _no_plan(PlanningStatus.UNSUPPORTED, str(error))
+    except UPException as error:
+        return _no_plan(PlanningStatus.CRASHED, str(error))
+    except MemoryError as error:
+        return _no_plan(PlanningStatus.OUT_OF_MEMORY, str(error))
+    if result.plan is None:
+        return _reason(name, result)
+    steps = [
+        (actions.get(action, action), [objects.get(one, one) for one in arguments], *times)
+        for action, arguments, *times in _steps(result.plan)
+    ]
+    return {"status": PlanningStatus.SOLVED.name, "steps": steps, "message": ""}
+
+
+def _reason(name: str, result: PlanGenerationResult) -> Answer:
+    said = "\n".join(one.message for one in result.log_messages or ())
+    match _STATUS.get(result.status, PlanningStatus.NO_PLAN):
+        case PlanningStatus.UNSOLVABLE if not (name in ENGINES and ENGINES[name].proves):
+            return _no_plan(PlanningStatus.NO_PLAN, f"{name} says that there is none, which is not taken for proved")
+        case PlanningStatus.CRASHED if _OUT_OF_MEMORY.search(said):
+            return _no_plan(PlanningStatus.OUT_OF_MEMORY, said)
+        case PlanningStatus.CRASHED if _UNSUPPORTED.search(said):
+            return _no_plan(PlanningStatus.UNSUPPORTED, said)
+        case PlanningStatus.CRASHED:
+            return _no_plan(PlanningStatus.CRASHED, said)
+        case status:
+            return _no_plan(status, "")
+
+
+def _no_plan(status: PlanningStatus, said: str) -> Answer:
+    words = " ".join(said.split())
+    return {"status": status.name, "message": words if len(words) <= _LENGTH else f"{words[: _LENGTH // 2]} ... {words[-_LENGTH // 2 :]}"}
+
+
+# --- the problem ---------------------------------------------------------------------------
+
+
+def _problem(name: str, problem: Problem) -> tuple[Any, dict[str, str], dict[str, str]]:
+    """Return the problem for the engine, and how its actions and objects are called here.
+
+    Raises:
+        InputError: unified-planning cannot express the problem, or the engine does not support it.
+    """
+    engine = up.get_environment().factory.engine(name)
+    if Feature.TASKS in features(problem):
+        there, actions, objects = _hierarchical(), dict[str, str](), dict[str, str]()
+    else:
+        translation = Translation(problem, (_Stated if issubclass(engine, PDDLPlanner) else up.Problem)(problem.name))
+        there, actions, objects = translation.translated, translation.actions, translation.objects
+    undeclared = ENGINES[name].undeclared if name in ENGINES else frozenset[str]()
+    asked = there.kind.features - undeclared
+    if not engine.supports(ProblemKind(asked, version=there.kind.version)):
+        raise InputError(", ".join(sorted(asked - engine.supported_kind().features)).lower().replace("_", " "))
+    return there, actions, objects
+
+
+def _hierarchical() -> Any:
+    """Return the problem as unified-planning itself reads it: tasks and methods are text to us."""
+    up.get_environment().error_used_name = False
+    try:
+        return PDDLReader().parse_problem("domain.pddl", "problem.pddl")
+    except Exception as error:  # the reader raises whatever its grammar raises
+        raise InputError(f"unified-planning cannot read the problem: {error}") from error
+
+
+# --- the plan ------------------------------------------------------------------------------
+
+
+def _steps(plan: Any) -> Iterator[tuple[str, list[str], float, float]]:
+    plan = getattr(plan, "action_plan", plan)  # of a hierarchical plan, what is carried out
+    if hasattr(plan, "timed_actions"):
+        return ((*_call(action), float(start), float(duration or 0)) for start, action, duration in plan.timed_actions)
+    if not hasattr(plan, "actions"):
+        plan = next(iter(plan.all_sequential_plans()))
+    return ((*_call(action), float(index), 0.0) for index, action in enumerate(plan.actions))
+
+
+def _call(action: Any) -> tuple[str, list[str]]:
+    return action.action.name, [str(parameter) for parameter in action.actual_parameters]

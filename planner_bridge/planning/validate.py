@@ -1,0 +1,284 @@
+"""Does a plan solve its problem? Judged by our own semantics, the one that is executed.
+
+The rules are those of PDDL 2.1 (section 8) and 2.2, read as Kairos' validator reads them:
+
+- Events less than a millionth of a second apart are one happening. An instantaneous action starts
+  and ends in one. The steps of a plan without times happen at 0, 1, 2 and so on.
+- At one happening no step may change what another looks at, nor may two change the same fluent,
+  unless both add it, both delete it, or both only increase or decrease it. Looked at is what a
+  number is calculated from, and what decided a condition: of ``(or (p) (q))`` with `p` true that
+  is `p` alone. PDDL 2.1 counts every fluent that is mentioned; Kairos is as lenient as we are, and
+  also overlooks what an ``exists`` has found to be false. The bounds of a duration, and what
+  derived facts follow from, do not count, there as here.
+- An over-all condition must hold from just after the happening of the start until just before
+  that of the end: nowhere when both are one.
+- A duration may miss its bounds by a thousandth of a second.
+- A state is in force until the next one, also for ``hold-during`` and ``hold-after``; Kairos looks at
+  those states only that begin within the time.
+- All timed facts come true, those after the last step too, before the goal is looked at.
+- A number without a value cannot be changed, `total-cost` excepted, nor can it be compared. Kairos
+  refuses a plan as soon as it meets one, even where it does not matter: in an effect whose
+  condition is false, or in ``(or (> (f) 0) (p))`` when `p` is true.
+
+Which tasks of a hierarchical problem the steps carry out is not looked at.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Final
+
+import kairos
+
+from planner_bridge.model.grounding import ground_action, initial_knowledge
+from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
+from planner_bridge.model.plan_simulation import Course, Denied, expected_and_observed, snapshot
+from planner_bridge.model.problem import ActionSchema, Problem
+from planner_bridge.planning.kairos import validate
+from planner_bridge.planning.plan_text import plan_text
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import TOLERANCE, evaluate
+from pnm.core.logic.effects import assignments, unconditional
+from pnm.core.logic.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, show, value_of
+from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, moments, progressed, seen_of
+from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
+from pnm.errors import PnmError
+
+DURATION_TOLERANCE: Final = 1e-3
+"""Seconds by which a duration may miss its bounds."""
+_MAY_BE_UNSET: Final = "total-cost"
+_BY_ITSELF: Final = -1
+"""Stands for a step where facts change by themselves."""
+_START, _END, _TIMED = range(3)
+
+
+class InvalidPlan(PnmError):
+    """The plan does not solve its problem."""
+
+
+def why_invalid(problem: Problem, plan: Plan) -> str:
+    """Return why the plan does not solve the problem, in one sentence; empty when it does."""
+    try:
+        constraints = (*problem.domain.constraints, *problem.constraints)
+        looks = sorted({time for constraint in constraints for time in moments(constraint)})
+        for _ in _kept(constraints, _course(problem, plan, looks)):
+            pass
+    except InvalidPlan as reason:
+        return str(reason)
+    return ""
+
+
+def trace(problem: Problem, plan: Plan) -> tuple[tuple[float, KnowledgeBase], ...]:
+    """Return the initial state and the state after each happening, with their times in seconds.
+
+    Raises:
+        InvalidPlan: the plan does not solve the problem.
+    """
+    return tuple((time, snapshot(state)) for time, state in _course(problem, plan))
+
+
+def _kept(constraints: Iterable[Constraint], course: Iterator[tuple[float, KnowledgeBase]]) -> Iterator[tuple[float, KnowledgeBase]]:
+    """Yield the course as it is while it keeps the trajectory constraints."""
+    time, state = next(course)
+    left = {one: progressed((one,), state, time) for constraint in constraints for one in instances(constraint, state)}
+    yield time, state
+    for time, state in course:
+        left = {constraint: progressed(rest, state, time) for constraint, rest in left.items()}
+        for constraint, rest in left.items():
+            if IMPOSSIBLE in rest:
+                raise InvalidPlan(f"{constraint} is violated at {time:g} s: {seen_of(constraint, state)}")
+        yield time, state
+    for constraint, rest in left.items():
+        if not is_fulfilled(rest, state, time):
+            raise InvalidPlan(f"{constraint} is not fulfilled at the end: {seen_of(constraint, state)}")
+
+
+def _course(problem: Problem, plan: Plan, looks: Iterable[float] = ()) -> Iterator[tuple[float, KnowledgeBase]]:
+    """Yield the initial state and the state after each happening, with their times: always the same object, which changes.
+
+    At the moments given besides, the state in force is yielded again.
+    """
+    waiting = deque(looks)
+    steps = _steps(problem, plan)
+    course = Course(initial_knowledge(problem))
+    yield 0.0, course.state
+    for happening in _happenings(problem, steps):
+        when = f" at {happening.time:g} s" if plan.temporal else ""
+        while waiting and waiting[0] < happening.time - TOLERANCE:
+            yield waiting.popleft(), course.state
+        for event in happening.events:
+            if event.moment is Moment.START:
+                steps[event.call].check_duration(course.state)
+        _check_interference(happening, steps, course, when)
+        try:
+            changes = course.happen([(event, steps[event.call].action) for event in happening.events], happening.timed)
+        except Denied as denied:
+            raise InvalidPlan(f"{steps[denied.call]} cannot {denied.deed}{when}: {denied}") from denied
+        for fluent, value in changes.items():
+            if value is UNKNOWN and fluent[0].lower() != _MAY_BE_UNSET:
+                raise InvalidPlan(f"{show(fluent)} is changed{when}, but it has no value, or is given none")
+        yield happening.time, course.state
+    if evaluate(problem.goal, course.state) is not True:
+        raise InvalidPlan(f"the goal does not hold at the end: {expected_and_observed(problem.goal, course.state)}")
+
+
+# --- steps ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    number: int
+    schema: ActionSchema
+    action: GroundAction
+    start: float
+    duration: float
+    """0 when the action is instantaneous."""
+
+    def __str__(self) -> str:
+        return f"step {self.number}, {self.action},"
+
+    def check_duration(self, state: State) -> None:
+        env = dict(zip((variable.name for variable in self.schema.parameters), self.action.arguments, strict=True))
+        for constraint in self.schema.duration or ():
+            bound = value_of(constraint.bound, state, env)
+            excess = self.duration - bound if isinstance(bound, int | float) else float("inf")
+            over = 0.0 if constraint.operation == ">=" else excess
+            under = 0.0 if constraint.operation == "<=" else -excess
+            if max(over, under) > DURATION_TOLERANCE + TOLERANCE:
+                shown = "unknown" if isinstance(bound, Unknown) else f"{bound:g}"
+                raise InvalidPlan(f"{self} cannot take {self.duration:g} s: expected {constraint}; observed a bound of {shown}")
+
+
+def _steps(problem: Problem, plan: Plan) -> list[_Step]:
+    """Return the steps with what they stand for.
+
+    Raises:
+        InvalidPlan: there is no such action, an argument or its type is wrong, or a time is no time.
+    """
+    objects = {kind: frozenset(names) for kind, names in problem.objects_by_type.items()}
+    found: list[_Step] = []
+    for index, step in enumerate(plan.steps):
+        if wrong := _wrong(step, problem, objects):
+            raise InvalidPlan(f"step {index + 1}, {step}, {wrong}")
+        schema = problem.domain.actions[step.action]
+        duration = None if schema.duration is None else step.duration
+        start = step.start if plan.temporal else float(index)
+        found.append(_Step(index + 1, schema, ground_action(schema, step.arguments, duration), start, duration or 0.0))
+    return found
+
+
+def _wrong(step: PlanStep, problem: Problem, objects: Mapping[str, frozenset[str]]) -> str:
+    """Return what is wrong with the step as it is written; empty when nothing is."""
+    schema = problem.domain.actions.get(step.action)
+    if schema is None:
+        return "is no action of the domain"
+    if not (isfinite(step.start) and isfinite(step.duration) and step.start >= 0.0 and step.duration >= 0.0):
+        return f"starts at {step.start:g} s and takes {step.duration:g} s: expected times from 0 on"
+    if len(step.arguments) != len(schema.parameters):
+        return f"has {len(step.arguments)} arguments: expected {len(schema.parameters)}"
+    for variable, argument in zip(schema.parameters, step.arguments, strict=True):
+        if not any(argument in objects[kind] for kind in variable.types):
+            known = argument in objects["object"]
+            return f"has {argument} for {variable}: {'it is of another type' if known else 'there is no such object'}"
+    return ""
+
+
+# --- happenings ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Happening:
+    """What happens at one time."""
+
+    time: float
+    events: list[PlanEvent] = field(default_factory=list)
+    """Of every step its start before its end."""
+    timed: dict[Fluent, Value] = field(default_factory=dict)
+    """What changes by itself."""
+
+
+def _happenings(problem: Problem, steps: Sequence[_Step]) -> list[_Happening]:
+    """Return what happens, in the order of time."""
+    times = [(step.start, _START, index) for index, step in enumerate(steps)]
+    times += [(step.start + step.duration, _END, index) for index, step in enumerate(steps)]
+    times += [(change.time, _TIMED, index) for index, change in enumerate(problem.timed)]
+    found: list[_Happening] = []
+    for time, kind, index in sorted(times):
+        if not found or time - found[-1].time > TOLERANCE:
+            found.append(_Happening(time))
+        if kind == _TIMED:
+            found[-1].timed.update(problem.timed[index].changes)
+        else:
+            found[-1].events.append(PlanEvent(index, Moment.START if kind == _START else Moment.END))
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Watched:
+    """A state that notes what is looked at."""
+
+    state: State
+    seen: set[Fluent] = field(default_factory=set)
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        self.seen.add(fluent)
+        return self.state.value(fluent)
+
+    def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
+        return self.state.objects(types)
+
+
+def _check_interference(happening: _Happening, steps: Sequence[_Step], course: Course, when: str) -> None:
+    if len({event.call for event in happening.events}) + bool(happening.timed) < 2:
+        return
+    readers: dict[Fluent, list[int]] = {}
+    writers: dict[Fluent, list[tuple[int, str]]] = {}
+    for event in happening.events:
+        action = course.running.get(event.call, steps[event.call].action)
+        starts = event.moment is Moment.START
+        watched = _Watched(course.state)
+        evaluate(action.precondition if starts else action.end_condition, watched)
+        effects = action.start_effects if starts else action.end_effects
+        for fluent, effect, _ in assignments(effects, watched):
+            writers.setdefault(fluent, []).append((event.call, _way(effect.operation, effect.value)))
+        for _, effect, env in assignments(unconditional(effects), watched):
+            value_of(effect.value, watched, env)
+        for fluent in watched.seen:
+            readers.setdefault(fluent, []).append(event.call)
+    for fluent, value in happening.timed.items():
+        writers.setdefault(fluent, []).append((_BY_ITSELF, _way("assign", Constant(value))))
+    for fluent, written in writers.items():
+        read = readers.get(fluent, [])
+        involved = {call for call, _ in written}.union(read)
+        ways = {way for _, way in written}
+        if len(involved) > 1 and (read or len(ways) > 1 or ways == {"assign"}):
+            first, second = ("what changes by itself" if one == _BY_ITSELF else f"{steps[one]}" for one in sorted(involved)[:2])
+            raise InvalidPlan(f"{first} and {second} get in each other's way{when}: both have to do with {show(fluent)}, which changes")
+
+
+def _way(operation: str, value: Expression) -> str:
+    """Return how a fluent is changed, as far as it matters to whoever changes it at the same time."""
+    if operation in ("increase", "decrease"):
+        return "add"
+    return "assign" if operation != "assign" or not isinstance(value, Constant) or not isinstance(value.value, bool) else str(value.value)
+
+
+def validated(problem: Problem, found: PlanningResult, loaded: kairos.Problem | None = None) -> PlanningResult:
+    """Return what was found if there is no plan or all validators accept it; every plan goes through here.
+
+    Args:
+        problem: what was to be solved.
+        found: what a planner says.
+        loaded: the problem, if Kairos has it already.
+    """
+    if found.plan is None:
+        return found
+    verdicts = {"Kairos' validator": validate(problem, found.plan, loaded), "our own": why_invalid(problem, found.plan)}
+    if not any(verdicts.values()):
+        return found
+    status = PlanningStatus.INVALID_PLAN if all(verdicts.values()) else PlanningStatus.DISAGREEMENT
+    said = "; ".join(f"{validator} says: {why or 'valid'}" for validator, why in verdicts.items())
+    return PlanningResult(status, message=f"{said}; the plan: {' '.join(plan_text(found.plan).split())}", planner=found.planner)

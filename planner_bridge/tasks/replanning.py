@@ -1,0 +1,251 @@
+"""After a failed run: does the rest of the plan still work, or must there be a new one, or is it over?
+
+Pure: decides from what is known; `planner_bridge.pipeline` acts on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+from planner_bridge.model.forbidden_actions import ForbiddenCall
+from planner_bridge.model.plan_simulation import Course, Denied, seen_instead, snapshot
+from planner_bridge.model.problem import Problem
+from planner_bridge.ordering.plan_to_graph import in_causal_order
+from pnm.core.execution.call_results import UNCONFIRMED, CallResult, Failure
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import evaluate
+from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
+from pnm.core.machine.plan_graph import ActionCall, Moment, PlanEvent, PlanGraph
+
+_FINISHED = frozenset({"succeeded", "already true"})
+_WORLD = frozenset({"precondition_false", "invariant_false", "data_missing", "withheld"})
+"""Causes that speak against the state of the world, of knowledge or of resources, not against the action."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """How long a task is pursued."""
+
+    replans: int = 10
+    """New nets after the first, whether or not a planner was asked."""
+    seconds: float | None = None
+    """From the start of the task, pauses left out, on the clock of its runs. By default an hour, or what `allowed` says."""
+    forbid_after: int = 2
+    """A ground action that failed so often since it last succeeded is not planned with any more."""
+    backoff: float = 0.5
+    """Seconds before the second replan in a row without progress; doubled each time."""
+    longest_backoff: float = 30.0
+
+    def allowed(self, planned: float = 0.0) -> float:
+        """Return how many seconds a task may take whose plan takes so many: three times as long if nothing else is said."""
+        return max(3600.0, 3.0 * planned) if self.seconds is None else self.seconds
+
+
+@dataclass(frozen=True)
+class History:
+    """What a task remembers about its failures."""
+
+    failed: dict[ForbiddenCall, int] = field(default_factory=dict)
+    unconfirmed: frozenset[ForbiddenCall] = frozenset()
+    """Calls whose server has not confirmed that it stopped: it may still be at work."""
+    lacking: frozenset[str] = frozenset()
+    """Resources that were waited for in vain."""
+    replans: int = 0
+    fruitless: int = 0
+    """Runs in a row in which no call succeeded."""
+
+    def after(self, calls: Iterable[CallResult], failures: Iterable[Failure]) -> History:
+        """Return the history with one more failed run."""
+        calls, failures = tuple(calls), tuple(failures)
+        failed = dict(self.failed)
+        of_calls = [(one, one.call) for one in failures if isinstance(one.call, ActionCall)]
+        for failure, failed_call in of_calls:
+            if failure.cause not in _WORLD:
+                call = ForbiddenCall.of(failed_call.action)
+                failed[call] = failed.get(call, 0) + 1
+        for one in calls:
+            if one.outcome == "succeeded":
+                failed.pop(ForbiddenCall.of(one.call.action), None)
+        at_work = [call for failure, call in of_calls if failure.unconfirmed]
+        at_work += [one.call for one in calls if one.outcome == UNCONFIRMED]
+        progress = any(one.outcome == "succeeded" for one in calls)
+        return History(
+            failed,
+            self.unconfirmed | {ForbiddenCall.of(call.action) for call in at_work},
+            self.lacking.union(*(one.lacking for one in failures)),
+            self.replans + 1,
+            0 if progress else self.fruitless + 1,
+        )
+
+    def changed(self) -> History:
+        """Return the history with one more run that did not fail, but would have."""
+        return replace(self, replans=self.replans + 1)
+
+    def forbidden(self, limits: Limits) -> frozenset[ForbiddenCall]:
+        """Return the calls that failed too often, or whose servers may still be at work."""
+        return self.unconfirmed | {call for call, times in self.failed.items() if times >= limits.forbid_after}
+
+    def pause(self, limits: Limits) -> float:
+        """Return how many seconds to wait before trying again."""
+        return 0.0 if self.fruitless < 2 else min(limits.longest_backoff, limits.backoff * 2.0 ** (self.fruitless - 2))
+
+
+@dataclass(frozen=True, slots=True)
+class Resume:
+    """Go on with the rest of the plan in a new net; no planner is asked."""
+
+    rest: PlanGraph
+
+
+@dataclass(frozen=True, slots=True)
+class PlanAgain:
+    """Ask the planner, without the forbidden calls."""
+
+    forbidden: frozenset[ForbiddenCall]
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class GiveUp:
+    """A limit is reached."""
+
+    reason: str
+
+
+Decision = Resume | PlanAgain | GiveUp
+
+
+@dataclass(frozen=True)
+class Progress:
+    """A plan, and how far it has come.
+
+    Args:
+        plan: what is being carried out.
+        calls: what has become of its calls.
+        under_way: the numbers of the calls whose requests are out; they go on, whatever follows.
+    """
+
+    plan: PlanGraph
+    calls: tuple[CallResult, ...]
+    under_way: frozenset[int] = frozenset()
+
+    @staticmethod
+    def beginning(plan: PlanGraph) -> Progress:
+        """Return a plan of which nothing is done, except that some calls may be under way."""
+        return Progress(plan, tuple(map(CallResult, plan.calls)), frozenset(call.index for call in plan.calls if call.under_way))
+
+    @property
+    def rest(self) -> tuple[ActionCall, ...]:
+        """The calls that are not over, as they stand in the plan."""
+        return tuple(call for call in self.plan.calls if call.index not in self._finished)
+
+    @cached_property
+    def _finished(self) -> frozenset[int]:
+        over = (one.call.index for one in self.calls if one.outcome in _FINISHED)
+        return frozenset(over) - self.under_way
+
+    @cached_property
+    def events(self) -> tuple[PlanEvent, ...]:
+        """The events that are still to come, in an order that the plan allows; starts of what is under way are over."""
+        begun = {PlanEvent(number, Moment.START) for number in self.under_way}
+        return tuple(event for event in self.plan.in_order() if event.call not in self._finished and event not in begun)
+
+    @property
+    def what_goes_on(self) -> Progress:
+        """The same plan as if only what is under way were left of it."""
+        left = self
+        for call in self.rest:
+            left = left if call.index in self.under_way else left.without(call.index)
+        return left
+
+    def without(self, call: int) -> Progress:
+        """Return the same plan as if the call were done."""
+        done = replace(self.calls[call], outcome="already true")
+        return replace(self, calls=(*self.calls[:call], done, *self.calls[call + 1 :]))
+
+
+def decide(
+    now: Problem,
+    progress: Progress,
+    knowledge: KnowledgeBase,
+    history: History,
+    limits: Limits,
+    kept: frozenset[ForbiddenCall] = frozenset(),
+) -> Decision:
+    """Decide what follows a run that does not lead to the goal any more, whether or not it has ended.
+
+    Args:
+        now: the problem from the world as it is known to be.
+        progress: what the run executed, and what became of it.
+        knowledge: what is known.
+        history: of all failures, those of this run included.
+        limits: how long to go on.
+        kept: calls that need what others keep.
+    """
+    if history.replans > limits.replans:
+        return GiveUp(f"the limit of {limits.replans} replans is reached")
+    forbidden = history.forbidden(limits) | kept
+    whole = "; the whole network of tasks is planned for once more" if now.network else ""
+    if by_the_clock := times_that_matter(now):
+        return PlanAgain(forbidden, by_the_clock + whole)
+    obstacle = why_not(progress, knowledge, forbidden, (*now.domain.constraints, *now.constraints))
+    return PlanAgain(forbidden, obstacle + whole) if obstacle else Resume(rest_of(now, progress))
+
+
+def times_that_matter(now: Problem) -> str:
+    """Say why only a planner knows what a delay means; empty when times do not matter."""
+    if now.timed:
+        return "facts will change by themselves, so the times of the plan matter"
+    timed = [str(one) for one in (*now.domain.constraints, *now.constraints) if one.times]
+    return f"the times of the plan matter to {', '.join(timed)}" if timed else ""
+
+
+def rest_of(now: Problem, progress: Progress) -> PlanGraph:
+    """Return the calls that are not over, in an order of events of the old plan, with the orderings that their causes demand."""
+    number = {call.index: position for position, call in enumerate(progress.rest)}
+    renumbered = tuple(replace(call, index=number[call.index], under_way=call.index in progress.under_way) for call in progress.rest)
+    begun = [PlanEvent(number[one], Moment.START) for one in sorted(progress.under_way)]
+    order = [*begun, *(PlanEvent(number[event.call], event.moment) for event in progress.events)]
+    return in_causal_order(now, renumbered, order)
+
+
+def why_not(
+    progress: Progress,
+    knowledge: KnowledgeBase,
+    forbidden: frozenset[ForbiddenCall] = frozenset(),
+    constraints: tuple[Constraint, ...] = (),
+) -> str:
+    """Return why the rest of the plan does not lead from what is known to its goal; empty when it does.
+
+    Walks through the events in an order that the plan allows and applies them to a copy of the state,
+    through which the constraints, none of which may speak of times, are progressed.
+    """
+    plan = progress.plan
+    for call in progress.rest:
+        if call.index not in progress.under_way and any(one.covers(call.action) for one in forbidden):
+            return f"{call.action} has failed too often, or a server may still be at work on it or with what it needs"
+    course = Course(snapshot(knowledge), {number: plan.calls[number].action for number in progress.under_way})
+    left = {one: progressed((one,), course.state) for constraint in constraints for one in instances(constraint, course.state)}
+    for event in progress.events:
+        try:
+            course.happen([(event, plan.calls[event.call].action)])
+        except Denied as denied:
+            return f"{plan.calls[denied.call].action} would {denied.deed} although {denied.observed}"
+        left = {constraint: progressed(rest, course.state) for constraint, rest in left.items()}
+        for constraint, rest in left.items():
+            if IMPOSSIBLE in rest:
+                return f"the {event.moment.value} of {plan.calls[event.call].action} would violate {constraint}"
+    if evaluate(plan.goal, course.state) is not True:
+        return f"the rest of the plan would leave {seen_instead(plan.goal, course.state)}"
+    missing = [str(constraint) for constraint, rest in left.items() if not is_fulfilled(rest, course.state)]
+    return f"the rest of the plan would leave {', '.join(missing)} unfulfilled" if missing else ""
+
+
+def shortened(progress: Progress, knowledge: KnowledgeBase) -> Progress:
+    """Return the plan without those calls that are needless from here: the rest leads to its goal all the same."""
+    for call in progress.rest:
+        if call.index not in progress.under_way and not why_not(shorter := progress.without(call.index), knowledge):
+            progress = shorter
+    return progress

@@ -1,0 +1,207 @@
+"""How tasks end, in the codes that clients read.
+
+Where the time of a task goes.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Final, Literal, TypeAlias
+
+from planner_bridge.model.plan import PlanningStatus
+from planner_bridge.tasks.replanning import Decision, GiveUp, PlanAgain, Resume
+from pnm.core.execution.call_results import HANDED_OVER, CallResult, Failure, RunResult
+from pnm.core.logic.trajectory import Constraint
+from pnm.core.machine.machine import PetriNetMachine
+from pnm.tasks import Code
+
+_PLANNING: Final = {
+    PlanningStatus.UNSOLVABLE: Code.NO_PLAN,
+    PlanningStatus.NO_PLAN: Code.NO_PLAN,
+    PlanningStatus.TIMED_OUT: Code.PLANNER_TIMEOUT,
+    PlanningStatus.CANCELLED: Code.CANCELLED,
+}
+
+_CAUSES: Final = {
+    "precondition_false": Code.CONDITION_LOST,
+    "invariant_false": Code.CONDITION_LOST,
+    "data_missing": Code.CONDITION_LOST,
+    "timed_out": Code.TIMED_OUT,
+    "too_late": Code.TIMED_OUT,
+    "deadline_missed": Code.TIMED_OUT,
+    "unavailable": Code.SERVER_UNAVAILABLE,
+    "withheld": Code.SERVER_UNAVAILABLE,
+    "rejected": Code.SERVER_UNAVAILABLE,
+    "lost": Code.SERVER_UNAVAILABLE,
+}
+
+
+def code_of_planning(status: PlanningStatus, failures: Sequence[Failure]) -> Code:
+    """Return the code of a task for which no plan was found, after these failures: they are why there is none any more."""
+    code = _PLANNING.get(status, Code.PLANNER_ERROR)
+    return code_of_failures(failures) if failures and code is Code.NO_PLAN else code
+
+
+def code_of_run(result: RunResult, stopped: Code) -> Code:
+    """Return the code of a task that ends with this run of its plan.
+
+    Args:
+        result: how the run ended.
+        stopped: the code if it was told to stop.
+    """
+    if result.goal:
+        return Code.GOAL_REACHED
+    return stopped if result.stopped else code_of_failures(result.failures)
+
+
+def code_of_failures(failures: Sequence[Failure]) -> Code:
+    """Return the code of a task that ends with these failures, the last of which counts."""
+    return _CAUSES.get(failures[-1].cause, Code.ACTION_FAILED) if failures else Code.CONDITION_LOST
+
+
+class Stopwatch:
+    """Adds up where the time of a task goes, in seconds of the wall clock."""
+
+    def __init__(self) -> None:
+        self.seconds = dict.fromkeys(("parse", "plan", "translate", "verify", "execute"), 0.0)
+
+    @contextmanager
+    def of(self, name: str) -> Iterator[None]:
+        """Measure one part."""
+        began = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] += time.perf_counter() - began
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One machine and its run; `decision` is what followed if the goal was not reached."""
+
+    machine: PetriNetMachine
+    result: RunResult
+    decision: Decision | None = None
+
+
+@dataclass(frozen=True)
+class TaskResult:
+    """How a task ended, episode by episode."""
+
+    code: Code
+    reason: str
+    plans: int
+    """How often a planner found a plan."""
+    episodes: tuple[Episode, ...]
+    seconds: dict[str, float]
+    """Where the time went: parse, plan, translate, verify, execute."""
+    began: float = 0.0
+    """When the task began, on the clock of its calls."""
+    constraints: tuple[ConstraintResult, ...] = ()
+    """What became of the constraints of domain and problem."""
+    preferences: tuple[PreferenceResult, ...] = ()
+    """What became of the preferences, name by name."""
+
+    @property
+    def goal_reached(self) -> bool:
+        """Whether the goal holds."""
+        return self.code is Code.GOAL_REACHED
+
+    @property
+    def calls(self) -> tuple[CallResult, ...]:
+        """What became of the calls of all episodes; of a call that was handed on, where it ended."""
+        return tuple(call for episode in self.episodes for call in episode.result.calls if call.outcome != HANDED_OVER)
+
+    @property
+    def failures(self) -> tuple[Failure, ...]:
+        """Everything that failed in all episodes."""
+        return tuple(failure for episode in self.episodes for failure in episode.result.failures)
+
+    @property
+    def replans(self) -> int:
+        """How many new machines followed the first."""
+        return max(0, len(self.episodes) - 1)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the result as `pnm run --json` prints it."""
+        return {
+            "goal_reached": self.goal_reached,
+            "code": self.code.word,
+            "reason": self.reason,
+            "plans": self.plans,
+            "replans": self.replans,
+            "calls": [_call_as_json(call, self.began) for call in self.calls],
+            "failures": [
+                {"call": str(one.call), "cause": one.cause, "expected": one.expected, "observed": one.observed} for one in self.failures
+            ],
+            "decisions": [_decision_as_json(episode.decision) for episode in self.episodes if episode.decision],
+            "constraints": [_constraint_as_json(one) for one in self.constraints],
+            "preferences": [{"name": one.name, "status": one.status, "violated": one.violated} for one in self.preferences],
+            "seconds": {name: round(seconds, 6) for name, seconds in self.seconds.items()},
+        }
+
+
+def _call_as_json(result: CallResult, began: float) -> dict[str, Any]:
+    return {
+        "action": result.call.action.name,
+        "arguments": list(result.call.action.arguments),
+        "outcome": result.outcome,
+        "attempts": result.attempts,
+        "started": None if result.started is None else round(result.started - began, 4),
+        "ended": None if result.ended is None else round(result.ended - began, 4),
+        "assumed": result.assumed,
+    }
+
+
+def _constraint_as_json(result: ConstraintResult) -> dict[str, Any]:
+    violations = [{"constraint": str(one.constraint), "time": round(one.time, 4), "observed": one.observed} for one in result.violations]
+    return {"constraint": str(result.constraint), "status": result.status, "violations": violations}
+
+
+def _decision_as_json(decision: Decision) -> dict[str, Any]:
+    match decision:
+        case Resume(rest):
+            return {"decision": "resume", "calls": [str(call.action) for call in rest.calls]}
+        case PlanAgain(forbidden, why):
+            return {"decision": "plan again", "why": why, "forbidden": sorted(map(str, forbidden))}
+        case GiveUp(reason):
+            return {"decision": "give up", "why": reason}
+
+
+Status: TypeAlias = Literal["fulfilled", "violated", "not monitored"]
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """A ground constraint that is not kept."""
+
+    constraint: Constraint
+    time: float
+    """Seconds after the start of the task."""
+    observed: str
+
+    def __str__(self) -> str:
+        return f"{self.constraint} is violated after {self.time:.2f} s: {self.observed}"
+
+
+@dataclass(frozen=True, slots=True)
+class ConstraintResult:
+    """What became of a constraint of the domain or the problem."""
+
+    constraint: Constraint
+    status: Status
+    violations: tuple[Violation, ...] = ()
+    """One for every choice of objects for which it was not kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class PreferenceResult:
+    """What became of the preferences of one name."""
+
+    name: str
+    status: Status
+    violated: int | None = None
+    """How many of their instances, which is what ``(is-violated name)`` counts; None when they are not monitored."""

@@ -1,0 +1,75 @@
+"""What a task is given, who listens to it, and how it ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from planner_bridge.model.plan import Plan, PlanningResult
+from planner_bridge.planning.kairos import DEFAULT_PLANNER
+from planner_bridge.tasks.replanning import Limits, PlanAgain, Resume
+from planner_bridge.tasks.result import Violation
+from pnm.core.execution.call_results import RunResult
+from pnm.core.execution.events import Observer
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.machine import OnFailure, PetriNetMachine
+from pnm.core.machine.verification.verify import Proof
+from pnm.knowledge.sensor_model import NO_SENSING, Sensing
+from pnm.tasks import TaskState
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+
+class TaskObserver(Observer):
+    """Listens to a whole task: one more empty method per moment."""
+
+    def planning(self, planner: str) -> None:
+        """Note that a planner is being asked."""
+
+    def planned(self, plan: Plan) -> None:
+        """Note that a plan was found."""
+
+    def unplanned(self, result: PlanningResult) -> None:
+        """Note that no plan was found."""
+
+    def generated(self, machine: PetriNetMachine, proof: Proof) -> None:
+        """Note that a machine is ready to run, and proved sound."""
+
+    def resigned(self, reason: str) -> None:
+        """Note that a hand-written plan has failed, and wants a planner to find another way."""
+
+    def replanning(self, decision: Resume | PlanAgain, result: RunResult) -> None:
+        """Note that a run failed and what follows."""
+
+    def entered(self, state: TaskState, why: str) -> None:
+        """Note that the task is in another state, and why."""
+
+    def violated(self, violation: Violation, now: float) -> None:
+        """Note that a constraint is violated; the task will not go on."""
+
+
+class OnChange(Enum):
+    """When a plan is looked at again because facts have changed."""
+
+    EAGER = "eager"
+    """At once, if the plan has to do with them."""
+    LAZY = "lazy"
+    """When a call needs them, and fails."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a task is pursued."""
+
+    planner: str = DEFAULT_PLANNER
+    planner_timeout: float = 30.0
+    bindings: Bindings = field(default_factory=Bindings)
+    limits: Limits = field(default_factory=Limits)
+    on_failure: OnFailure = OnFailure.DRAIN
+    on_change: OnChange = OnChange.LAZY
+    executor: Executor | None = None
+    """Runs the planners when they race; a process for each by default."""
+    sensing: Sensing = NO_SENSING
+    """Which topics and services of ROS 2 speak of what."""

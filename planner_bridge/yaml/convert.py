@@ -1,0 +1,95 @@
+"""From files to texts: what `pnm export` and `pnm import` write."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from planner_bridge.ordering.plan_to_graph import plan_graph
+from planner_bridge.pddl import read_domain, read_problem
+from planner_bridge.pddl.comments.table import Table
+from planner_bridge.pddl.read.attach_comments import comments
+from planner_bridge.pddl.read.reader import MAX_BYTES
+from planner_bridge.pddl.write.writer import write_domain as domain_text
+from planner_bridge.pddl.write.writer import write_problem as problem_text
+from planner_bridge.planning.solve import solve
+from planner_bridge.yaml.first_implementation import write_original
+from planner_bridge.yaml.reader import read
+from planner_bridge.yaml.write_domain import write_domain, write_problem
+from planner_bridge.yaml.write_plan import plan_entries
+from pnm.errors import InputError, Tolerated
+from pnm.files.text import read_any_text
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """A YAML text, or why there is none."""
+
+    text: str = ""
+    warnings: tuple[Tolerated, ...] = ()
+    reason: str = ""
+    """Why no plan was found."""
+
+
+@dataclass(frozen=True, slots=True)
+class Imported:
+    """PDDL texts by the names of their files."""
+
+    texts: Mapping[str, str]
+    warnings: tuple[Tolerated, ...] = ()
+
+
+def exported(
+    domain: Path, problem: Path | None, *, with_plan: bool = False, original: bool = False, planner: str = "kairos", timeout: float = 30.0
+) -> Exported:
+    """Return files as YAML.
+
+    Args:
+        domain: a PDDL file.
+        problem: a PDDL file for it, which a plan needs.
+        with_plan: whether a plan is found and written, too.
+        original: whether what is written is a plan for the first implementation.
+        planner: which finds the plan.
+        timeout: seconds that may take.
+
+    Raises:
+        InputError: a file is wrong, or says what cannot be written.
+    """
+    model = read_domain(domain)
+    if problem is None:
+        if with_plan or original:
+            raise InputError(f"a plan is for a problem; expected its file after {domain}")
+        return Exported(write_domain(model, _comments(domain, "domain")), model.warnings)
+    whole = read_problem(problem, model)
+    if not with_plan and not original:
+        return Exported(write_problem(whole, _both(domain, problem)), whole.warnings)
+    found = solve(whole, planner=planner, timeout=timeout)
+    if found.plan is None:
+        return Exported(warnings=whole.warnings, reason=found.reason)
+    if original:
+        return Exported(write_original(whole, found.plan), whole.warnings)
+    graph = plan_graph(whole, found.plan)
+    return Exported(write_problem(whole, _both(domain, problem), plan_entries(graph, whole.domain)), whole.warnings)
+
+
+def imported(file: Path) -> Imported:
+    """Return the domain of a YAML file, and its problem, as PDDL.
+
+    Raises:
+        InputError: the file is wrong, or says what PDDL cannot.
+    """
+    found = read(file)
+    texts = {"domain.pddl": domain_text(found.domain, found.of("domain"))}
+    if found.problem:
+        texts["problem.pddl"] = problem_text(found.problem, found.of("problem"))
+    return Imported(texts, (found.problem or found.domain).warnings)
+
+
+def _both(domain: Path, problem: Path) -> Table:
+    return {**_comments(domain, "domain"), **_comments(problem, "problem")}
+
+
+def _comments(file: Path, kind: Literal["domain", "problem"]) -> Table:
+    return comments(read_any_text(file, MAX_BYTES)[0], kind)

@@ -1,0 +1,197 @@
+"""Domains and problems as YAML in the language that people write; `planner_bridge.yaml.reader` is the way back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import Final
+
+from planner_bridge.model.problem import ActionSchema, Declaration, Domain, Problem
+from planner_bridge.pddl.comments.table import NO_NOTES, Notes, Table, with_all
+from planner_bridge.pddl.syntax.anchors import ACTION, fact_said, hierarchy_said, rule_said
+from planner_bridge.pddl.syntax.pretty_print import flat
+from planner_bridge.pddl.syntax.words import number_text
+from planner_bridge.pddl.write.forms import typed_lines, types_form, variables_form
+from planner_bridge.pddl.write.writer import change_form, rule_form
+from planner_bridge.yaml.emitter import Bare, Entry, Mapping, Sequence, Value, depth, document, items, single
+from planner_bridge.yaml.write_formulas import conditions, constraints, duration, effects, expression, preferences, typed
+from pnm.core.logic.conditions import TRUE
+from pnm.core.logic.effects import TimedChange
+from pnm.core.logic.rules import Rule
+from pnm.errors import InputError
+from pnm.files.yaml_loader import MAX_DEPTH
+
+NOTHING_SAID: Final[Table] = {}
+SCHEMA_MARK: Final = "# yaml-language-server:"
+"""Begins a comment that is for editors."""
+SCHEMA: Final = ""
+"""Where editors find the JSON Schema of these files; empty as long as there is none."""
+
+
+def write_domain(domain: Domain, table: Table = NOTHING_SAID) -> str:
+    """Write a domain as YAML, with the comments of the table."""
+    return with_all(table, lambda notes: written(domain_entries(domain, notes)))
+
+
+def write_problem(problem: Problem, table: Table = NOTHING_SAID, plan: Iterable[Entry] = ()) -> str:
+    """Write a domain and a problem as one YAML file, with the comments of the table, and a plan for the problem.
+
+    Raises:
+        InputError: something is nested deeper than the language allows.
+    """
+
+    def write(notes: Notes) -> str:
+        own = notes.at("problem")
+        entry = Entry(Mapping(tuple(_problem(problem, own))), "problem", own.take(), apart=True)
+        return written([*domain_entries(problem.domain, notes), entry, *plan])
+
+    return with_all(table, write)
+
+
+def written(entries: Iterable[Entry]) -> str:
+    """Write a file."""
+    whole = Mapping(tuple(entries))
+    if depth(whole) >= MAX_DEPTH:
+        raise InputError(f"this is nested too deeply for YAML files, which may have {MAX_DEPTH} lists and mappings in each other")
+    return (f"{SCHEMA_MARK} $schema={SCHEMA}\n" if SCHEMA else "") + document(whole)
+
+
+# --- domains -------------------------------------------------------------------------------
+
+
+def domain_entries(domain: Domain, notes: Notes) -> list[Entry]:
+    """Return what a file says of a domain."""
+    own = notes.at("domain")
+    root = own.take().joined(notes.take())
+    lines = [("types", ((name, above or ("object",)) for name, above in domain.types.items())), ("constants", domain.constants.items())]
+    found = [
+        _requirements(domain.requirements, own),
+        *(_names(key, pairs, own) for key, pairs in lines),
+        _declarations("predicates", domain.predicates.values(), own),
+        _declarations("functions", domain.functions.values(), own),
+        Entry(Sequence(tuple(_rule(rule, own) for rule in domain.rules)), "derived"),
+        _constraints(domain, own),
+        Entry(preferences(domain.preferences, NO_NOTES, own.at(":constraints")), "preferences"),
+        Entry(Sequence(tuple(Entry(text, note=own.at(*hierarchy_said(text)).take()) for text in domain.hierarchy)), "hierarchy"),
+        Entry(Mapping(_spaced(_action(schema, own) for schema in domain.actions.values())), "actions"),
+    ]
+    return [
+        Entry(domain.name, "name", root),
+        *(replace(entry, apart=entry.key != "requirements") for entry in found if not _is_empty(entry)),
+    ]
+
+
+def _is_empty(entry: Entry) -> bool:
+    return isinstance(entry.value, Sequence | Mapping) and not entry.value.entries and not entry.note
+
+
+def _requirements(words: tuple[str, ...], notes: Notes) -> Entry:
+    return Entry(items((word.removeprefix(":") for word in words), short=True), "requirements", notes.at(":requirements").take())
+
+
+def _names(key: str, pairs: Iterable[tuple[str, tuple[str, ...]]], notes: Notes) -> Entry:
+    own = notes.at(f":{key}")
+    lines = tuple([Entry(text, note=note) for text, note in typed_lines(pairs, own)])
+    return Entry(Sequence(lines), key, own.take())
+
+
+def _declarations(key: str, declared: Iterable[Declaration], notes: Notes) -> Entry:
+    own = notes.at(f":{key}")
+    lines = tuple([Entry(_declaration(one), note=own.at(one.name.lower()).take()) for one in declared])
+    return Entry(Sequence(lines), key, own.take())
+
+
+def _declaration(declared: Declaration) -> str:
+    text = flat([declared.name, *variables_form(declared.parameters)])
+    return f"{text} - {flat(types_form(declared.values))}" if declared.values else text
+
+
+def _rule(rule: Rule, notes: Notes) -> Entry:
+    form = rule_form(rule)
+    own = notes.at(":derived", rule_said(form))
+    note = own.take()
+    return Entry(Mapping((Entry(flat(form[1]), "fact"), Entry(conditions(rule.condition, own), "condition"))), note=note)
+
+
+def _constraints(whole: Domain | Problem, notes: Notes) -> Entry:
+    own = notes.at(":constraints")
+    note = own.take() if whole.constraints or any(isinstance(one.wanted, tuple) for one in whole.preferences) else None
+    found = constraints(whole.constraints, own)
+    return Entry(found, "constraints", note) if note else Entry(found, "constraints")
+
+
+def _action(schema: ActionSchema, notes: Notes) -> Entry:
+    own = notes.at(ACTION, schema.name.lower())
+    return Entry(Mapping(tuple(_parts(schema, own))), schema.name, own.take())
+
+
+def _spaced(entries: Iterable[Entry]) -> tuple[Entry, ...]:
+    """Put empty lines between entries."""
+    return tuple([replace(entry, apart=number > 0) for number, entry in enumerate(entries)])
+
+
+def _parts(schema: ActionSchema, notes: Notes) -> Iterator[Entry]:
+    if schema.parameters:
+        yield Entry(typed(schema.parameters), "params", notes.at("parameters").take())
+    if schema.duration is not None:
+        yield Entry(duration(schema.duration), "duration", notes.at("duration").take())
+    wanted = notes.at("condition")
+    tests = (("at_start", schema.precondition), ("over_all", schema.invariant), ("at_end", schema.end_condition))
+    if schema.duration is None:
+        conditional = conditions(schema.precondition, wanted) if schema.precondition != TRUE else None
+    else:
+        conditional = _moments((key, conditions(condition, wanted)) for key, condition in tests if condition != TRUE)
+    if conditional is not None:
+        yield Entry(conditional, "preconditions", wanted.take())
+    if schema.preferences:
+        yield Entry(preferences(schema.preferences, wanted, wanted), "preferences", wanted.take())
+    changing = notes.at("effect")
+    changes = (("at_start", schema.start_effects), ("at_end", schema.end_effects))
+    if schema.duration is None:
+        conditional = effects(schema.end_effects, changing) if schema.end_effects else None
+    else:
+        conditional = _moments((key, effects(found, changing)) for key, found in changes if found)
+    if conditional is not None:
+        yield Entry(conditional, "effects", changing.take())
+
+
+def _moments(parts: Iterable[tuple[str, Value]]) -> Value | None:
+    entries = tuple([Entry(value, key) for key, value in parts])
+    return Mapping(entries) if entries else None
+
+
+# --- problems ------------------------------------------------------------------------------
+
+
+def _problem(problem: Problem, notes: Notes) -> Iterator[Entry]:
+    goal, facts = notes.at(":goal"), notes.at(":init")
+    found = [
+        _requirements(problem.requirements, notes),
+        _names("objects", problem.own_objects.items(), notes),
+        Entry(Sequence((*_facts(problem, facts), *(_timed(change, facts) for change in problem.timed))), "init", facts.take()),
+        _constraints(problem, notes),
+        Entry(preferences(problem.preferences, goal, notes.at(":constraints")), "preferences"),
+    ]
+    yield Entry(problem.name, "name")
+    yield from (entry for entry in found if not _is_empty(entry))
+    if problem.network:
+        yield Entry(problem.network, "network", notes.at(*hierarchy_said(problem.network)).take())
+    if problem.goal != TRUE or not problem.network:
+        yield Entry(conditions(problem.goal, goal), "goal", goal.take())
+    if problem.metric:
+        metric = single(problem.metric.direction, expression(problem.metric.expression))
+        yield Entry(metric, "metric", notes.at(":metric").take())
+
+
+def _facts(problem: Problem, notes: Notes) -> Iterator[Entry]:
+    for fluent, value in problem.init.items():
+        if value is not False:
+            form = change_form(fluent, value)
+            yield Entry(flat(form), note=notes.at(fact_said(form)).take())
+
+
+def _timed(timed: TimedChange, notes: Notes) -> Entry:
+    time = number_text(timed.time)
+    forms = [change_form(fluent, value) for fluent, value in timed.changes.items()]
+    facts = [Entry(flat(form), note=notes.at(fact_said(["at", time, form])).take()) for form in forms]
+    return Entry(Mapping((Entry(Bare(time), "at"), Entry(Sequence(tuple(facts)), "facts"))))

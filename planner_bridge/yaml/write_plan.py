@@ -1,0 +1,152 @@
+"""Plans as steps: nested blocks where their order is series-parallel, ``after`` lists where it is not.
+
+Temporal plans may say more than which call follows which: that a call starts or ends after the start of another,
+or so many seconds later, or not before a time. Then all steps stand in one list, and each says all it waits for.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import inf
+from typing import Final, assert_never
+
+from planner_bridge.model.problem import Domain
+from planner_bridge.pddl.syntax.words import number_text
+from planner_bridge.yaml.emitter import Bare, Entry, Mapping, Sequence, Value, items
+from planner_bridge.yaml.series_parallel import Block, Mesh, Parallel, Series, blocks, reduced
+from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraph
+
+_NO_PLAN: Final = Entry(Sequence(), "plan", apart=True)
+
+
+def plan_entries(graph: PlanGraph, domain: Domain) -> list[Entry]:
+    """Return what a file says of a plan that a planner has made."""
+    if not graph.calls:
+        return [_NO_PLAN]
+    writer = _Writer(graph, domain)
+    return [Entry(Sequence(tuple([Entry(step) for step in writer.steps()])), "plan", apart=True)]
+
+
+@dataclass(frozen=True)
+class _Writer:
+    graph: PlanGraph
+    domain: Domain
+
+    def steps(self) -> list[Mapping]:
+        orderings = _needed(self.graph)
+        simple = all(one.before.moment is Moment.END and one.after.moment is Moment.START and not one.delay for one in orderings)
+        if simple and not any(call.release or call.deadline < inf for call in self.graph.calls):
+            return self._in_blocks(orderings)
+        return self._explicit(orderings)
+
+    # --- blocks ---
+
+    def _in_blocks(self, orderings: Iterable[Ordering]) -> list[Mapping]:
+        order = list(dict.fromkeys(event.call for event in self.graph.in_order()))
+        places = {call: place for place, call in enumerate(order)}
+        edges = [(places[one.before.call], places[one.after.call]) for one in orderings]
+        match blocks(reduced(len(order), edges)):
+            case Series(parts):
+                return [self._block(part, order) for part in parts]
+            case Mesh(before):
+                return self._mesh({order[one]: tuple(order[other] for other in others) for one, others in before.items()}, in_sequence=True)
+            case whole:
+                return [self._block(whole, order)]
+
+    def _block(self, block: Block, order: list[int]) -> Mapping:
+        match block:
+            case int():
+                return Mapping((self._call(order[block]),))
+            case Series(parts):
+                return _listed("sequence", [self._block(part, order) for part in parts])
+            case Parallel(parts):
+                return _listed("concurrent_actions", [self._block(part, order) for part in parts])
+            case Mesh(before):
+                waits = {order[one]: tuple(order[other] for other in others) for one, others in before.items()}
+                return _listed("concurrent_actions", self._mesh(waits, in_sequence=False))
+            case _:
+                assert_never(block)
+
+    def _mesh(self, before: dict[int, tuple[int, ...]], *, in_sequence: bool) -> list[Mapping]:
+        """Write steps that say what they wait for, unless that is what a step of such a list waits for anyway."""
+        named = self._names({other for others in before.values() for other in others})
+        steps: list[Mapping] = []
+        usual: tuple[int, ...] = ()
+        for call, others in before.items():
+            after = [] if others == usual else [Entry(items((named[other] for other in others), short=True), "after")]
+            steps.append(Mapping((self._call(call), *_id(named, call), *after)))
+            usual = (call,) if in_sequence else ()
+        return steps
+
+    # --- events ---
+
+    def _explicit(self, orderings: list[Ordering]) -> list[Mapping]:
+        named = self._names({one.before.call for one in orderings})
+        steps: list[Mapping] = []
+        for call in sorted(self.graph.calls, key=lambda call: call.planned):
+            waits = {moment: [one for one in orderings if one.after == PlanEvent(call.index, moment)] for moment in Moment}
+            options = [
+                Entry(items((_event(one, named) for one in waits[Moment.START]), short=True), "after"),
+                *([Entry(items((_event(one, named) for one in waits[Moment.END]), short=True), "end_after")] if waits[Moment.END] else []),
+                *_times(call, self.domain),
+            ]
+            steps.append(Mapping((self._call(call.index), *_id(named, call.index), *options)))
+        return steps
+
+    # --- calls ---
+
+    def _call(self, index: int) -> Entry:
+        action = self.graph.calls[index].action
+        arguments = zip(action.parameters, action.arguments, strict=True)
+        return Entry(Mapping(tuple([Entry(argument, name) for name, argument in arguments]), short=True), action.name)
+
+    def _names(self, calls: Iterable[int]) -> dict[int, str]:
+        """Return names for calls: their action, and a number if it is called several times."""
+        often = Counter(call.action.name for call in self.graph.calls)
+        seen: Counter[str] = Counter()
+        names: dict[int, str] = {}
+        for call in self.graph.calls:
+            seen[call.action.name] += 1
+            names[call.index] = f"{call.action.name}_{seen[call.action.name]}" if often[call.action.name] > 1 else call.action.name
+        wanted = set(calls)
+        return {index: name for index, name in names.items() if index in wanted}
+
+
+def _listed(key: str, steps: list[Mapping]) -> Mapping:
+    return Mapping((Entry(Sequence(tuple([Entry(step) for step in steps])), key),))
+
+
+def _id(named: dict[int, str], call: int) -> tuple[Entry, ...]:
+    return (Entry(named[call], "id"),) if call in named else ()
+
+
+def _event(ordering: Ordering, named: dict[int, str]) -> Value:
+    """Name what comes before: a step for its end, a mapping for its start or for a later time."""
+    name, moment = named[ordering.before.call], ordering.before.moment
+    if moment is Moment.END and not ordering.delay:
+        return name
+    delay = [Entry(Bare(number_text(ordering.delay)), "delay")] if ordering.delay else []
+    return Mapping((Entry(name, moment.value), *delay), short=True)
+
+
+def _times(call: ActionCall, domain: Domain) -> list[Entry]:
+    bounds = domain.actions[call.action.name].duration or ()
+    chosen = call.action.duration is not None and not any(bound.operation == "=" for bound in bounds)
+    found = [
+        ("duration", call.action.duration if chosen else None),
+        ("release", call.release or None),
+        ("deadline", call.deadline if call.deadline < inf else None),
+    ]
+    return [Entry(Bare(number_text(value)), key) for key, value in found if value is not None]
+
+
+def _needed(graph: PlanGraph) -> list[Ordering]:
+    """Return the orderings that do not follow from others."""
+    order = graph.in_order()
+    places = {event: place for place, event in enumerate(order)}
+    own = [(places[PlanEvent(call.index, Moment.START)], places[PlanEvent(call.index, Moment.END)]) for call in graph.calls]
+    edges = [(places[one.before], places[one.after]) for one in graph.orderings]
+    before = reduced(len(order), [*own, *edges])
+    return [one for one, (first, second) in zip(graph.orderings, edges, strict=True) if one.delay or first in before[second]]

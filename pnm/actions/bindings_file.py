@@ -1,0 +1,138 @@
+"""Bindings files: which server, goal fields, limits and resources an action has, as YAML."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from pnm.core.knowledge_base import parse_fluent
+from pnm.core.logic.declared_names import Vocabulary
+from pnm.core.machine.bindings import _NAME, DEFAULT, Binding, Bindings, placeholders
+from pnm.errors import InputError, Position
+from pnm.files.yaml_nodes import Mapped, load_yaml
+
+
+def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
+    """Read a bindings file.
+
+    Args:
+        path: the file.
+        known: the names to be checked against.
+
+    Raises:
+        InputError: the file is not readable YAML, has an unknown key or a value of the wrong kind, or
+            names something that is not known.
+    """
+    top = load_yaml(path)
+    top.only("actions", "assumed", "lag")
+    actions = {name: _binding(entry) for name, entry in top.mapping("actions").items()}
+    if known is not None:
+        for name, entry in top.mapping("actions").items():
+            _check_names(name, actions[name], entry, known)
+        for name in top.strings("assumed"):
+            known.check_set(name, top.position("assumed"))
+    return Bindings(actions, frozenset(top.strings("assumed")), top.number("lag", 1.0))
+
+
+def _binding(entry: Mapped) -> Binding:
+    entry.only("server", "type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "resources")
+    return read_binding(entry)
+
+
+def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAULT.retries) -> Binding:
+    """Read what is said about one action, whatever else the entry says.
+
+    Args:
+        entry: the mapping.
+        type_key: the key under which the type of the ROS action stands.
+        retries: how often the action is tried again when nothing is said about it.
+
+    Raises:
+        InputError: a value is of the wrong kind.
+    """
+    goal = entry.plain("goal")
+    if goal is not None and not isinstance(goal, dict):
+        raise InputError("expected goal fields and their values", entry.position("goal"))
+    _check_fluents(goal, entry)
+    server = entry.string("server")
+    if server is not None:
+        _check_pattern(server, entry.position("server"), "/{robot}/navigate")
+    return Binding(
+        server=server,
+        type=entry.string(type_key),
+        goal=goal,
+        store=read_texts(entry, "store", "expected result fields and the variables to store them in"),
+        timeout=entry.number("timeout", None),
+        accept=entry.number("accept", DEFAULT.accept),
+        cancel=entry.number("cancel", DEFAULT.cancel),
+        retries=entry.whole("retries", retries),
+        ask=read_texts(entry, "ask", "expected variables, and what a person is asked when nobody knows them"),
+        resources=tuple(dict.fromkeys(name for name, _ in _read_resources(entry))),
+    )
+
+
+def _read_resources(entry: Mapped) -> Iterator[tuple[str, Position]]:
+    """Yield the patterns of resources, and where they stand."""
+    names, node = entry.strings("resources"), entry.node("resources")
+    items = (node.items if node else None) or ()
+    for name, item in zip(names, items, strict=True):
+        _check_pattern(name, item.position, "{robot}/base")
+        yield name, item.position
+
+
+def read_texts(entry: Mapped, key: str, expected: str) -> dict[str, str]:
+    """Read a mapping of names to texts; empty when the key is not there.
+
+    Raises:
+        InputError: it is something else.
+    """
+    found = entry.plain(key)
+    if found is not None and not (isinstance(found, dict) and all(isinstance(text, str) for text in found.values())):
+        raise InputError(expected, entry.position(key))
+    return found or {}
+
+
+def _check_fluents(source: object, entry: Mapped) -> None:
+    if isinstance(source, dict):
+        source = list(source.values())
+    if isinstance(source, list):
+        for part in source:
+            _check_fluents(part, entry)
+    if isinstance(source, str) and source.startswith("("):
+        try:
+            parse_fluent(source)
+        except InputError as error:
+            raise InputError(error.message, entry.position("goal")) from error
+
+
+def _check_pattern(pattern: str, position: Position, example: str) -> None:
+    try:
+        wrong = [f"{{{name}}} is no parameter" for name in placeholders(pattern) if not _NAME.match(name)]
+    except ValueError as error:
+        wrong = [str(error)]
+    if wrong:
+        raise InputError(f"{wrong[0]} in {pattern!r}; expected something like {example}", position)
+
+
+def _check_names(name: str, binding: Binding, entry: Mapped, known: Vocabulary) -> None:
+    known.check_action(name, entry.start)
+    for parameter in placeholders(binding.server or ""):
+        known.check_parameter(name, parameter, entry.position("server"))
+    for pattern, position in _read_resources(entry):
+        for parameter in placeholders(pattern):
+            known.check_parameter(name, parameter, position)
+    for parameter in _parameters(binding.goal or {}):
+        known.check_parameter(name, parameter, entry.position("goal"))
+
+
+def _parameters(source: object) -> Iterator[str]:
+    """Yield the parameters that goal fields are filled from, at any depth."""
+    if isinstance(source, Mapping):
+        source = list(source.values())
+    if isinstance(source, list):
+        for part in source:
+            yield from _parameters(part)
+    elif isinstance(source, str) and source.startswith("?"):
+        yield source[1:]
+    elif isinstance(source, str) and source.startswith("("):
+        yield from (term[1:] for term in parse_fluent(source) if term.startswith("?"))

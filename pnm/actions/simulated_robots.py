@@ -1,0 +1,309 @@
+"""Simulated robots: an action client that performs actions in a simulated world, with faults.
+
+Ships to users: what a plan does can be seen without robots and without ROS. `pnm simulate`
+offers the same robots as ROS 2 action servers.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+from uuid import UUID
+
+from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
+from pnm.actions.simulated_world import Activity, World
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.computed_values import MISSING, Question, compute
+from pnm.core.logic.conditions import TOLERANCE
+from pnm.core.logic.effects import Changes, TimedChange
+from pnm.core.logic.expressions import Fluent, Unknown, Value, bind
+from pnm.core.logic.operators import Uncomputable
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
+
+LAG: Final = 0.01
+"""Seconds within which everything that happens at one moment has been reported."""
+SLOWNESS: Final = 10.0
+"""How many times longer a slow action takes."""
+
+
+@dataclass(slots=True)
+class _Job:
+    """A request that was accepted and is not over."""
+
+    request: Request
+    report: Reporter
+    activity: Activity
+    fault: Fault | None
+    began: float
+    resources: tuple[str, ...] = ()
+    lasts: float | None = None
+    """Seconds of the clock until it ends well; None if it never will."""
+    timer: asyncio.TimerHandle | None = None
+    broken: str = ""
+    """What of the over-all condition has not been so all the time."""
+
+
+@dataclass
+class SimulatedRobots:
+    """Performs every action for its duration and changes the world, unless a fault says otherwise.
+
+    The mutable state is the jobs going on, the clashes, the servers lost, and how often each fault was looked at.
+    """
+
+    world: World
+    faults: Faults = NO_FAULTS
+    bindings: Bindings = field(default_factory=Bindings)
+    scheduled: tuple[TimedChange, ...] = ()
+    untimed: float = 1.0
+    """Seconds that an action without a planned duration takes."""
+    speed: float = 1.0
+    """How many seconds of the world pass in one second of the clock."""
+    capacities: Mapping[str, int] = field(default_factory=dict)
+    """How many jobs may use a resource at the same time; one for those not listed."""
+    clashes: list[str] = field(default_factory=list)
+    """What was used by more jobs at once than it can be: whoever sent them has made a mistake."""
+    _jobs: dict[UUID, _Job] = field(default_factory=dict)
+    _lost: set[str] = field(default_factory=set)
+    _seen: dict[int, int] = field(default_factory=dict)
+    _chance: random.Random = field(init=False)
+    _begun: bool = False
+    _timers: dict[Callable[[], None], asyncio.TimerHandle] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._chance = random.Random(self.faults.seed)
+
+    def begin(self) -> None:
+        """Start the world's clock, once: timed changes count from here."""
+        if self._begun:
+            return
+        self._begun = True
+        self.world.truth.listen(self._check)
+        timed = [(change.at, change.changes) for change in self.faults.changes if change.at is not None]
+        for time, changes in (*timed, *((one.time, one.changes) for one in self.scheduled)):
+            self._later(time, self.world.change, changes)
+
+    def close(self) -> None:
+        """Stop the world: nothing happens in it any more."""
+        for timer in self._timers.values():
+            timer.cancel()
+
+    # --- ActionClient ---------------------------------------------------------------------------
+
+    def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
+        """Return the names of the action's parameters: all that a simulated robot needs to know."""
+        return action.parameters
+
+    def send(self, request: Request, report: Reporter, /) -> None:
+        """Perform the request, beginning in the next turn of the loop."""
+        self.begin()
+        asyncio.get_running_loop().call_soon(self._receive, request, report)
+
+    def cancel(self, request: UUID, /) -> None:
+        """Stop the request unless it ignores that."""
+        job = self._jobs.get(request)
+        if job and not (job.fault and job.fault.ignores_cancel):
+            asyncio.get_running_loop().call_soon(self._fail, job, OutcomeKind.CANCELED, "cancelled on request")
+
+    def progress(self, request: UUID) -> float:
+        """Return the share of the request that is done, from 0 to 1; it stands still when the robot hangs."""
+        job = self._jobs.get(request)
+        if job is None or not job.lasts:
+            return 0.0
+        return min(1.0, (asyncio.get_running_loop().time() - job.began) / job.lasts)
+
+    # --- what the robots do ---------------------------------------------------------------------
+
+    def _receive(self, request: Request, report: Reporter) -> None:
+        action, server = request.action, self.bindings.server(request.action)
+        if server in self._lost:
+            report(Ended(request.id, Outcome(OutcomeKind.UNAVAILABLE, message=f"there is no server {server}")))
+            return
+        fault = self._fault(action)
+        if fault and fault.kind is FaultKind.REJECT:
+            report(Ended(request.id, Outcome(OutcomeKind.REJECTED, message=fault.message or "goal rejected")))
+            return
+        begun = self.world.begin(action)
+        report(Accepted(request.id))
+        if isinstance(begun, str):
+            report(Ended(request.id, Outcome(OutcomeKind.ABORTED, message=begun)))
+            return
+        now, resources = asyncio.get_running_loop().time(), self.bindings.resources(action)
+        job = self._jobs[request.id] = _Job(request, report, begun, fault, now, resources)
+        self._look_for_clashes(job)
+        self._happen("start", action)
+        self._schedule(job)
+
+    def _schedule(self, job: _Job) -> None:
+        duration = self.untimed if job.request.action.duration is None else job.request.action.duration
+        kind = job.fault.kind if job.fault else None
+        if kind is FaultKind.HANG:
+            return
+        if kind is FaultKind.SLOW:
+            duration *= SLOWNESS
+        job.lasts = duration / self.speed
+        match kind:
+            case FaultKind.ABORT:
+                job.timer = self._later(duration / 2, self._fail, job, OutcomeKind.ABORTED, "the action failed")
+            case FaultKind.LOSE_SERVER:
+                job.timer = self._later(duration / 2, self._lose, job)
+            case _:
+                job.timer = self._later(duration, self._succeed, job)
+
+    def _succeed(self, job: _Job) -> None:
+        if job.broken:
+            self._fail(job, OutcomeKind.ABORTED, f"{job.request.action} went wrong: {job.broken} was not so all the time")
+            return
+        self._forget(job)
+        problem, result = "", dict[str, object]()
+        if job.fault and job.fault.kind is FaultKind.NO_EFFECT:
+            job.activity.undo()
+        elif not (problem := job.activity.finish()):
+            try:
+                result = returned(job.request, self.world)
+            except Uncomputable as error:
+                problem = f"what {job.request.action} returns cannot be computed: {error}"
+        kind = OutcomeKind.ABORTED if problem else OutcomeKind.SUCCEEDED
+        self._end(job, Outcome(kind, result, problem))
+
+    def _fail(self, job: _Job, kind: OutcomeKind, message: str) -> None:
+        if job.request.id in self._jobs:
+            self._forget(job)
+            job.activity.undo()
+            self._end(job, Outcome(kind, message=(job.fault.message if job.fault and kind is OutcomeKind.ABORTED else "") or message))
+
+    def _lose(self, job: _Job) -> None:
+        self._lost.add(self.bindings.server(job.request.action))
+        self._fail(job, OutcomeKind.LOST, "the server went away")
+
+    def _end(self, job: _Job, outcome: Outcome) -> None:
+        self._forget(job)
+        job.report(Ended(job.request.id, outcome))
+        if outcome.kind is OutcomeKind.SUCCEEDED:
+            self._happen("end", job.request.action)
+
+    def _forget(self, job: _Job) -> None:
+        self._jobs.pop(job.request.id, None)
+        if job.timer:
+            job.timer.cancel()
+
+    # --- what goes wrong ------------------------------------------------------------------------
+
+    def _fault(self, action: GroundAction) -> Fault | None:
+        """Return the fault that this request meets; every fault counts the requests it is about."""
+        chosen = None
+        for position, fault in enumerate(self.faults.faults):
+            if fault.concerns(action):
+                seen = self._seen[position] = self._seen.get(position, 0) + 1
+                counts = seen > fault.after and (fault.times is None or seen <= fault.after + fault.times)
+                if counts and (fault.chance == 1.0 or self._chance.random() < fault.chance):
+                    chosen = chosen or fault
+        return chosen
+
+    def _look_for_clashes(self, job: _Job) -> None:
+        for name in job.resources:
+            users = [str(one.request.action) for one in self._jobs.values() if name in one.resources]
+            if len(users) > self.capacities.get(name, 1):
+                self.clashes.append(f"{name} is used by {' and '.join(users)} at once")
+
+    def _happen(self, moment: str, action: GroundAction) -> None:
+        for change in self.faults.changes:
+            if change.follows(moment, action):
+                self.world.change(change.changes)
+
+    def _check(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
+        """Note which actions can no longer end well; like real robots they learn of it at their end."""
+        now = asyncio.get_running_loop().time()
+        for job in self._jobs.values():
+            if job.lasts is None or now < job.began + job.lasts - TOLERANCE:  # what ends now is over already
+                job.broken = job.broken or job.activity.broken
+
+    def _later(self, seconds: float, callback: Callable[..., object], *args: object) -> asyncio.TimerHandle:
+        def run() -> None:
+            del self._timers[run]
+            callback(*args)
+
+        timer = asyncio.get_running_loop().call_later(seconds / self.speed, run)
+        self._timers[run] = timer  # not in a set: all timers of the same moment have the same hash
+        return timer
+
+
+@dataclass(frozen=True, slots=True)
+class _Server:
+    """What a simulated server computes its result from: the goal it was sent, and the world."""
+
+    goal: Mapping[str, object]
+    world: World
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        """Return the true value of a fluent, which may name fields of the goal."""
+        return self.world.truth.value(bind(fluent, {f"?{name}": value for name, value in self.goal.items() if isinstance(value, str)}))
+
+    def local_variable(self, name: str, /) -> object:
+        """Return `MISSING`: variables are the run's."""
+        return MISSING
+
+    def parameter(self, name: str, /) -> object:
+        """Return a field of the goal."""
+        return self.goal.get(name.removeprefix("?"), MISSING)
+
+    def answer(self, question: Question, /) -> object:
+        """Return `MISSING`: a server that is simulated asks nobody."""
+        return MISSING
+
+
+def returned(request: Request, world: World) -> dict[str, object]:
+    """Return what a simulated server answers, as far as there are values.
+
+    Raises:
+        Uncomputable: an operation is not possible with what the goal says.
+    """
+    found = {name: compute(data, _Server(request.goal, world)) for name, data in request.action.returns}
+    return {name: value for name, value in found.items() if value is not MISSING}
+
+
+def simulated_robots(
+    truth: KnowledgeBase,
+    changing: frozenset[str],
+    bindings: Bindings,
+    faults: Faults,
+    timed: tuple[TimedChange, ...] = (),
+    *,
+    lasting: bool,
+    speed: float = 1.0,
+    capacities: Mapping[str, int] | None = None,
+) -> SimulatedRobots:
+    """Return robots in a world that begins with the truth.
+
+    Args:
+        truth: the world as it is at first.
+        changing: predicates and functions that actions or time may alter; those that faults alter come besides.
+        bindings: how actions are bound to servers.
+        faults: what goes wrong.
+        timed: what changes by itself.
+        lasting: whether actions last or facts change by themselves: beside these, other actions take no time at all.
+        speed: how many seconds of the world pass in one second of the clock.
+        capacities: how many jobs may use a resource at the same time; one for those not listed.
+    """
+    hidden = {fluent[0] for change in faults.changes for fluent in change.changes}
+    return SimulatedRobots(World(truth, changing | hidden), faults, bindings, timed, 0.0 if lasting else 1.0, speed, capacities or {})
+
+
+def sense(world: World, knowledge: KnowledgeBase, assumed: Iterable[str] = ()) -> None:
+    """Let knowledge be told of everything in the world that somebody watches.
+
+    At once, but the report that an action has ended comes after what its end has changed.
+    """
+    names = world.reported(assumed)
+
+    def tell(changes: Mapping[Fluent, Value | Unknown]) -> None:
+        knowledge.update({fluent: value for fluent, value in changes.items() if fluent[0] in names})
+
+    knowledge.sense(names, lag=LAG)
+    seen: Changes = world.report(names)
+    knowledge.replace(names, seen)
+    world.truth.listen(tell)

@@ -1,0 +1,1 @@
+"""The core: nets, logic, knowledge, machines and their execution, without I/O, clock or threads."""

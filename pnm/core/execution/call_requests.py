@@ -1,0 +1,321 @@
+"""What the calls of a run are doing: their requests, what they intend to change, and what they have changed.
+
+Decides nothing: `pnm.core.execution.run` says when. What has to be done outside is collected for it in `commands`, and what has
+happened at once, because it concerned knowledge alone, in `reports`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import assert_never
+from uuid import UUID, uuid5
+
+from pnm.core.execution.call_results import CallResult
+from pnm.core.execution.effect_checks import Intention, finished, intention, lag_of_effects, unseen
+from pnm.core.execution.events import Cancel, Command, Send, Tell
+from pnm.core.execution.questions import Consultation
+from pnm.core.knowledge_base import Layered
+from pnm.core.logic.computed_values import MISSING, KnowledgeOperation, Layer, Operation, Query, Question, Update, asked, compute, named
+from pnm.core.logic.conditions import ground
+from pnm.core.logic.effects import Changes, ground_effects, is_fixed, undo, values_before
+from pnm.core.logic.expressions import Environment
+from pnm.core.logic.operators import CHANGING, Uncomputable
+from pnm.core.machine.bindings import Binding, Bindings, goal_data, open_parameters, placeholders
+from pnm.core.machine.machine import Deed
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Request
+
+
+@dataclass(frozen=True, slots=True)
+class UnderWay:
+    """A request that was accepted and is not over, with what its run knows of it: another run may take it over."""
+
+    call: ActionCall
+    """As it was sent."""
+    request: UUID
+    accepted: float
+    """When it was."""
+    result: CallResult
+    """What is told of the call so far."""
+    intended: Intention
+    begun: Changes | None
+    """What was assumed at its start, as it was before."""
+    resources: tuple[str, ...]
+
+
+GoalFields = Callable[[GroundAction], tuple[str, ...] | None]
+
+
+class Calls:
+    """The calls of one run.
+
+    The mutable state is what the constructor sets under "state".
+    """
+
+    def __init__(self, run: UUID, plan: PlanGraph, knowledge: Layered, bindings: Bindings, goal_fields: GoalFields, *, asks: bool) -> None:
+        self._run = run
+        self._plan = plan
+        self._knowledge = knowledge
+        self._bindings = bindings
+        self._goal_fields = goal_fields
+        self._asks = asks
+        # state
+        self.commands: list[Command] = []
+        self.reports: deque[Report] = deque()
+        self.changed = False
+        """Whether knowledge has been changed since somebody last looked."""
+        self.open: dict[UUID, int] = {}
+        """The requests that are not over, as far as is known, and their calls."""
+        self._requests: dict[int, UUID] = {}
+        self._sent: dict[int, int] = {}
+        self._actions: dict[int, GroundAction] = {}
+        self._intended: dict[int, Intention] = {}
+        self._begun: dict[int, Changes] = {}
+        self.accepted: dict[int, float] = {}
+        """Calls whose requests were accepted and nobody cancels, and when they were."""
+
+    # --- what is asked about a call -----------------------------------------------------------
+
+    def action(self, call: int) -> GroundAction:
+        """Return the action as it was sent last."""
+        return self._actions.get(call, self._plan.calls[call].action)
+
+    def as_sent(self, call: int) -> ActionCall:
+        """Return the call with what its parameters had for values when it was sent last."""
+        return replace(self._plan.calls[call], action=self.action(call))
+
+    def arguments(self, call: int) -> tuple[str, ...]:
+        """Return what its parameters would have for values if it were sent now, as far as nobody has to be asked; else their names."""
+        values = self.consult(call, None).environment()
+        return tuple(values.get(argument, argument) for argument in self._plan.calls[call].action.arguments)
+
+    def binding(self, call: int) -> Binding:
+        """Return the binding of the call's action."""
+        return self._bindings.of(self._plan.calls[call].action.name)
+
+    def consult(self, call: int | None, answers: Mapping[Question, object] | None) -> Consultation:
+        """Return what a decision about the call is made from; without answers, when nobody can be asked any more."""
+        asks = self._asks and answers is not None
+        if call is None or call >= len(self._plan.calls):
+            return Consultation(self._knowledge, answers=answers or {}, asks=asks)
+        return Consultation(self._knowledge, self._plan.calls[call].action, self.binding(call), answers or {}, asks)
+
+    def ready(self, call: int, consulted: Consultation) -> GroundAction:
+        """Return the action with what knowledge now has for the parameters that the plan leaves open."""
+        action = self._plan.calls[call].action
+        env = consulted.environment()
+        return _grounded(action, env) if env else action
+
+    def goal(self, call: int, consulted: Consultation) -> tuple[dict[str, object], tuple[str, ...]]:
+        """Return the fields of the goal, and the names of those for which there is no value."""
+        action = self.ready(call, consulted)
+        if action.operation is not None:
+            return {}, _unknown_values(action.operation, consulted)
+        binding = self.binding(call)
+        fields, missing = goal_data(action, binding, self._goal_fields(action), consulted)
+        patterns = (binding.server or "", *binding.resources, *action.resources)
+        in_names = {name for pattern in patterns for name in placeholders(pattern)}
+        return fields, tuple(dict.fromkeys((*missing, *(name for name in open_parameters(action) if name in in_names))))
+
+    def claiming(self, call: int, deed: Deed | None, consulted: Consultation) -> tuple[UUID, GroundAction]:
+        """Return for which request, and with which parameters, the call claims resources: for the next one if it is being sent."""
+        if deed is Deed.SEND:
+            return self._next(call), self.ready(call, consulted)
+        return self._requests[call], self.action(call)
+
+    def resources(self, action: GroundAction) -> tuple[str, ...]:
+        """Return what the action has for itself while it is under way."""
+        return self._bindings.resources(action)
+
+    def unseen(self, call: int, consulted: Consultation) -> tuple[str, ...]:
+        """Return what of the call's effects is not seen."""
+        return unseen(self._intended[call].expected, self.action(call), consulted)
+
+    def lag_of_effects(self, call: int, consulted: Consultation) -> float:
+        """Return how many seconds late the reports about its effects may come."""
+        return lag_of_effects(self._intended[call].expected, self.action(call), consulted)
+
+    # --- deeds --------------------------------------------------------------------------------
+
+    def foresee(self, deed: Deed | None, call: int, consulted: Consultation) -> None:
+        """Work out what the deed is going to change.
+
+        Raises:
+            Unanswered: that depends on a question, which has to be asked before the deed is done.
+        """
+        if not self._asks:
+            return
+        match deed:
+            case Deed.SEND:
+                action = self.ready(call, consulted)
+                if not all(map(is_fixed, (*action.start_effects, *action.end_effects))):
+                    intention(replace(self._plan.calls[call], action=action), consulted)
+            case Deed.FINISH if not all(map(is_fixed, self._intended[call].end_effects)):
+                finished(self.action(call), self._intended[call], consulted)
+            case _:
+                pass
+
+    def do(self, deed: Deed, call: int, attempt: int, consulted: Consultation) -> None:
+        """Do what the firing of a transition brings about; `attempt` counts the requests each time the call is reached."""
+        match deed:
+            case Deed.SEND:
+                self._send(call, attempt, consulted)
+            case Deed.ADOPT:
+                pass  # what there is to know of it is known
+            case Deed.CANCEL:
+                self.accepted.pop(call, None)
+                self.commands.append(Cancel(self._requests[call]))
+            case Deed.BEGIN:
+                start = self._intended[call].start
+                self._begun[call] = values_before(start, consulted)
+                self._write(start)
+            case Deed.FINISH:
+                self._write(finished(self.action(call), self._intended[call], consulted))
+            case Deed.UNDO:
+                if call in self._begun:
+                    self._write(undo(self._begun.pop(call), self._intended[call].start, consulted))
+            case _:
+                assert_never(deed)
+
+    def adopt(self, call: int, taken: UnderWay) -> None:
+        """Know of the request what its run has known."""
+        self.open[taken.request] = call
+        self._requests[call] = taken.request
+        self._actions[call] = taken.call.action
+        self._intended[call] = taken.intended
+        self.accepted[call] = taken.accepted
+        if taken.begun is not None:
+            self._begun[call] = taken.begun
+
+    def under_way(self, results: Sequence[CallResult]) -> tuple[UnderWay, ...]:
+        """Return the requests that another run may take over; results are what is told of the calls so far."""
+        return tuple(
+            UnderWay(
+                self.as_sent(call),
+                request,
+                self.accepted[call],
+                results[call],
+                self._intended[call],
+                self._begun.get(call),
+                self.resources(self.action(call)),
+            )
+            for request, call in self.open.items()
+            if call in self.accepted
+        )
+
+    def forget(self, call: int) -> None:
+        """No longer wait for the request of the call."""
+        self.open.pop(self._requests[call], None)
+
+    def store(self, call: int, outcome: Outcome) -> None:
+        """Store the fields of the result, by their own names or as the binding says."""
+        store = {**self.binding(call).store, **dict(self._plan.calls[call].store)}
+        self.changed = True
+        self._knowledge.local.store({store.get(name, name): value for name, value in outcome.result.items()})
+
+    def _send(self, call: int, attempt: int, consulted: Consultation) -> None:
+        action = self.ready(call, consulted)
+        self._actions[call] = action
+        self._begun.pop(call, None)
+        self.accepted.pop(call, None)
+        identity = self._next(call)
+        self._sent[call] = self._sent.get(call, 0) + 1
+        self.open[identity] = call
+        self._requests[call] = identity
+        self._intended[call] = intention(replace(self._plan.calls[call], action=action), consulted)
+        if action.operation is not None:
+            self._operate(identity, action.operation, consulted)
+        else:
+            self.commands.append(Send(Request(identity, action, self.goal(call, consulted)[0], attempt)))
+
+    def _next(self, call: int) -> UUID:
+        """Return the identity of the next request of the call."""
+        return self.identity(f"{call}/{self._sent.get(call, 0) + 1}")
+
+    def identity(self, what: str) -> UUID:
+        """Return an identity that follows from the run's and what it is for; the first four bytes are the run's, to be found by."""
+        return UUID(bytes=self._run.bytes[:4] + uuid5(self._run, what).bytes[4:])
+
+    def _write(self, new: Changes) -> None:
+        """Write what nobody reports; sensors tell the rest."""
+        world = self._knowledge.world
+        if world.update({fluent: value for fluent, value in new.items() if not world.is_sensed(fluent)}):
+            self.changed = True
+
+    # --- operations on knowledge --------------------------------------------------------------
+
+    def _operate(self, identity: UUID, operation: KnowledgeOperation, consulted: Consultation) -> None:
+        try:
+            told = self._operated(operation, consulted)
+        except Uncomputable as error:
+            self.reports.append(Ended(identity, Outcome(OutcomeKind.ABORTED, message=str(error))))
+            return
+        if told is None:
+            self.reports.append(Ended(identity, Outcome(OutcomeKind.SUCCEEDED)))
+        else:
+            self.commands.append(Tell(identity, *told))
+
+    def _operated(self, operation: KnowledgeOperation, consulted: Consultation) -> tuple[Question, object] | None:
+        """Do what can be done at once; return what has to be stored outside."""
+        match operation:
+            case Query():
+                compute(operation, consulted)
+                return None
+            case Operation(name, operands):
+                value = compute(operation, consulted)
+                if name in CHANGING and isinstance(operands[0], Query):
+                    return self._stored(asked(operands[0], consulted), value)
+                return None
+            case Update(name, data, layer, meta):
+                value = compute(data, consulted)
+                question = asked(Query(name, layer, meta), consulted)
+                return self._stored(question, None if value is MISSING else value)
+            case _:
+                assert_never(operation)
+
+    def _stored(self, question: Question, value: object) -> tuple[Question, object] | None:
+        self.changed = True
+        if question.layer in (Layer.LOCAL, Layer.ALL):
+            self._knowledge.local.store({question.name: value})
+        if question.layer is Layer.LOCAL:
+            return None
+        if self._asks:
+            return replace(question, layer=Layer.GLOBAL if question.layer is Layer.ALL else question.layer), value
+        if question.layer is Layer.PERSON:
+            raise Uncomputable(f"there is nobody to be told {value!r}")
+        self._knowledge.world.store({question.name: value})
+        return None
+
+
+def _unknown_values(operation: KnowledgeOperation, consulted: Consultation) -> tuple[str, ...]:
+    """Return the variables that an update copies but nobody knows; have everything asked that the operation depends on."""
+    try:
+        match operation:
+            case Update(name, data, _, meta):
+                named(name, consulted)
+                compute(meta, consulted)
+                if compute(data, consulted) is not MISSING:
+                    return ()
+                return (asked(data, consulted).name,) if isinstance(data, Query) else (str(data).removeprefix("?"),)
+            case _:
+                compute(operation, consulted)
+                return ()
+    except Uncomputable:
+        return ()  # the operation itself will say so
+
+
+def _grounded(action: GroundAction, env: Environment) -> GroundAction:
+    told = dict(zip(action.parameters, action.arguments, strict=True))
+    arguments = tuple(env.get(f"?{name}", value) if value.startswith("?") else value for name, value in told.items())
+    return replace(
+        action,
+        arguments=arguments,
+        precondition=ground(action.precondition, env),
+        invariant=ground(action.invariant, env),
+        end_condition=ground(action.end_condition, env),
+        expected=ground(action.expected, env),
+        start_effects=ground_effects(action.start_effects, env),
+        end_effects=ground_effects(action.end_effects, env),
+    )

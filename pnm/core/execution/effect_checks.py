@@ -1,0 +1,95 @@
+"""What is checked around a call: pure functions of a ground action and what is known.
+
+Before: do its effects hold already? After: are its effects seen? An effect is *seen* when its
+fluent is sensed and has the value; effects on assumed fluents cannot be checked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from pnm.core.execution.questions import Consultation
+from pnm.core.knowledge_base import show_statement
+from pnm.core.logic.conditions import TRUE, Condition, conjuncts, evaluate, failing, names
+from pnm.core.logic.effects import Changes, Effects, changes, decided, facts, is_fixed, names_written
+from pnm.core.logic.expressions import Fluent, Value, same
+from pnm.core.machine.plan_graph import ActionCall, GroundAction
+
+
+def already_true(action: GroundAction, knowledge: Consultation) -> bool:
+    """Tell whether what is expected of the action holds, and it changes nothing but plain facts and objects which are so already.
+
+    An action of which nothing is expected and that changes nothing is never done already.
+    """
+    at_start, at_end = facts(action.start_effects, knowledge), facts(decided(action.end_effects, knowledge), knowledge)
+    if at_start is None or at_end is None or not (at_start or at_end or action.expected != TRUE):
+        return False
+    if evaluate(action.expected, knowledge) is not True:
+        return False
+    return all(same(knowledge.value(fluent), value) for fluent, value in (at_start | at_end).items())
+
+
+@dataclass(frozen=True, slots=True)
+class Intention:
+    """What a call is going to change, computed when it is sent: later the sensors already show some of it."""
+
+    start: Changes = field(default_factory=dict)
+    end: Changes = field(default_factory=dict)
+    end_effects: Effects = ()
+    """Those of the action, once their early conditions are decided."""
+    expected: Mapping[Fluent, Value] = field(default_factory=dict)
+    """The facts and objects that sensors should report once the call has succeeded."""
+
+
+def intention(call: ActionCall, knowledge: Consultation) -> Intention:
+    """Compute what the call, which is being sent, is going to change, and what of it should be seen.
+
+    Numbers are not expected: a real battery never shows the modelled figure. Nor is, of a durative
+    action, what is only decided at its end: effects under a condition, and values that are read then.
+    """
+    action = call.action
+    ending = decided(action.end_effects, knowledge)
+    start, end = changes(action.start_effects, knowledge), changes(ending, knowledge)
+    lasting = {fluent: value for fluent, value in start.items() if fluent in call.lasting}
+    late = names_written(tuple(one for one in ending if not is_fixed(one))) if action.duration is not None else frozenset()
+    wanted = {fluent: value for fluent, value in (lasting | end).items() if fluent[0] not in late}
+    seen = {fluent: value for fluent, value in wanted.items() if isinstance(value, bool | str) and knowledge.world.is_sensed(fluent)}
+    return Intention(start, end, ending, seen)
+
+
+def finished(action: GroundAction, intended: Intention, knowledge: Consultation) -> Changes:
+    """Return what the end of the action changes.
+
+    A durative action's end effects read the state at its end. An instantaneous action's conditions and
+    objects were decided when it was sent; its numbers change from what they are now, for others may
+    have changed them meanwhile.
+    """
+    now = changes(intended.end_effects, knowledge)
+    if action.duration is not None:
+        return now
+    return {fluent: value if isinstance(value, bool | str) else now.get(fluent, value) for fluent, value in intended.end.items()}
+
+
+def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: Consultation) -> tuple[str, ...]:
+    """Return, as PDDL, which expected facts are not reported and which end conditions and expectations do not hold."""
+    missing = (show_statement(fluent, value) for fluent, value in wanted.items() if not same(knowledge.world.value(fluent), value))
+    return (*missing, *map(str, _end_denied(action, knowledge)), *map(str, failing(action.expected, knowledge)))
+
+
+def _end_denied(action: GroundAction, knowledge: Consultation) -> Iterator[Condition]:
+    """Yield the parts of the end condition that do not hold; those the end itself changes cannot be told any more."""
+    changed = names_written(action.end_effects)
+    for part in conjuncts(action.end_condition):
+        if not knowledge.world.rules.base(names(part)) & changed and evaluate(part, knowledge) is not True:
+            yield part
+
+
+def lag_of_effects(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: Consultation) -> float:
+    """Return how many seconds late the reports about the effects and the end condition may come."""
+    return knowledge.world.lag({*(fluent[0] for fluent in wanted), *names(action.end_condition), *names(action.expected)})
+
+
+def is_assumed(action: GroundAction, knowledge: Consultation) -> bool:
+    """Tell whether nothing reports some of what the action changes."""
+    return not all(knowledge.world.is_sensed((name,)) for name in names_written((*action.start_effects, *action.end_effects)))

@@ -1,0 +1,146 @@
+"""Σ and its answer: what a run is told, and what it asks for.
+
+A run is told *events* (reports about requests besides) and answers with *commands*. All times
+are seconds on the clock of whoever calls it.
+
+Who listens to a run: one empty method per moment. Progress, traces and journals are observers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+from uuid import UUID
+
+from pnm.core.execution.call_results import Failure
+from pnm.core.logic.computed_values import Question
+from pnm.core.machine.machine import Rule
+from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.requests import Outcome, Report, Request
+
+
+@dataclass(frozen=True, slots=True)
+class Begin:
+    """Start the run."""
+
+
+@dataclass(frozen=True, slots=True)
+class KnowledgeChanged:
+    """Facts have changed; conditions that were waiting are asked again."""
+
+
+@dataclass(frozen=True, slots=True)
+class ResourcesChanged:
+    """Somebody who waits for resources may have them now; calls that wait for some ask again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """The moment of a `Wake` has come."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """End the run: start nothing more; cancel what runs, or let it end by itself."""
+
+    cancel: bool = True
+    reason: str = "cancelled"
+
+
+@dataclass(frozen=True, slots=True)
+class Pause:
+    """Start nothing more until told to resume; let what runs come to its end, or have it cancelled and begin anew later."""
+
+    at_once: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Resume:
+    """Go on after a pause."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """What a question of an `Ask` was answered with; `MISSING` when nobody knows, or nobody has answered in time."""
+
+    id: UUID
+    value: object
+    message: str = ""
+    """Why there is no value, when there is none."""
+
+
+Event: TypeAlias = Begin | KnowledgeChanged | ResourcesChanged | Tick | Stop | Pause | Resume | Answered | Report
+
+
+@dataclass(frozen=True, slots=True)
+class Send:
+    """Send the request."""
+
+    request: Request
+
+
+@dataclass(frozen=True, slots=True)
+class Cancel:
+    """Ask for the request to be cancelled."""
+
+    request: UUID
+
+
+@dataclass(frozen=True, slots=True)
+class Wake:
+    """Call back with a `Tick` at this time; replaces an earlier `Wake`."""
+
+    at: float
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """Ask the question outside of the run; exactly one `Answered` follows."""
+
+    id: UUID
+    question: Question
+
+
+@dataclass(frozen=True, slots=True)
+class Withdraw:
+    """The answer to the question is no longer needed."""
+
+    id: UUID
+
+
+@dataclass(frozen=True, slots=True)
+class Tell:
+    """Store the value outside of the run; one `Ended` follows, as for a request that was sent."""
+
+    id: UUID
+    question: Question
+    """Its name and layer say where the value goes, its meta data go with it."""
+    value: object
+
+
+Command: TypeAlias = Send | Cancel | Wake | Ask | Withdraw | Tell
+
+
+class Observer:
+    """Does nothing; override what is of interest. Must not raise and must not block. `now` is in seconds of the event loop."""
+
+    def fired(self, transition: str, rule: Rule, now: float) -> None:
+        """Note that a transition has fired."""
+
+    def sent(self, call: ActionCall, request: Request, now: float) -> None:
+        """Note that a request is being sent."""
+
+    def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:
+        """Note that a request is over."""
+
+    def failed(self, failure: Failure, now: float) -> None:
+        """Note that a failure place was marked."""
+
+    def withheld(self, call: ActionCall, names: tuple[str, ...], now: float) -> None:
+        """Note that a request was given up, and keeps these resources until its server says that it is over."""
+
+    def waiting(self, is_so: bool, now: float) -> None:
+        """Note that nothing goes on before a person has answered, or that this is over."""
+
+    def orphaned(self, report: Report, now: float) -> None:
+        """Note a report that nothing waits for: late, repeated, or about an unknown request."""

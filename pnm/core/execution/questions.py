@@ -1,0 +1,224 @@
+"""What one decision of a run is made from: knowledge, what the plan gives the call, and answers from outside.
+
+A question is asked once per decision, however often its answer is looked at: `Questions` keeps the answers until the
+token leaves the place at which it is being decided.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from uuid import UUID
+
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.computed_values import MISSING, JsonText, Layer, Question, Unanswered, compute
+from pnm.core.logic.expressions import NOTHING, Environment, Fluent, Unknown, Value
+from pnm.core.logic.operators import Uncomputable
+from pnm.core.machine.bindings import DEFAULT, Binding, open_parameters
+from pnm.core.machine.plan_graph import GroundAction
+
+_NO_ACTION = GroundAction("")
+
+
+@dataclass(frozen=True, slots=True)
+class Consultation:
+    """What conditions, goal fields and operations are computed from.
+
+    Asking for what is not known here raises `Unanswered` as long as the question is not among the answers.
+    """
+
+    knowledge: Layered
+    action: GroundAction = _NO_ACTION
+    """The one that the decision is about."""
+    binding: Binding = DEFAULT
+    answers: Mapping[Question, object] = field(default_factory=dict)
+    asks: bool = False
+    """Whether there is anybody to ask."""
+
+    @property
+    def world(self) -> KnowledgeBase:
+        """What all runs share."""
+        return self.knowledge.world
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        """Return the value of the fluent in the world."""
+        return self.knowledge.value(fluent)
+
+    def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
+        """Return the objects of any of the types."""
+        return self.knowledge.objects(types)
+
+    def because(self, fluent: Fluent, /) -> str:
+        """Say why a derived fact holds or does not."""
+        return self.knowledge.because(fluent)
+
+    def local_variable(self, name: str, /) -> object:
+        """Return a variable of the run, or `MISSING`."""
+        return self.knowledge.local.variable(name)
+
+    def variable(self, name: str, /) -> object:
+        """Return a variable of the run or, if it has none, of what all runs share in memory; or `MISSING`."""
+        return self.knowledge.variable(name)
+
+    def answer(self, question: Question, /) -> object:
+        """Return what the question is answered with: by what all runs share in memory, or from outside."""
+        if question.layer is not Layer.PERSON:
+            question = Question(question.name, Layer.GLOBAL, question.meta)
+            if (known := self.world.variable(question.name)) is not MISSING:
+                return known
+        if not self.asks:
+            return MISSING
+        if question not in self.answers:
+            raise Unanswered(question)
+        return self.answers[question]
+
+    def find(self, name: str, /) -> object:
+        """Return a variable that is needed: local, global, or asked for if the binding says so; or `MISSING`."""
+        found = self.variable(name)
+        if found is MISSING:
+            found = self.answer(Question(name, Layer.GLOBAL, "null"))
+        if found is MISSING and name in self.binding.ask:
+            found = self.answer(Question(name, Layer.PERSON, json.dumps(self._wording(name))))
+        return found
+
+    def _wording(self, name: str) -> str:
+        """Return what a person is asked for a variable, with the arguments of the call for parameters in braces."""
+        words = self.binding.ask[name]
+        for parameter, value in zip(self.action.parameters, self.action.arguments, strict=True):
+            words = words.replace(f"{{{parameter}}}", value)
+        return words
+
+    def parameter(self, name: str, /) -> object:
+        """Return what the call gives a parameter of its action, named with ``?``; or `MISSING`."""
+        bare = name.removeprefix("?")
+        given = dict(self.action.given)
+        if bare in given:
+            return compute(given[bare], self)
+        told = dict(zip(self.action.parameters, self.action.arguments, strict=True)).get(bare, name)
+        return self.find(bare) if told.startswith("?") else told
+
+    def given(self) -> dict[str, object]:
+        """Return the values that the plan gives to goal fields, or leaves open for knowledge to fill, as far as there are any."""
+        values = {name: self._parameter(name) for name in open_parameters(self.action)}
+        values |= {name: self._parameter(name) for name, _ in self.action.given}
+        return {name: value for name, value in values.items() if value is not MISSING}
+
+    def environment(self) -> Environment:
+        """Return what knowledge has for the parameters that the plan leaves open: names of objects, or other values as JSON text."""
+        if not any(value.startswith("?") for value in self.action.arguments):
+            return NOTHING
+        found = {f"?{name}": self._parameter(name) for name in open_parameters(self.action)}
+        known = {name: value for name, value in found.items() if value is not MISSING}
+        return {name: value if isinstance(value, str) else JsonText(json.dumps(value)) for name, value in known.items()}
+
+    def uncomputable(self, names: Iterable[str], /) -> Iterator[str]:
+        """Say for which of the parameters, without ``?``, the plan gives what cannot be computed, and why."""
+        given = dict(self.action.given)
+        for name in given.keys() & {*names}:
+            try:
+                compute(given[name], self)
+            except Uncomputable as error:
+                yield str(error)
+
+    def _parameter(self, name: str) -> object:
+        """Return the value of a parameter, without ``?``; what cannot be computed is missing."""
+        try:
+            return self.parameter(f"?{name}")
+        except Uncomputable:
+            return MISSING
+
+
+class Questions:
+    """The questions that a run has asked outside, and their answers.
+
+    What people have said to a run is known to the one that succeeds it, once for every call of the same action that asks the
+    same; knowledge bases are asked again, for what they know may have changed, and nobody is troubled.
+
+    The mutable state is the dictionaries and the list.
+    """
+
+    def __init__(self) -> None:
+        self._subjects: dict[int, str] = {}
+        """By place, what questions are asked for there."""
+        self._answers: dict[int, dict[Question, object]] = {}
+        self._silence: dict[int, list[str]] = {}
+        self._asked: dict[UUID, tuple[int, Question]] = {}
+        self._inherited: list[tuple[str, Question, object]] = []
+        """What the run before was told and has not used."""
+        self._open: dict[UUID, tuple[str, Question]] = {}
+        """What the run before has asked, and this one has not come to yet."""
+
+    def answers_at(self, place: int) -> Mapping[Question, object]:
+        """Return what is known for the decision at a place."""
+        return self._answers.get(place, {})
+
+    def is_asked(self, place: int, question: Question) -> bool:
+        """Tell whether the question has been asked for the decision at the place, and not been answered yet."""
+        return (place, question) in self._asked.values()
+
+    @property
+    def wait_for_people(self) -> bool:
+        """Whether a person has been asked and has not answered yet."""
+        return any(question.layer is Layer.PERSON for _, question in self._asked.values())
+
+    def ask(self, identity: UUID, place: int, subject: str, question: Question) -> None:
+        """Note that the question is being asked, for the sake of the subject."""
+        self._subjects[place] = subject
+        self._asked[identity] = (place, question)
+
+    def silence_at(self, place: int | None) -> Sequence[str]:
+        """Return why questions for the decision at a place have no answers."""
+        return () if place is None else self._silence.get(place, ())
+
+    def answered(self, identity: UUID, value: object, message: str) -> int | None:
+        """Note an answer, or why there is none; return the place that waits for it, if any still does."""
+        if identity in self._open:
+            self._keep(*self._open.pop(identity), value)
+        place, question = self._asked.pop(identity, (None, None))
+        if place is not None and question is not None:
+            self._answers.setdefault(place, {})[question] = value
+            if message:
+                self._silence.setdefault(place, []).append(message)
+        return place
+
+    def left(self, place: int) -> Iterator[UUID]:
+        """Forget all that concerns the place; yield the questions whose answers are no longer needed."""
+        self._answers.pop(place, None)
+        self._silence.pop(place, None)
+        for identity in [one for one, (where, _) in self._asked.items() if where == place]:
+            del self._asked[identity]
+            yield identity
+
+    # --- from one run to the next ---------------------------------------------------------------
+
+    def inherit(self, old: Questions, subjects: frozenset[str]) -> frozenset[UUID]:
+        """Know what people have told the run before for the sake of these subjects; return what they are still being asked."""
+        given = [(old._subjects[place], *one) for place, answers in old._answers.items() for one in answers.items()]
+        for subject, question, value in (*given, *old._inherited):
+            if subject in subjects:
+                self._keep(subject, question, value)
+        asked = {identity: (old._subjects[place], question) for identity, (place, question) in old._asked.items()}
+        for identity, (subject, question) in {**old._open, **asked}.items():
+            if subject in subjects and question.layer is Layer.PERSON:
+                self._open[identity] = subject, question
+        return frozenset(self._open)
+
+    def take_up(self, place: int, subject: str, question: Question) -> bool:
+        """Have the decision at the place know what was asked by the run before; tell whether it was."""
+        for number, (its, known, value) in enumerate(self._inherited):
+            if (its, known) == (subject, question):
+                del self._inherited[number]
+                self._subjects[place] = subject
+                self._answers.setdefault(place, {})[question] = value
+                return True
+        for identity, asked in self._open.items():
+            if asked == (subject, question):
+                del self._open[identity]
+                self.ask(identity, place, subject, question)
+                return True
+        return False
+
+    def _keep(self, subject: str, question: Question, value: object) -> None:
+        if question.layer is Layer.PERSON and value is not MISSING:
+            self._inherited.append((subject, question, value))

@@ -1,0 +1,311 @@
+"""Resources that several runs share: who has what, and who stands in line for it.
+
+A claim gets all that it names at once, or nothing; whoever has something waits for nothing else. In line stand
+higher priorities first, then who came first, and a claim takes nothing that one ahead of it waits for. So nobody is
+overtaken for ever by equals, and as long as everybody gives back what they have, everybody gets what they want.
+
+A request that was given up keeps what it has: its server may still be at work. It is *withheld* until the server reports
+the end of the request, or is gone; whoever waits for it must not do so for ever.
+
+What the calls of one run have of resources, and where calls wait for some.
+
+Decides nothing: `pnm.core.execution.run` says when.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final
+from uuid import UUID
+
+_ONE_EACH: Final[Mapping[str, int]] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """What a request needs for itself."""
+
+    task: UUID
+    """Whose request it is."""
+    request: UUID
+    priority: int
+    names: tuple[str, ...]
+
+
+class Resources:
+    """How many requests may have each resource at the same time, those that have some, and the line.
+
+    Args:
+        capacities: one for those not listed.
+
+    The mutable state is what the constructor sets under "state".
+    """
+
+    def __init__(self, capacities: Mapping[str, int] = _ONE_EACH) -> None:
+        self._capacities = dict(capacities)
+        # state
+        self._held: dict[UUID, Claim] = {}
+        self._withheld: dict[UUID, str] = {}
+        """Of those that have some, the requests that were given up, and what people know them by."""
+        self._used: Counter[str] = Counter()
+        self._line: list[Claim] = []
+        self._listeners: list[Callable[[], None]] = []
+
+    @property
+    def held(self) -> tuple[Claim, ...]:
+        """The claims that have been granted and not been given back."""
+        return tuple(self._held.values())
+
+    @property
+    def line(self) -> tuple[Claim, ...]:
+        """The claims that wait, those that are served first in front."""
+        return tuple(self._line)
+
+    def is_free(self, claim: Claim) -> bool:
+        """Tell whether the claim would be granted now."""
+        taken = self._used.copy()
+        for other in self._ahead(claim):
+            taken.update(other.names)
+        return self._fits(claim, taken)
+
+    def take(self, claim: Claim) -> bool:
+        """Grant the claim and return True, or keep it in line, once."""
+        if claim.request in self._held:
+            return True
+        if not self.is_free(claim):
+            self._queue(claim)
+            return False
+        self._line = [one for one in self._line if one.request != claim.request]
+        self._hold(claim)
+        return True
+
+    def keep(self, claim: Claim) -> None:
+        """Note what a request has that is under way already; what it has been granted here stays as it is."""
+        if claim.request not in self._held:
+            self._hold(claim)
+
+    def give(self, request: UUID) -> None:
+        """Take back what the request has."""
+        self._withheld.pop(request, None)
+        claim = self._held.pop(request, None)
+        if claim is not None:
+            self._used.subtract(claim.names)
+            self._tell()
+
+    def withhold(self, request: UUID, name: str) -> None:
+        """Keep what the request has until its end is confirmed; nobody waits for that any more.
+
+        Args:
+            request: which was given up.
+            name: what people know it by.
+        """
+        if request in self._held:
+            self._withheld[request] = name
+            if any(self.withheld_from(claim.names) for claim in self._line):
+                self._call()
+
+    def confirm(self, request: UUID) -> None:
+        """Note that the request is over for its server; what it has kept is free then."""
+        if request in self._withheld:
+            self.give(request)
+
+    @property
+    def withheld(self) -> Mapping[str, str]:
+        """What is withheld altogether, and by whom."""
+        return self.withheld_from(dict.fromkeys(name for request in self._withheld for name in self._held[request].names))
+
+    def withheld_from(self, names: Iterable[str]) -> Mapping[str, str]:
+        """Return which of the names are withheld altogether, and by whom."""
+        found: dict[str, str] = {}
+        for name in names if self._withheld else ():
+            by = [known for request, known in self._withheld.items() if name in self._held[request].names]
+            if len(by) >= self._capacity(name):
+                found[name] = ", ".join(by)
+        return found
+
+    def withdraw(self, request: UUID) -> None:
+        """Take the claim of the request out of the line: nobody waits for it any more."""
+        left = [one for one in self._line if one.request != request]
+        if len(left) < len(self._line):
+            self._line = left
+            self._tell()
+
+    def outranked(self) -> frozenset[UUID]:
+        """Return the tasks that have what a claim of higher priority waits for."""
+        return frozenset(
+            one.task
+            for claim in self._line
+            for one in self._held.values()
+            if one.task != claim.task and one.priority < claim.priority and self._is_short(claim, one) and self.gives(one)
+        )
+
+    def gives(self, claim: Claim) -> bool:
+        """Tell whether what was granted is going to be given back: nobody has given up waiting for that."""
+        return claim.request not in self._withheld
+
+    def servable(self) -> frozenset[UUID]:
+        """Return the requests in line whose claims would be granted if they were made again."""
+        return frozenset(claim.request for claim in self._servable())
+
+    def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Call the listener when a claim in line would be granted if it were made again, when one comes that outranks who has it,
+        and when what one waits for is withheld.
+
+        Returns what stops that.
+        """
+        self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener)
+
+    def __repr__(self) -> str:
+        names = sorted(name for name, used in self._used.items() if used)
+        return f"<Resources, in use: {', '.join(names) or 'none'}; {len(self._line)} in line>"
+
+    def _capacity(self, name: str) -> int:
+        return self._capacities.get(name, 1)
+
+    def _fits(self, claim: Claim, taken: Mapping[str, int]) -> bool:
+        return all(taken[name] < self._capacity(name) for name in claim.names)
+
+    def _is_short(self, claim: Claim, holder: Claim) -> bool:
+        return any(name in holder.names and self._used[name] >= self._capacity(name) for name in claim.names)
+
+    def _ahead(self, claim: Claim) -> Iterator[Claim]:
+        """Yield the claims that are served before this one, which may stand in line or not."""
+        stands = any(one == claim for one in self._line)
+        for other in self._line:
+            if other == claim or (not stands and other.priority < claim.priority):
+                return
+            if other.request != claim.request:
+                yield other
+
+    def _queue(self, claim: Claim) -> None:
+        if claim not in self._line:
+            self._line = [one for one in self._line if one.request != claim.request]
+            place = sum(other.priority >= claim.priority for other in self._line)
+            self._line.insert(place, claim)
+            if self.outranked():
+                self._call()
+
+    def _hold(self, claim: Claim) -> None:
+        self._held[claim.request] = claim
+        self._used.update(claim.names)
+
+    def _tell(self) -> None:
+        """Tell everybody if there is somebody in line who could be served."""
+        if any(True for _ in self._servable()):
+            self._call()
+
+    def _call(self) -> None:
+        for listener in tuple(self._listeners):
+            listener()
+
+    def _servable(self) -> Iterator[Claim]:
+        taken = self._used.copy()
+        for claim in self._line:
+            if self._fits(claim, taken):
+                yield claim
+            taken.update(claim.names)
+
+
+def who_keeps(withheld: Mapping[str, str]) -> str:
+    """Say who keeps what is withheld; empty when nothing is."""
+    return "; ".join(f"{name} is kept by {by}, which has not confirmed that it is over" for name, by in withheld.items())
+
+
+class Claims:
+    """The claims of one run to resources that it shares with others.
+
+    Args:
+        resources: who has what.
+        task: on whose behalf they are claimed.
+        priority: how they stand among those of others.
+
+    The mutable state is what the constructor sets under "state".
+    """
+
+    def __init__(self, resources: Resources, task: UUID, priority: int) -> None:
+        self.resources = resources
+        self._task = task
+        self._priority = priority
+        # state
+        self._waiting: dict[int, UUID | None] = {}
+        """By place, the requests that stand in line; None where only calls of this run are in the way."""
+        self._had: dict[int, UUID] = {}
+        """For every call that has resources, the request that has them."""
+
+    def claim(self, request: UUID, names: tuple[str, ...]) -> Claim:
+        """Return what the request claims."""
+        return Claim(self._task, request, self._priority, names)
+
+    def are_free(self, place: int, claim: Claim) -> bool:
+        """Tell whether the claim would be granted; if not, it stands in line, and the place waits for it."""
+        if self.resources.is_free(claim):
+            return True
+        self.resources.take(claim)
+        self._waiting[place] = claim.request
+        return False
+
+    def wait_for_own(self, place: int) -> None:
+        """Wait at the place for what other calls of this run have, and not in line."""
+        self.leave(place)
+        self._waiting[place] = None
+
+    def take(self, call: int, claim: Claim) -> None:
+        """Have what is free."""
+        granted = self.resources.take(claim)
+        assert granted, "what is not free opens nothing"
+        self._had[call] = claim.request
+
+    def keep(self, call: int, claim: Claim) -> None:
+        """Have what the request of the call has been granted before."""
+        self.resources.keep(claim)
+        self._had[call] = claim.request
+
+    def give(self, call: int) -> None:
+        """Give back what the call has."""
+        self.resources.give(self._had.pop(call))
+
+    def withheld_from(self, names: tuple[str, ...]) -> Mapping[str, str]:
+        """Return which of the names are withheld, and by whom."""
+        return self.resources.withheld_from(names)
+
+    def withhold(self, call: int, name: str) -> tuple[str, ...]:
+        """Have the request of the call keep what it has, though nobody waits for its end any more; return what that is."""
+        request = self._had.pop(call)
+        self.resources.withhold(request, f"{name} of task {self._task.hex[:8]}")
+        return next((claim.names for claim in self.resources.held if claim.request == request), ())
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether anything is waited for."""
+        return bool(self._waiting)
+
+    def leave(self, place: int) -> bool:
+        """No longer wait at the place; tell whether it did."""
+        if place not in self._waiting:
+            return False
+        request = self._waiting.pop(place)
+        if request is not None:
+            self.resources.withdraw(request)
+        return True
+
+    def served(self) -> list[int]:
+        """Return the places that wait and where the claim may be granted now, or has come to wait for what is withheld."""
+        if not self._waiting:
+            return []
+        ready = self.resources.servable() | {claim.request for claim in self.resources.line if self.resources.withheld_from(claim.names)}
+        return [place for place, request in self._waiting.items() if request is None or request in ready]
+
+    def end(self, kept: Collection[UUID], open_calls: Mapping[UUID, str]) -> None:
+        """Wait for nothing, and give everything back but what these requests have; those that are open keep what they have."""
+        for place in [*self._waiting]:
+            self.leave(place)
+        for call, request in [*self._had.items()]:
+            if request in kept:
+                continue
+            if request in open_calls:
+                self.withhold(call, open_calls[request])
+            else:
+                self.give(call)

@@ -1,0 +1,137 @@
+"""How a run is doing: the time, what it was told, and whether it can still succeed.
+
+What places and transitions are to whoever executes a machine, by their numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import inf
+from typing import Final
+
+from pnm.core.execution.call_results import Ledger
+from pnm.core.execution.events import Pause, Stop
+from pnm.core.machine.machine import (
+    Accepts,
+    AlreadyTrue,
+    DataMissing,
+    Deed,
+    Denied,
+    EffectsMissing,
+    EffectsSeen,
+    Ends,
+    Holding,
+    OnFailure,
+    PetriNetMachine,
+    Rule,
+)
+from pnm.core.net.firing_engine import Engine
+
+_KNOWING: Final = (Holding, Denied, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
+"""Guards whose answer may change when facts change."""
+
+
+@dataclass
+class Roles:
+    """The roles of a machine's places and transitions. Nothing changes once it is made."""
+
+    machine: PetriNetMachine
+    rules: list[Rule] = field(init=False)
+    """For every transition, its rule."""
+    reported: dict[int, list[int]] = field(init=False)
+    """For every call, the transitions that reports about its request open."""
+    records: frozenset[int] = field(init=False)
+    """Places at which nothing is decided."""
+    resources: frozenset[int] = field(init=False)
+    takes: frozenset[int] = field(init=False)
+    """Transitions that take resources; what is taken over has its own."""
+    gives: frozenset[int] = field(init=False)
+    """Transitions that give resources back."""
+    alive: tuple[int, ...] = field(init=False)
+    settling: dict[int, int] = field(init=False)
+    restarts: frozenset[int] = field(init=False)
+    failures: dict[int, int] = field(init=False)
+    goal: int = field(init=False)
+    failed: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        machine, compiled = self.machine, self.machine.compiled
+        ids = compiled.place_id
+        self.rules = [machine.rules[name] for name in compiled.transitions]
+        self.reported = {}
+        for transition, rule in enumerate(self.rules):
+            if isinstance(rule.guard, Accepts | Ends):
+                self.reported.setdefault(rule.guard.call, []).append(transition)
+        self.records = frozenset(ids[place] for place in machine.record_places)
+        self.resources = frozenset(ids[place] for place in machine.resource_places)
+        self.takes = frozenset(one for one in self._touching(compiled.inputs) if self.rules[one].deed is not Deed.ADOPT)
+        self.gives = self._touching(compiled.outputs)
+        self.alive = tuple(ids[place] for place in machine.alive_places)
+        self.settling = {ids[place]: call for place, call in machine.settling_places.items()}
+        self.restarts = frozenset(ids[place] for place in machine.restart_places)
+        self.failures = {ids[place]: call for place, call in machine.failure_places.items()}
+        self.goal, self.failed = ids[machine.goal_place], ids[machine.failed_place]
+
+    @cached_property
+    def listening(self) -> list[bool]:
+        """For every place, whether what is decided there may change when facts change."""
+        return [any(isinstance(self.rules[one].guard, _KNOWING) for one, _ in found) for found in self.machine.compiled.consumers]
+
+    def _touching(self, arcs: list[list[tuple[int, int]]]) -> frozenset[int]:
+        """Return the transitions that are connected to resources."""
+        if not self.resources:
+            return frozenset()
+        return frozenset(transition for transition, found in enumerate(arcs) if any(place in self.resources for place, _ in found))
+
+
+@dataclass
+class Situation:
+    """What guards ask for besides knowledge. The mutable state is what has a default."""
+
+    engine: Engine
+    roles: Roles
+    ledger: Ledger
+    origin: float | None = None
+    """The time from which releases count."""
+    now: float = -inf
+    stop: Stop | None = None
+    """What the run was told about its end."""
+    pause: Pause | None = None
+    """What it was told about a pause that has not ended."""
+
+    @property
+    def passed(self) -> float:
+        """The seconds since the plan's start."""
+        return self.now - (self.origin or 0.0)
+
+    @property
+    def over(self) -> bool:
+        """Whether the goal place or the failed place is marked."""
+        return bool(self.engine.tokens[self.roles.goal] or self.engine.tokens[self.roles.failed])
+
+    @property
+    def failing(self) -> bool:
+        """Whether the run can no longer succeed."""
+        return bool(self.ledger.failures) or self.stop is not None
+
+    @property
+    def ending(self) -> bool:
+        """Whether nothing more is started."""
+        return self.failing or any(self.engine.tokens[place] for place in self.roles.restarts)
+
+    @property
+    def cancels(self) -> bool:
+        """Whether running calls shall be cancelled."""
+        told = self.stop is not None and self.stop.cancel
+        return told or (self.ending and self.roles.machine.on_failure is OnFailure.CANCEL)
+
+    @property
+    def suspends(self) -> bool:
+        """Whether running calls shall be cancelled, to begin anew later."""
+        return self.pause is not None and self.pause.at_once
+
+    @property
+    def idle(self) -> bool:
+        """Whether no call is under way."""
+        return not any(self.engine.tokens[place] for place in self.roles.alive)

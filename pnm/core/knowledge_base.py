@@ -1,0 +1,276 @@
+"""What the robot believes: facts, numbers and variables, local to a run or shared by all.
+
+A *fact* or number is a fluent with a value; a *variable* is a name with any value, such as a
+field of an action's result. A base is *closed*: a fluent nobody recorded is absent, which
+conditions read as false. A fluent may also be recorded as `UNKNOWN`, which is something else.
+
+Facts that `pnm.core.logic.rules` derive follow from the others: they are computed when asked for, never recorded, written
+or reported. What is said of them in a report is left out: rules, not sensors, say when they hold.
+
+A fluent is *sensed* when something reports it (its name is then listed with the delay of the
+reports), and *assumed* otherwise: then an action's effect is written when the action succeeds.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+from pnm.core.logic.computed_values import MISSING
+from pnm.core.logic.derived_facts import Consequences
+from pnm.core.logic.effects import Changes
+from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Unknown, Value, nothing_like, same, show
+from pnm.core.logic.rules import NO_RULES, Rules
+from pnm.errors import InputError
+
+Listener = Callable[[Mapping[Fluent, Value | Unknown]], None]
+
+
+class KnowledgeBase:
+    """One store of facts, numbers and variables that tells its listeners what changed.
+
+    The mutable state is the four dictionaries set in the constructor, the list of listeners, and what is
+    remembered of the derived facts.
+
+    Raises:
+        InputError: a fact is given that rules derive.
+    """
+
+    def __init__(
+        self,
+        facts: Mapping[Fluent, Value | Unknown] | None = None,
+        *,
+        variables: Mapping[str, object] | None = None,
+        objects: Mapping[str, tuple[str, ...]] | None = None,
+        sensed: Mapping[str, float] | None = None,
+        rules: Rules = NO_RULES,
+    ) -> None:
+        self.rules = rules
+        self._derived = rules.derived
+        if self._derived:
+            self._refuse_derived(facts or {})
+        self._facts: dict[Fluent, Value | Unknown] = dict(facts or {})
+        self._variables: dict[str, object] = dict(variables or {})
+        self._objects: dict[str, tuple[str, ...]] = dict(objects or {})
+        self._sensed: dict[str, float] = dict(sensed or {})
+        self._listeners: list[Listener] = []
+        self._consequences = Consequences(rules, self._facts, self.objects)
+
+    def __repr__(self) -> str:
+        return f"<KnowledgeBase {len(self._facts)} facts, {len(self._variables)} variables, {len(self._sensed)} sensed names>"
+
+    # what conditions ask (`pnm.core.logic.conditions.State`)
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        """Return the value recorded for the fluent, None when there is none; or the truth of a derived fact."""
+        found = self._facts.get(fluent)
+        if found is None and fluent[0] in self._derived:
+            return self._consequences.value(fluent)
+        return found
+
+    def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
+        """Return the objects of any of the types, in the order in which they were declared."""
+        if len(types) == 1:
+            return self._objects.get(types[0], ())
+        return tuple(dict.fromkeys(name for one in types for name in self._objects.get(one, ())))
+
+    def objects_by_type(self) -> dict[str, tuple[str, ...]]:
+        """Return a copy of the objects of every type."""
+        return dict(self._objects)
+
+    # what else can be told of derived facts
+
+    def because(self, fluent: Fluent, /) -> str:
+        """Say why a derived fact holds or does not, by what is recorded; empty for any other fluent."""
+        return self._consequences.because(fluent) if fluent[0] in self._derived else ""
+
+    def rests_on(self, fluents: frozenset[Fluent]) -> frozenset[Fluent]:
+        """Return the fluents, but in place of each derived one the unknown fluents that decide whether it holds."""
+        if not self._derived:
+            return fluents
+        derived = frozenset(fluent for fluent in fluents if fluent[0] in self._derived)
+        return (fluents - derived).union(*map(self._consequences.rests_on, derived))
+
+    # facts
+
+    def facts(self) -> dict[Fluent, Value | Unknown]:
+        """Return a copy of everything recorded that is not false."""
+        return {fluent: value for fluent, value in self._facts.items() if value is not False}
+
+    def update(self, changes: Mapping[Fluent, Value | Unknown]) -> Changes:
+        """Record all of the changes; return those that changed something.
+
+        Raises:
+            InputError: a fluent is malformed, or rules derive it; nothing is recorded.
+        """
+        for fluent in changes:
+            if not isinstance(fluent, tuple) or not fluent or not all(isinstance(name, str) for name in fluent):
+                raise InputError(f"not a fluent: {fluent!r}; expected a tuple of names such as ('at', 'r1', 'kitchen')")
+        if self._derived:
+            self._refuse_derived(changes)
+        real = {fluent: value for fluent, value in changes.items() if not same(self._facts.get(fluent), value)}
+        self._facts.update(real)
+        if real:
+            self._consequences.forget({fluent[0] for fluent in real})
+            for listener in tuple(self._listeners):
+                listener(real)
+        return real
+
+    def replace(self, names: Iterable[str], facts: Mapping[Fluent, Value | Unknown]) -> Changes:
+        """Record a complete report about the named predicates and functions.
+
+        A fact that it omits is no longer so, a fluent whose object it omits has none, and a number that it omits is
+        no longer known.
+        What it says of derived facts is left out.
+        """
+        names = frozenset(names) - self._derived
+        if self._derived:
+            facts = {fluent: value for fluent, value in facts.items() if not self._derives(fluent)}
+        gone: Changes = {}
+        for fluent, value in self._facts.items():
+            if fluent[0] in names and fluent not in facts and value is not UNKNOWN:
+                gone[fluent] = nothing_like(value)
+        return self.update({**gone, **facts})
+
+    def begin_anew(self, facts: Mapping[Fluent, Value | Unknown], objects: Mapping[str, tuple[str, ...]], rules: Rules) -> None:
+        """Forget the facts, objects and rules of one world and begin with those of another; variables and who senses what stay.
+
+        What is sensed stays as it was reported last: whoever reports it does not do so again because somebody begins anew.
+
+        Raises:
+            InputError: a fact is given that rules derive; nothing has changed.
+        """
+        old_rules, self.rules, self._derived = self.rules, rules, rules.derived
+        try:
+            self._refuse_derived(facts)
+        except InputError:
+            self.rules, self._derived = old_rules, old_rules.derived
+            raise
+        reported = {fluent: value for fluent, value in self._facts.items() if self.is_sensed(fluent) and not self._derives(fluent)}
+        facts = {**{fluent: value for fluent, value in facts.items() if not self.is_sensed(fluent)}, **reported}
+        changes = {fluent: nothing_like(value) for fluent, value in self._facts.items() if fluent not in facts and value is not UNKNOWN}
+        changes |= {fluent: value for fluent, value in facts.items() if not same(self._facts.get(fluent), value)}
+        self._facts.clear()
+        self._facts.update(facts)
+        self._objects = dict(objects)
+        self._consequences = Consequences(rules, self._facts, self.objects)
+        for listener in tuple(self._listeners):
+            listener(changes)
+
+    def _refuse_derived(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
+        for fluent in filter(self._derives, changes):
+            raise InputError(f"{show(fluent)} follows from rules; it is neither set nor reported")
+
+    def _derives(self, fluent: object) -> bool:
+        return isinstance(fluent, tuple) and fluent[:1] != () and fluent[0] in self._derived
+
+    def listen(self, listener: Listener) -> Callable[[], None]:
+        """Call the listener with every batch of changes, an empty one for variables; return the function that stops it."""
+        self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener)
+
+    # sensing
+
+    def sense(self, names: Iterable[str], *, lag: float = 0.0) -> None:
+        """Note that something reports these predicates and functions, at most `lag` seconds late."""
+        self._sensed.update((name, lag) for name in names if name not in self._derived)
+
+    def is_sensed(self, fluent: Fluent) -> bool:
+        """Tell whether something reports this fluent; if it is derived, all that it follows from."""
+        return all(name in self._sensed for name in self.rules.base((fluent[0],)))
+
+    def lag(self, names: Iterable[str]) -> float:
+        """Return how many seconds late the slowest report about any of the names, or what is below them, may come."""
+        return max((self._sensed.get(name, 0.0) for name in self.rules.base(names)), default=0.0)
+
+    @property
+    def longest_lag(self) -> float:
+        """How many seconds it may take until everything that has happened is reported."""
+        return max(self._sensed.values(), default=0.0)
+
+    # variables
+
+    def variable(self, name: str) -> object:
+        """Return the value of the variable, or `MISSING`."""
+        return self._variables.get(name, MISSING)
+
+    def store(self, variables: Mapping[str, object]) -> None:
+        """Record the variables, replacing older values; one that is set to None is forgotten."""
+        self._variables.update(variables)
+        for name in [name for name, value in variables.items() if value is None]:
+            del self._variables[name]
+        for listener in tuple(self._listeners):
+            listener({})
+
+    def variables(self) -> dict[str, object]:
+        """Return a copy of all variables."""
+        return dict(self._variables)
+
+
+@dataclass(frozen=True)
+class Layered:
+    """What one run sees: its own local knowledge in front of the global one.
+
+    Facts describe the one world that all runs share: they are read from the global layer and written to it.
+    Variables belong to the run that stored them; reading asks the local layer first.
+    """
+
+    world: KnowledgeBase
+    local: KnowledgeBase = field(default_factory=KnowledgeBase)
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        """Return the value of the fluent in the world."""
+        return self.world.value(fluent)
+
+    def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
+        """Return the objects of any of the types."""
+        return self.world.objects(types)
+
+    def because(self, fluent: Fluent, /) -> str:
+        """Say why a derived fact holds or does not."""
+        return self.world.because(fluent)
+
+    def variable(self, name: str) -> object:
+        """Return the variable from the first layer that has it, or `MISSING`."""
+        found = self.local.variable(name)
+        return self.world.variable(name) if found is MISSING else found
+
+
+def show_statement(fluent: Fluent, value: Value | Unknown) -> str:
+    """Write what `parse_statement` reads."""
+    if isinstance(value, bool):
+        return show(fluent) if value else f"(not {show(fluent)})"
+    return f"(= {show(fluent)} {Constant(value) if not isinstance(value, Unknown) else value.value})"
+
+
+_FLUENT = re.compile(r"\(\s*([^\s()]+(?:\s+[^\s()]+)*)\s*\)\Z")
+_NOT = re.compile(r"\(\s*not\s+(\(.*\))\s*\)\Z", re.DOTALL)
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?\Z", re.IGNORECASE)
+_EQUAL = re.compile(r"\(\s*=\s+(\(.*\))\s+([^\s()]+)\s*\)\Z", re.DOTALL)
+
+
+def parse_fluent(text: str) -> Fluent:
+    """Read ``(at r1 kitchen)``.
+
+    Raises:
+        InputError: it is something else.
+    """
+    found = _FLUENT.match(text.strip())
+    if not found:
+        raise InputError(f"not a fact: {text!r}; expected something like (at r1 kitchen)")
+    return tuple(found[1].split())
+
+
+def parse_statement(text: str) -> tuple[Fluent, Value]:
+    """Read ``(at r1 kitchen)``, ``(not (at r1 kitchen))``, ``(= (battery r1) 80)`` or ``(= (location r1) kitchen)``.
+
+    Raises:
+        InputError: it is something else.
+    """
+    text = text.strip()
+    if found := _NOT.match(text):
+        return parse_fluent(found[1]), False
+    if found := _EQUAL.match(text):
+        return parse_fluent(found[1]), float(found[2]) if _NUMBER.match(found[2]) else found[2]
+    return parse_fluent(text), True

@@ -1,0 +1,1 @@
+"""Logic over facts: expressions, conditions, effects, derivation rules, trajectory constraints, computed values."""

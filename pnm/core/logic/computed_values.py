@@ -1,0 +1,325 @@
+"""Values computed from what a run knows: literals, queries of knowledge bases, and Python's operators over them.
+
+A *query* asks for a variable: in the local knowledge of the run, in the global one, in both, or a person. What
+is not known locally has to be asked for outside of the run; evaluating then raises `Unanswered`, and whoever
+evaluates tries again when the answer is there. A variable that nobody has is `MISSING`, which is what
+``null`` is: equal to itself, and nothing that can be counted with.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, Protocol, TypeAlias, assert_never, runtime_checkable
+
+from pnm.core.logic.expressions import NOTHING, UNDEFINED, Environment, Fluent, Unknown, Value, ValueOf, bind, show, variables_in
+from pnm.core.logic.operators import Uncomputable, bounded, operate
+from pnm.errors import PnmError
+
+
+class _Missing:
+    """The answer for a variable that nobody has; distinct from every value, None included."""
+
+    def __repr__(self) -> str:
+        return "MISSING"
+
+
+MISSING: Final = _Missing()
+
+
+class Layer(Enum):
+    """Whom a query asks, and where an update goes."""
+
+    LOCAL = "local"
+    """The knowledge of the run."""
+    GLOBAL = "global"
+    """What all runs share."""
+    ALL = "all"
+    """A query asks the local, then the global knowledge; an update goes to both."""
+    PERSON = "person"
+    """A question to, or a message for, whoever is there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Literal:
+    """A value as it stands in the file: anything JSON has."""
+
+    json: str
+    """The value as JSON text, so that literals can be compared and hashed."""
+
+    @staticmethod
+    def of(value: object) -> Literal:
+        """Return the literal for a value made of what JSON has."""
+        return Literal(json.dumps(value, sort_keys=True, ensure_ascii=False))
+
+    @property
+    def value(self) -> object:
+        """The value; a new one each time, so that nobody changes the literal."""
+        return json.loads(self.json)
+
+    def __str__(self) -> str:
+        return self.json
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """The value that the call gives the parameter of its action; the name begins with ``?``."""
+
+    name: str
+
+    def __str__(self) -> str:
+        return self.name
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """The value of a variable. Its name, and what else the knowledge base is told, may be computed themselves."""
+
+    name: Data
+    layer: Layer = Layer.ALL
+    meta: Data = Literal("null")
+
+    def __str__(self) -> str:
+        meta = "" if self.meta == Literal("null") else f", {self.meta}"
+        return f"{self.layer.value}[{self.name.value if isinstance(self.name, Literal) else self.name}{meta}]"
+
+
+@dataclass(frozen=True, slots=True)
+class Compound:
+    """A list or a mapping with queries in it."""
+
+    items: tuple[Data, ...]
+    keys: tuple[str, ...] | None = None
+    """Of a mapping, in the order of the items; None for a list."""
+
+    def __str__(self) -> str:
+        if self.keys is None:
+            return f"[{', '.join(map(str, self.items))}]"
+        return f"{{{', '.join(f'{key}: {item}' for key, item in zip(self.keys, self.items, strict=True))}}}"
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """One of `OPERATORS` over its operands, or ``and``, ``or``, ``not`` or ``exists``."""
+
+    operator: str
+    operands: tuple[Data, ...]
+
+    def __str__(self) -> str:
+        return f"{self.operator}({', '.join(map(str, self.operands))})"
+
+
+Data: TypeAlias = Literal | Parameter | Query | Compound | Operation | ValueOf
+"""`ValueOf` is the value of a fluent, which for a fact is true or false."""
+
+
+@dataclass(frozen=True, slots=True)
+class Update:
+    """Store a value under a name."""
+
+    name: Data
+    value: Data
+    layer: Layer = Layer.LOCAL
+    meta: Data = Literal("null")
+
+    def __str__(self) -> str:
+        return f"{Query(self.name, self.layer, self.meta)} := {self.value}"
+
+
+KnowledgeOperation: TypeAlias = Update | Query | Operation
+"""What a step does that works on knowledge alone. An operation other than ``setitem`` and ``delitem`` changes nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A query with its name and meta data computed: what is asked outside of the run."""
+
+    name: str
+    layer: Layer
+    meta: str
+    """JSON text."""
+
+    def __str__(self) -> str:
+        return f"{self.layer.value}[{self.name}]"
+
+
+class Unanswered(PnmError):
+    """The value depends on the answer to a question that is asked outside of the run."""
+
+    def __init__(self, question: Question) -> None:
+        super().__init__(f"{question} has not been answered yet")
+        self.question = question
+
+
+@runtime_checkable
+class Answers(Protocol):
+    """What values are computed from."""
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        """Return the value of a fluent."""
+
+    def local_variable(self, name: str, /) -> object:
+        """Return a variable of the run, or `MISSING`."""
+
+    def parameter(self, name: str, /) -> object:
+        """Return what the call gives a parameter of its action, named with ``?``; or `MISSING`."""
+
+    def answer(self, question: Question, /) -> object:
+        """Return what the question was answered with, or `MISSING`; raise `Unanswered` when it was not asked yet."""
+
+
+def compute(data: Data, answers: Answers) -> object:
+    """Return the value, or `MISSING`.
+
+    Raises:
+        Unanswered: a question has to be asked first.
+        Uncomputable: an operation is not possible with these operands.
+    """
+    match data:
+        case Literal():
+            return data.value
+        case Parameter(name):
+            return answers.parameter(name)
+        case ValueOf(fluent):
+            found = answers.value(fluent)
+            return MISSING if found in (None, UNDEFINED) or isinstance(found, Unknown) else found
+        case Query(_, layer):
+            question = asked(data, answers)
+            if layer in (Layer.LOCAL, Layer.ALL):
+                known = answers.local_variable(question.name)
+                if known is not MISSING or layer is Layer.LOCAL:
+                    return known
+            return answers.answer(question)
+        case Compound(items, keys):
+            found_items = [_null(compute(item, answers)) for item in items]
+            return bounded(found_items if keys is None else dict(zip(keys, found_items, strict=True)))
+        case Operation(name, operands) if name in _LAZY:
+            return _LAZY[name](compute(operand, answers) for operand in operands)
+        case Operation(name, operands):
+            return operate(name, [_null(compute(operand, answers)) for operand in operands])
+        case _:
+            assert_never(data)
+
+
+def asked(query: Query, answers: Answers) -> Question:
+    """Return what is asked once the query's name and meta data are computed.
+
+    Raises:
+        Unanswered: they depend on something that has to be asked first.
+        Uncomputable: the name is not a text, or JSON cannot say the meta data.
+    """
+    name, meta = named(query.name, answers), _null(compute(query.meta, answers))
+    try:
+        return Question(name, query.layer, json.dumps(meta, sort_keys=True))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise Uncomputable(f"what is told about {name} cannot be said in JSON: {error}") from error
+
+
+def named(name: Data, answers: Answers) -> str:
+    """Return the name of a variable.
+
+    Raises:
+        Unanswered: it depends on something that has to be asked first.
+        Uncomputable: it is not a text.
+    """
+    found = compute(name, answers)
+    if not isinstance(found, str):
+        raise Uncomputable(f"{name} is {found!r}; expected the name of a variable")
+    return found
+
+
+def truth(value: object) -> bool:
+    """Tell whether the value counts as true: what Python says, and nothing that is missing."""
+    return value is not MISSING and bool(value)
+
+
+_LAZY: Final[dict[str, Callable[[Iterator[object]], bool]]] = {
+    "and": lambda values: all(map(truth, values)),
+    "or": lambda values: any(map(truth, values)),
+    "not": lambda values: not truth(next(values)),
+    "exists": lambda values: next(values) not in (MISSING, None),
+}
+LOGICAL: Final = frozenset(_LAZY)
+"""Operators that look at their operands one by one, and at no more than needed."""
+
+
+def _null(value: object) -> object:
+    return None if value is MISSING else value
+
+
+# --- looking into data ---------------------------------------------------------------------
+
+
+def parts(data: Data) -> Iterator[Data]:
+    """Yield the data itself and everything in it."""
+    yield data
+    match data:
+        case Query(name, _, meta):
+            inner: tuple[Data, ...] = (name, meta)
+        case Compound(items):
+            inner = items
+        case Operation(_, operands):
+            inner = operands
+        case _:
+            inner = ()
+    for one in inner:
+        yield from parts(one)
+
+
+def fluents_in(data: Data, env: Environment = NOTHING) -> frozenset[Fluent]:
+    """Return the fluents that the value depends on."""
+    return frozenset(bind(part.fluent, env) for part in parts(data) if isinstance(part, ValueOf))
+
+
+def parameters_in(data: Data) -> frozenset[str]:
+    """Return the parameters, with ``?``, that the value depends on."""
+    own = frozenset(part.name for part in parts(data) if isinstance(part, Parameter))
+    return own.union(*(variables_in(fluent) for fluent in fluents_in(data)))
+
+
+class JsonText(str):
+    """What stands in an environment for a value that is no text: its JSON text."""
+
+    __slots__ = ()
+
+
+def substituted(data: Data, env: Environment) -> Data:
+    """Put the environment's objects, and values, in the place of parameters and variables."""
+    if not env:
+        return data
+    return filled(data, {name: Literal(text) if isinstance(text, JsonText) else Literal.of(text) for name, text in env.items()}, env)
+
+
+def filled(data: Data, values: Mapping[str, Data], texts: Environment) -> Data:
+    """Put values in the place of parameters, and texts in the place of variables in fluents."""
+    match data:
+        case Parameter(name):
+            return values.get(name, data)
+        case ValueOf(fluent):
+            return ValueOf(bind(fluent, texts))
+        case Query(name, layer, meta):
+            return Query(filled(name, values, texts), layer, filled(meta, values, texts))
+        case Compound(items, keys):
+            return Compound(tuple(filled(item, values, texts) for item in items), keys)
+        case Operation(name, operands):
+            return Operation(name, tuple(filled(operand, values, texts) for operand in operands))
+        case Literal():
+            return data
+        case _:
+            assert_never(data)
+
+
+def told(data: Data, answers: Answers) -> str:
+    """Say what the queries and fluents in the data have for values."""
+    said: dict[str, None] = {}
+    for part in parts(data):
+        if isinstance(part, Query | ValueOf | Parameter):
+            name = show(part.fluent) if isinstance(part, ValueOf) else str(part)
+            try:
+                found = compute(part, answers)
+            except (Unanswered, Uncomputable):
+                continue
+            said[f"{name} is {'missing' if found is MISSING else json.dumps(found, ensure_ascii=False, default=str)}"] = None
+    return ", ".join(said) or "no variable involved"

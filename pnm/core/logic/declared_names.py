@@ -1,0 +1,115 @@
+"""The names that files about a domain may use, and a clear refusal of all others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+from pnm.core.logic.expressions import UNDEFINED, Fluent, Value
+from pnm.errors import InputError, Position, meant
+
+
+class Kind(Enum):
+    """What a fluent has for its value."""
+
+    FACT = "predicate"
+    NUMBER = "function with numbers for values"
+    OBJECT = "function with objects for values"
+
+
+@dataclass(frozen=True, slots=True)
+class Signature:
+    """How a predicate or function is used."""
+
+    kind: Kind
+    parameters: tuple[tuple[str, ...], ...] = ()
+    """For every parameter, the types of its objects."""
+    values: tuple[str, ...] = ()
+    """The types of the objects that are its values."""
+
+
+@dataclass(frozen=True, slots=True)
+class Vocabulary:
+    """What a domain and its problem declare. Whatever checks a name raises InputError, with the position and the nearest name."""
+
+    actions: Mapping[str, tuple[str, ...]]
+    """For every action, the names of its parameters, without ``?``."""
+    fluents: frozenset[str] = frozenset()
+    """Predicates and functions."""
+    objects: frozenset[str] = frozenset()
+    derived: frozenset[str] = frozenset()
+    """Predicates whose facts follow from others by rules."""
+    signatures: Mapping[str, Signature] = field(default_factory=dict)
+    """How predicates and functions are used."""
+    types: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    """For every type, the type itself and all that it is a kind of."""
+    types_of: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    """For every object, all types to which it belongs."""
+
+    def check_action(self, name: str, position: Position) -> None:
+        """Refuse an action that is not there."""
+        _check(name, self.actions, "action", position)
+
+    def check_parameter(self, action: str, name: str, position: Position) -> None:
+        """Refuse a parameter that the action does not have."""
+        known = self.actions[action]
+        if name not in known:
+            raise InputError(f"{name} is not a parameter of {action} ({', '.join(known) or 'it has none'})", position)
+
+    def check_call(self, what: str, position: Position) -> None:
+        """Refuse ``move(r1, hall)`` if there is no such action, or no such object, or not as many parameters."""
+        name, _, rest = what.partition("(")
+        self.check_action(name, position)
+        if rest:
+            arguments = [one.strip() for one in rest.rstrip(")").split(",") if one.strip()]
+            if len(arguments) != len(self.actions[name]):
+                raise InputError(f"{name} takes {len(self.actions[name])} arguments, found {len(arguments)}", position)
+            for argument in arguments:
+                _check(argument, self.objects, "object", position)
+
+    def check_name(self, name: str, position: Position) -> None:
+        """Refuse a predicate or function that is not declared."""
+        _check(name, self.fluents, "predicate or function", position)
+
+    def check_set(self, name: str, position: Position) -> None:
+        """Refuse a predicate or function that is not declared, or that is neither set nor reported."""
+        self.check_name(name, position)
+        if name in self.derived:
+            raise InputError(f"facts of {name} follow from rules; they are neither set nor reported", position)
+
+    def check_change(self, fluent: Fluent, value: Value, position: Position) -> None:
+        """Refuse a new value of undeclared names, or of what cannot be set."""
+        self.check_set(fluent[0], position)
+        for argument in (*fluent[1:], *((value,) if isinstance(value, str) and value != UNDEFINED else ())):
+            _check(argument, self.objects, "object", position)
+
+    def check_type(self, name: str, position: Position) -> None:
+        """Refuse a type that is not declared."""
+        _check(name, self.types, "type", position)
+
+    def check_object(self, name: str, types: Iterable[str], position: Position) -> None:
+        """Refuse an object that is not there, or that is of none of the types."""
+        _check(name, self.objects, "object", position)
+        if self.types_of[name].isdisjoint(types):
+            raise InputError(f"{name} is a {_alternatives(self.types_of[name])}; expected a {_alternatives(types)}", position)
+
+    def check_kind(self, name: str, kind: Kind, position: Position) -> Signature:
+        """Return how a predicate or function is used, which must be of this kind and be told by somebody."""
+        known = [one for one, signature in self.signatures.items() if signature.kind is kind]
+        if name in self.signatures and name not in known:
+            raise InputError(f"{name} is a {self.signatures[name].kind.value}; expected a {kind.value}", position)
+        _check(name, known, kind.value, position)
+        self.check_set(name, position)
+        return self.signatures[name]
+
+
+def _alternatives(types: Iterable[str]) -> str:
+    return " or ".join(sorted(set(types) - {"object"})) or "object"
+
+
+def _check(name: str, known: Iterable[str], what: str, position: Position) -> None:
+    names = sorted(known)
+    if name not in names:
+        hint = meant(name, names) or f"expected one of {', '.join(names[:20])}"
+        raise InputError(f"there is no {what} {name!r} in the domain; {hint}", position)

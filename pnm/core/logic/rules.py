@@ -1,0 +1,261 @@
+"""Derived facts: rules say when they hold; nobody writes them (PDDL 2.2, derived predicates).
+
+A derived fact holds if the condition of one of its rules does, and nothing holds without such a
+reason: the derived facts are the least ones closed under the rules. Negation must be *stratified*:
+no name may depend on its own negation. Then the names fall into strata; a rule negates only names
+of lower ones, and each stratum has a least fixpoint once those below it are settled. With the truth
+values ordered false < unknown < true that is so for three values as for two.
+
+Names that no rule derives are *base* names. For `pnm.core.logic.derived_facts` a rule is split into *bodies*:
+conjunctions with variables of their own, whose steps are ordered so that objects are looked up
+among the facts that are recorded before they are looked for among all there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, TypeAlias, assert_never
+
+from pnm.core.logic.conditions import (
+    All,
+    Any,
+    Compare,
+    Computed,
+    Condition,
+    Exists,
+    ForAll,
+    Holds,
+    Implies,
+    Not,
+    free_variables,
+    ground,
+    names,
+)
+from pnm.core.logic.expressions import Variable
+from pnm.errors import PnmError
+
+
+class UnstratifiedError(PnmError):
+    """Some derived fact would depend on its own negation, so the rules do not say what holds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """The facts of this name hold for every choice of objects for which the condition does.
+
+    Several rules may derive facts of one name: one that holds is enough.
+    """
+
+    name: str
+    variables: tuple[Variable, ...]
+    condition: Condition
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """The condition must hold; all of its variables are known here."""
+
+    condition: Condition
+
+
+@dataclass(frozen=True, slots=True)
+class Find:
+    """Some recorded fact must be like this one; it tells the variables that are still unknown."""
+
+    condition: Holds
+    known: tuple[int, ...]
+    """Positions of the terms that are objects by now."""
+    new: tuple[tuple[int, Variable], ...]
+    """Positions of the other terms, with their variables."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choose:
+    """Any object of its types will do for the variable."""
+
+    variable: Variable
+
+
+Step: TypeAlias = Check | Find | Choose
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """One way to derive a fact: the steps succeed for some choice of objects for the body's own variables."""
+
+    head: tuple[Variable, ...]
+    steps: tuple[Step, ...]
+
+    @property
+    def parts(self) -> tuple[Condition, ...]:
+        """The conditions that must all hold."""
+        return tuple(step.condition for step in self.steps if not isinstance(step, Choose))
+
+
+@dataclass(frozen=True)
+class Rules:
+    """The rules of a domain.
+
+    Raises:
+        UnstratifiedError: a derived name depends on its own negation.
+    """
+
+    rules: tuple[Rule, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in self.derived:
+            if name in self._negated_below(name):
+                raise UnstratifiedError(f"whether ({name} …) holds would depend on its own negation")
+
+    @cached_property
+    def derived(self) -> frozenset[str]:
+        """The names that the rules derive."""
+        return frozenset(rule.name for rule in self.rules)
+
+    @cached_property
+    def strata(self) -> dict[str, int]:
+        """For every derived name its stratum: a rule negates only names of lower strata, and mentions none of higher ones."""
+        found = dict.fromkeys(self.derived, 0)
+        for _ in self.derived:  # the longest chain of names settles in as many rounds
+            for name, mentioned in self._mentioned.items():
+                found[name] = max((found[other] + negated for other, negated in mentioned), default=0)
+        return found
+
+    @cached_property
+    def bodies(self) -> dict[str, tuple[Body, ...]]:
+        """For every derived name, the ways to derive a fact of it."""
+        found: dict[str, tuple[Body, ...]] = {}
+        for rule in self.rules:
+            head = frozenset(variable.name for variable in rule.variables)
+            split = (_body(rule.variables, own, parts, self.derived) for own, parts in _split(rule.condition, head))
+            found[rule.name] = (*found.get(rule.name, ()), *split)
+        return found
+
+    def base(self, mentioned: Iterable[str]) -> frozenset[str]:
+        """Return the base names on which conditions with these names finally depend: a derived one stands for those below it."""
+        return frozenset().union(*(self._base.get(name, (name,)) for name in mentioned))
+
+    @cached_property
+    def above(self) -> dict[str, frozenset[str]]:
+        """For every base name below one, the derived names that depend on it."""
+        names = frozenset().union(*self._base.values())
+        return {name: frozenset(one for one, below in self._base.items() if name in below) for name in names}
+
+    @cached_property
+    def _base(self) -> dict[str, frozenset[str]]:
+        own = {name: frozenset[str]().union(*(names(rule.condition) for rule in self.rules if rule.name == name)) for name in self.derived}
+        return {name: frozenset().union(*(own[one] for one in self._below(name))) - self.derived for name in self.derived}
+
+    @cached_property
+    def _mentioned(self) -> dict[str, frozenset[tuple[str, bool]]]:
+        """For every derived name, the derived names in its rules, and whether they are negated there."""
+        found = {name: frozenset[tuple[str, bool]]() for name in self.derived}
+        for rule in self.rules:
+            found[rule.name] |= {(name, negated) for name, negated in _signed(rule.condition, False) if name in self.derived}
+        return found
+
+    def _below(self, name: str) -> frozenset[str]:
+        """Return the derived name and all those it depends on."""
+        found, waiting = {name}, [name]
+        while waiting:
+            for other, _ in self._mentioned[waiting.pop()]:
+                if other not in found:
+                    found.add(other)
+                    waiting.append(other)
+        return frozenset(found)
+
+    def _negated_below(self, name: str) -> frozenset[str]:
+        """Return what the name depends on by way of a negation of its own rules."""
+        return frozenset().union(*(self._below(other) for other, negated in self._mentioned[name] if negated))
+
+
+NO_RULES: Final = Rules()
+
+
+def _signed(condition: Condition, negated: bool) -> Iterator[tuple[str, bool]]:
+    """Yield the names of the facts in the condition, each with whether it stands under an odd number of negations."""
+    match condition:
+        case Holds(fluent):
+            yield fluent[0], negated
+        case Compare() | Computed():
+            return
+        case Not(operand):
+            yield from _signed(operand, not negated)
+        case All(operands) | Any(operands):
+            for operand in operands:
+                yield from _signed(operand, negated)
+        case Implies(left, right):
+            yield from _signed(left, not negated)
+            yield from _signed(right, negated)
+        case ForAll(_, operand) | Exists(_, operand):
+            yield from _signed(operand, negated)
+        case _:
+            assert_never(condition)
+
+
+# --- bodies --------------------------------------------------------------------------------
+
+
+def _split(condition: Condition, taken: frozenset[str]) -> Iterator[tuple[tuple[Variable, ...], tuple[Condition, ...]]]:
+    """Yield variables and conjuncts: the condition holds if for one of them the conjuncts do for some choice for the variables.
+
+    A conjunction with a disjunction in it is not multiplied out. Variables in `taken` mean something else.
+    """
+    match condition:
+        case Any(operands):
+            for operand in operands:
+                yield from _split(operand, taken)
+        case Exists(variables, body):
+            new = tuple(Variable(_unused(variable.name, taken), variable.types) for variable in variables)
+            renamed = ground(body, {old.name: fresh.name for old, fresh in zip(variables, new, strict=True)})
+            for own, parts in _split(renamed, taken | {variable.name for variable in new}):
+                yield (*new, *own), parts
+        case All(operands):
+            mine: tuple[Variable, ...] = ()
+            conjuncts: tuple[Condition, ...] = ()
+            for operand in operands:
+                ways = list(_split(operand, taken | {variable.name for variable in mine}))
+                own, parts = ways[0] if len(ways) == 1 else ((), (operand,))
+                mine, conjuncts = (*mine, *own), (*conjuncts, *parts)
+            yield mine, conjuncts
+        case _:
+            yield (), (condition,)
+
+
+def _unused(name: str, taken: frozenset[str]) -> str:
+    while name in taken:
+        name += "'"
+    return name
+
+
+def _body(head: tuple[Variable, ...], own: tuple[Variable, ...], parts: tuple[Condition, ...], derived: frozenset[str]) -> Body:
+    """Order the parts: what can be checked is checked, base facts first; then the base fact is looked for of which most is known."""
+    open_ = {variable.name: variable for variable in own}
+    left, steps = list(parts), list[Step]()
+    while left or open_:
+        ready = [part for part in left if not free_variables(part) & open_.keys()]
+        steps += map(Check, sorted(ready, key=lambda part: not names(part).isdisjoint(derived)))
+        left = [part for part in left if part not in ready]
+        if not open_:
+            continue
+        finds = [part for part in left if isinstance(part, Holds) and part.fluent[0] not in derived]
+        if finds:
+            found = max((_find(part, open_) for part in finds), key=lambda find: len(find.known))
+            steps.append(found)
+            left.remove(found.condition)
+            for _, variable in found.new:
+                open_.pop(variable.name, None)
+        else:
+            steps.append(Choose(open_.pop(next(iter(open_)))))
+    return Body(head, tuple(steps))
+
+
+def _find(condition: Holds, unknown: dict[str, Variable]) -> Find:
+    positions = range(len(condition.fluent))
+    return Find(
+        condition,
+        tuple(position for position in positions if condition.fluent[position] not in unknown),
+        tuple((position, unknown[condition.fluent[position]]) for position in positions if condition.fluent[position] in unknown),
+    )

@@ -1,0 +1,193 @@
+"""What must be so over a whole course of states, not only at its end (PDDL 3.0, state-trajectory constraints).
+
+A constraint is *progressed* through the states that a course passes: from a constraint and a state
+follow the constraints that the rest of the course, this state included, must keep. So what is left
+of it is always said in constraints, too, and can be handed to a planner. One that is violated leaves
+`IMPOSSIBLE`; one that is fulfilled leaves nothing.
+
+The meaning is that of A. Gerevini and D. Long, *Plan Constraints and Preferences in PDDL3* (2005).
+A state is in force until the next one: ``hold-during`` and ``hold-after`` speak of the states that
+are in force at some moment of their time, and so are looked at when that begins (`moments`).
+Unknown neither fulfils nor violates. But when it is too late, because a deadline has passed or what
+had to come later has come, then what is not known to have come true has not come true in time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from math import inf
+from typing import Final
+
+from pnm.core.logic.conditions import TOLERANCE, Any, Condition, Not, Witness, conjuncts, evaluate, failing, ground, names, observed
+from pnm.core.logic.expressions import NOTHING, Environment, State, Variable, choices
+
+
+@dataclass(frozen=True, slots=True)
+class Constraint:
+    """One constraint, for every choice of objects for its variables."""
+
+    operator: str
+    """``always``, ``sometime``, ``at-most-once``, ``sometime-after``, ``sometime-before``, ``within``,
+    ``always-within``, ``hold-during``, ``hold-after`` or ``at end``."""
+    conditions: tuple[Condition, ...]
+    """In the order in which PDDL writes them: one, or two for ``sometime-after``, ``sometime-before`` and ``always-within``."""
+    times: tuple[float, ...] = ()
+    """Seconds from the start, in the order in which PDDL writes them; of ``always-within``, seconds it may take."""
+    variables: tuple[Variable, ...] = ()
+    """Of the quantifiers around it, outermost first."""
+    begun: bool = False
+    """Of ``at-most-once``: the one time has begun before; it may go on but not begin again."""
+
+    def __str__(self) -> str:
+        text = f"({' '.join((self.operator, *(f'{time:.12g}' for time in self.times), *map(str, self.conditions)))})"
+        return f"(forall ({' '.join(map(str, self.variables))}) {text})" if self.variables else text
+
+
+IMPOSSIBLE: Final = Constraint("always", (Any(),))
+"""What is left of a constraint that is violated: no course keeps it."""
+
+
+def instances(constraint: Constraint, state: State, env: Environment = NOTHING) -> tuple[Constraint, ...]:
+    """Return the ground constraints: one for every choice of objects for the variables."""
+    return tuple(
+        replace(constraint, conditions=tuple(ground(condition, chosen) for condition in constraint.conditions), variables=())
+        for chosen in choices(constraint.variables, state, env)
+    )
+
+
+# --- progression ---------------------------------------------------------------------------
+
+
+def progressed(constraints: Iterable[Constraint], state: State, now: float = 0.0) -> tuple[Constraint, ...]:
+    """Return what is left of ground constraints when the course has come to this state.
+
+    Args:
+        constraints: what the course must keep from its previous state on.
+        state: the state it has come to.
+        now: when, in seconds from the start of the whole course; later than the previous state.
+    """
+    found = [left for constraint in constraints for left in _progressed(constraint, state, now)]
+    if IMPOSSIBLE in found:
+        return (IMPOSSIBLE,)
+    return tuple(found) if len(found) < 2 else _merged(found)
+
+
+def _merged(found: Iterable[Constraint]) -> tuple[Constraint, ...]:
+    """Leave out what is there twice; of several deadlines for the same, the earliest includes the others."""
+    left: dict[object, Constraint] = {}
+    for one in found:
+        key = one.conditions if one.operator == "within" else one
+        if key not in left or one.times < left[key].times:
+            left[key] = one
+    return tuple(left.values())
+
+
+def _progressed(constraint: Constraint, state: State, now: float) -> tuple[Constraint, ...]:
+    truths = [evaluate(condition, state) for condition in constraint.conditions]
+    match constraint.operator, truths, constraint.times:
+        case "at end", [_], ():
+            return (constraint,)
+        case "always", [wanted], ():
+            return (IMPOSSIBLE,) if wanted is False else (constraint,)
+        case "sometime", [wanted], ():
+            return () if wanted is True else (constraint,)
+        case "within", [wanted], (limit,):
+            if wanted is True and now <= limit + TOLERANCE:
+                return ()
+            return (constraint,) if now < limit - TOLERANCE else (IMPOSSIBLE,)
+        case "at-most-once", [True], ():
+            return (constraint if constraint.begun else replace(constraint, begun=True),)
+        case "at-most-once", [wanted], ():
+            over = constraint.begun and wanted is False
+            return (Constraint("always", (Not(constraint.conditions[0]),)),) if over else (constraint,)
+        case "sometime-after", [trigger, wanted], ():
+            owed = trigger is True and wanted is not True
+            return (constraint, Constraint("sometime", constraint.conditions[1:])) if owed else (constraint,)
+        case "sometime-before", [later, earlier], ():
+            if later is True:  # earlier is not early enough now
+                return (IMPOSSIBLE,)
+            return () if earlier is True else (constraint,)
+        case "always-within", [trigger, wanted], (delay,):
+            owed = trigger is True and wanted is not True
+            deadline = Constraint("within", constraint.conditions[1:], (now + delay,))
+            return (constraint, *_progressed(deadline, state, now)) if owed else (constraint,)
+        case "hold-during", [wanted], (begin, end):
+            if now >= end - TOLERANCE:
+                return ()
+            return (IMPOSSIBLE,) if now >= begin - TOLERANCE and wanted is False else (constraint,)
+        case "hold-after", [wanted], (begin,):
+            return (IMPOSSIBLE,) if now >= begin - TOLERANCE and wanted is False else (constraint,)
+        case _:
+            raise ValueError(f"not a ground constraint of PDDL 3.0: {constraint}")
+
+
+def moments(constraint: Constraint) -> tuple[float, ...]:
+    """Return the times at which the constraint must be progressed with the state then in force, even if no new one begins."""
+    return constraint.times[:1] if constraint.operator in ("within", "hold-during", "hold-after") else ()
+
+
+def is_fulfilled(constraints: Iterable[Constraint], state: State, now: float = 0.0) -> bool:
+    """Tell whether ground constraints are kept by a course whose rest is this one state."""
+    for one in progressed(constraints, state, now):
+        owed = one == IMPOSSIBLE or one.operator in ("sometime", "within")
+        if owed or (one.operator == "at end" and evaluate(one.conditions[0], state) is not True):
+            return False
+    return True
+
+
+def shifted(constraint: Constraint, elapsed: float) -> Constraint:
+    """Return what is left of the constraint, with times that count from so many seconds after the start of the whole course."""
+    if constraint.operator == "always-within":
+        return constraint
+    if constraint.operator == "hold-after" and constraint.times[0] <= elapsed + TOLERANCE:
+        return Constraint("always", constraint.conditions, (), constraint.variables)
+    return replace(constraint, times=tuple(max(0.0, time - elapsed) for time in constraint.times))
+
+
+# --- watching ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """What is left of a ground constraint while a course is being observed.
+
+    What happens at one moment may be reported in pieces and late. What a constraint asks for counts
+    as soon as it is seen. But that something is violated, or from now on forbidden, counts only if it
+    still looks so after the lag of the reports; what becomes known until then is taken to have been
+    so all the time.
+    """
+
+    rest: tuple[Constraint, ...]
+    doubtful_since: float | None = None
+    """When it began to look as if `rest` were violated, or something were forbidden from then on."""
+
+    def seen(self, state: State, now: float, lag: float) -> Watch:
+        """Return the watch after a look at the state, with reports that may be so many seconds late."""
+        moment = now if self.doubtful_since is None else self.doubtful_since
+        left = progressed(self.rest, state, moment)
+        if now < moment + lag - TOLERANCE and any(one.operator == "always" and one not in self.rest for one in left):
+            return Watch(self.rest, moment)
+        return Watch(left)
+
+    def next_look(self, now: float, lag: float) -> float:
+        """Return when to look again even if nothing is reported."""
+        if self.doubtful_since is not None:
+            return self.doubtful_since + lag
+        return min((time for one in self.rest for time in moments(one) if time > now + TOLERANCE), default=inf)
+
+    @property
+    def violated(self) -> bool:
+        """Whether nothing can fulfil the constraint any more."""
+        return IMPOSSIBLE in self.rest
+
+
+def names_in(constraint: Constraint) -> frozenset[str]:
+    """Return the predicates and functions the constraint mentions."""
+    return frozenset().union(*map(names, constraint.conditions))
+
+
+def seen_of(constraint: Constraint, state: Witness) -> str:
+    """Say what the state has in place of a ground constraint that is not fulfilled."""
+    parts = [part for condition in constraint.conditions for part in failing(condition, state) or conjuncts(condition)]
+    return "; ".join(dict.fromkeys(observed(part, state) for part in parts))

@@ -1,0 +1,189 @@
+"""How actions are bound to action servers: which server, which goal fields, which limits.
+
+Without a binding the server has the action's name and its goal fields are filled by name:
+the call's arguments first, then local, then global variables. ``action``,
+``arguments`` and ``duration`` are always there: the action's name, the list of its arguments, and
+its planned duration in seconds, 0 when it has none.
+"""
+
+from __future__ import annotations
+
+import re
+import string
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Final, Protocol
+
+from pnm.core.knowledge_base import parse_fluent
+from pnm.core.logic.computed_values import MISSING
+from pnm.core.logic.expressions import UNDEFINED, Fluent, Unknown, Value, bind
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.errors import InputError
+
+ABOUT_THE_CALL: Final = frozenset({"action", "arguments", "duration"})
+"""Goal fields that tell of the call itself; they are filled as long as nobody knows which fields there are."""
+
+
+@dataclass(frozen=True, slots=True)
+class Binding:
+    """What is said about one action; every field has a default."""
+
+    server: str | None = None
+    """Name of the action server; ``{robot}`` stands for the argument of parameter ``?robot``."""
+    type: str | None = None
+    """Such as ``nav2_msgs/action/NavigateToPose``; taken from the ROS graph when not given."""
+    goal: Mapping[str, object] | None = None
+    """Goal fields: ``?to`` a parameter, ``$name`` a variable, ``(pose ?to)`` a fluent, else a constant."""
+    store: Mapping[str, str] = field(default_factory=dict)
+    """Result fields and the variables they are stored in; every other field is stored by its own name."""
+    timeout: float | None = None
+    """Seconds from acceptance until the action is cancelled; by default twice the planned duration, 10 at least."""
+    accept: float = 15.0
+    """Seconds the server may take to answer a goal; a first contact over DDS takes up to 5."""
+    cancel: float = 5.0
+    """Seconds the server may take to confirm a cancellation."""
+    retries: int = 1
+    """How often the action is tried again within one plan."""
+    ask: Mapping[str, str] = field(default_factory=dict)
+    """Variables, and what a person is asked when nobody knows them; ``{shop}`` stands for the argument of parameter ``?shop``."""
+    resources: tuple[str, ...] = ()
+    """What the action has for itself while it runs, such as ``{robot}/base``."""
+
+
+DEFAULT = Binding()
+_NAME = re.compile(r"[A-Za-z][\w-]*\Z")
+
+
+@dataclass(frozen=True, slots=True)
+class Bindings:
+    """Bindings by action name, and what nobody reports."""
+
+    actions: Mapping[str, Binding] = field(default_factory=dict)
+    assumed: frozenset[str] = frozenset()
+    """Predicates and functions that no sensor reports, even in simulation."""
+    lag: float = 1.0
+    """Seconds that reports about sensed fluents may be late."""
+
+    def of(self, action: str) -> Binding:
+        """Return the binding of the action, or the default one."""
+        return self.actions.get(action, DEFAULT)
+
+    def before(self, others: Bindings) -> Bindings:
+        """Return these bindings and, for actions that they do not speak of, others."""
+        return Bindings({**others.actions, **self.actions}, self.assumed | others.assumed, max(self.lag, others.lag))
+
+    def server(self, action: GroundAction) -> str:
+        """Return the name of the server that performs the ground action.
+
+        Raises:
+            InputError: the name has a part in braces that is not a parameter of the action.
+        """
+        return _filled(self.of(action.name).server or action.name, action, "server")
+
+    def resources(self, action: GroundAction) -> tuple[str, ...]:
+        """Return what the ground action has for itself while it runs: its own resources, and those of its binding.
+
+        Work on knowledge has none.
+
+        Raises:
+            InputError: a name has a part in braces that is not a parameter of the action.
+        """
+        if action.operation is not None:
+            return ()
+        patterns = (*action.resources, *self.of(action.name).resources)
+        return tuple(dict.fromkeys(_filled(pattern, action, "resource") for pattern in patterns)) if patterns else ()
+
+    def names_server(self, action: GroundAction) -> bool:
+        """Tell whether the name of the server is known, or has a part that is only known when the call starts."""
+        return not set(placeholders(self.of(action.name).server or "")) & set(open_parameters(action))
+
+    def timeout(self, action: GroundAction) -> float:
+        """Return how many seconds the action may run."""
+        chosen = self.of(action.name).timeout
+        return chosen if chosen is not None else max(10.0, 2.0 * (action.duration or 0.0), 60.0 if action.duration is None else 0.0)
+
+
+def _filled(pattern: str, action: GroundAction, what: str) -> str:
+    """Put the arguments of the action in the place of parameters in braces."""
+    own = dict(zip(action.parameters, action.arguments, strict=True))
+    for name in placeholders(pattern):
+        if name not in own:
+            raise InputError(f"the {what} {pattern!r} of {action.name} names {{{name}}}, which is not a parameter ({', '.join(own)})")
+    return pattern.format_map(own)
+
+
+class Lookup(Protocol):
+    """What goal fields are filled from besides the call itself."""
+
+    def value(self, fluent: Fluent, /) -> Value | Unknown | None:
+        """Return the value of a fluent."""
+
+    def variable(self, name: str, /) -> object:
+        """Return a variable that is known here, or `MISSING`."""
+
+    def find(self, name: str, /) -> object:
+        """Return a variable that is needed: from wherever it can be had, or `MISSING`."""
+
+    def given(self) -> Mapping[str, object]:
+        """Return the values that the plan gives to goal fields or leaves open, as far as there are any."""
+
+
+def goal_data(
+    action: GroundAction, binding: Binding, fields: tuple[str, ...] | None, knowledge: Lookup
+) -> tuple[dict[str, object], tuple[str, ...]]:
+    """Fill the goal fields by name; return them and the names of those for which there is no value.
+
+    With a `goal` mapping only its fields are needed; others are filled if a value of their name exists.
+    As long as nobody knows which fields there are, parameters without a value are needed.
+    """
+    told = dict(zip(action.parameters, action.arguments, strict=True))
+    own: dict[str, object] = {
+        "action": action.name,
+        "arguments": list(action.arguments),
+        "duration": action.duration or 0.0,
+        **{name: value for name, value in told.items() if not value.startswith("?")},
+        **knowledge.given(),
+    }
+    needed = binding.goal if binding.goal is not None else dict.fromkeys(fields if fields is not None else open_parameters(action))
+    filled: dict[str, object] = {}
+    missing: list[str] = []
+    for name in dict.fromkeys((*needed, *(fields if fields is not None else own))):
+        source = needed[name] if binding.goal is not None and name in needed else f"${name}"
+        value = _resolve(source, own, knowledge, knowledge.find if name in needed else knowledge.variable)
+        if value is not MISSING:
+            filled[name] = value
+        elif name in needed:
+            missing.append(name)
+    return filled, tuple(missing)
+
+
+def open_parameters(action: GroundAction) -> tuple[str, ...]:
+    """Return the parameters whose values the plan does not tell, without ``?``."""
+    return tuple(name for name, value in zip(action.parameters, action.arguments, strict=True) if value.startswith("?"))
+
+
+def _resolve(source: object, own: Mapping[str, object], knowledge: Lookup, find: Callable[[str], object]) -> object:
+    if isinstance(source, Mapping):
+        inner = {name: _resolve(part, own, knowledge, find) for name, part in source.items()}
+        return MISSING if MISSING in inner.values() else inner
+    if isinstance(source, list | tuple):
+        parts = [_resolve(part, own, knowledge, find) for part in source]
+        return MISSING if MISSING in parts else parts
+    if not isinstance(source, str):
+        return source
+    if source.startswith("?"):
+        return own.get(source[1:], MISSING)
+    if source.startswith("$"):
+        return own[source[1:]] if source[1:] in own else find(source[1:])
+    if source.startswith("("):
+        env = {f"?{name}": value for name, value in own.items() if isinstance(value, str)}
+        value = knowledge.value(bind(parse_fluent(source), env))
+        return MISSING if value in (None, UNDEFINED) or isinstance(value, Unknown) else value
+    return source
+
+
+def placeholders(pattern: str) -> Iterator[str]:
+    """Yield the parameters named in the braces of a pattern."""
+    for _, name, _, _ in string.Formatter().parse(pattern):
+        if name is not None:
+            yield name

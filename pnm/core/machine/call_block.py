@@ -1,0 +1,268 @@
+"""The block of a call: checks, request, outcomes, checks, recovery.
+
+    ready → (start) → requested → (accepted) → running → … → finished → done
+
+A call whose start others wait for *announces* it once: when the first request is accepted, or with whatever
+replaces that (skip, already true, failure). Therefore such a call has its places up to acceptance twice: for the
+attempts before its start was announced and for those after.
+
+An end that must wait for other events (`awaited`) is reached by the robot when it likes; its checks and its `fork`
+wait. A retry moves a token from *budget* to *spent*; giving up takes all of *spent*, by an arc whose weight is the
+whole budget. Where the plan says itself what is done about a cause, that comes in the place of retrying.
+
+A call that is under way already, sent by another run, is taken over as it is: its first attempt begins at `running`.
+A run that is paused at once has its calls cancelled: they begin anew later, and none of their budget is spent.
+
+The call has its resources as long as a request may be alive and until its effects have been looked for, unless that
+must wait for other events: whatever leads from outside into those places takes all of them at once, and whatever
+leads out of them gives all back. That is so in the net; outside of it a request that was given up keeps them until its
+server says that it is over (`pnm.core.execution.resources`). So wherever they are waited for there is a way out, `withheld`, after as
+long as a server may take to answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import isfinite
+
+from pnm.core.logic.conditions import TRUE, All, Condition, conjunction, conjuncts, names
+from pnm.core.logic.effects import names_written
+from pnm.core.logic.rules import Rules
+from pnm.core.machine.bindings import Binding
+from pnm.core.machine.machine import (
+    Accepts,
+    Adopted,
+    After,
+    AlreadyTrue,
+    Always,
+    CancelAsked,
+    DataMissing,
+    Deed,
+    Denied,
+    Due,
+    EffectsMissing,
+    EffectsSeen,
+    Ending,
+    Ends,
+    Guard,
+    Holding,
+    PauseAsked,
+    Rule,
+    Withheld,
+)
+from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction, Moment, PlanEvent
+from pnm.core.machine.recovery_block import Recoveries, abandon, build_recoveries
+from pnm.core.machine.requests import OutcomeKind
+from pnm.core.machine.step_block import Block
+
+_ANY = frozenset(OutcomeKind)
+_SUCCEEDED = frozenset({OutcomeKind.SUCCEEDED})
+_UNSUCCESSFUL = _ANY - _SUCCEEDED
+_EARLY = {OutcomeKind.REJECTED: Cause.REJECTED, OutcomeKind.UNAVAILABLE: Cause.UNAVAILABLE, OutcomeKind.LOST: Cause.LOST}
+"""How a request may end before anybody has said that it was accepted."""
+_NOT_EARLY = _ANY - frozenset(_EARLY)
+_LATE = {OutcomeKind.ABORTED: Cause.ABORTED, OutcomeKind.CANCELED: Cause.CANCELED, OutcomeKind.LOST: Cause.LOST}
+_ODD = _UNSUCCESSFUL - frozenset(_LATE)
+_ALIVE = ("requested", "withdrawing", "again requested", "again withdrawing", "running", "overdue", "stopping", "suspending")
+"""Places of a call whose request may be alive."""
+
+
+@dataclass
+class CallBlock(Block[ActionCall]):
+    """The places and transitions of one call."""
+
+    recoveries: Recoveries = field(default_factory=Recoveries)
+
+    def build(self) -> None:
+        """Add the block to the machine."""
+        announced = self._announced
+        for name in ("running", "overdue", "stopping", "suspending", "finished", "done", "failed"):
+            self.place(name)
+        for phase in ("", "again ") if announced else ("",):
+            for name in ("ready", "requested", "recover", "withdrawing"):
+                self.place(phase + name)
+        self.builder.failure_places[self.name("failed")] = self.step.index
+        if self.retries:
+            self.budget("budget", "spent", self.retries)
+        self.recoveries = build_recoveries(self)
+        self._attempt("", announced)
+        if announced:
+            self._attempt("again ", [])
+        self.enter("ready", 0.0 if self.step.under_way else self.step.release)
+        self._run("again " if announced else "")
+        self._finish("again " if announced else "")
+        self.leave()
+
+    def add(
+        self, name: str, guard: Guard, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], deed: Deed | None = None
+    ) -> None:
+        """Add a transition between any places; one that leads to where a request may be alive takes the resources."""
+        if self._resources:
+            taken, marked = inputs if isinstance(inputs, dict) else dict.fromkeys(inputs, 1), [*outputs]
+            was_alive, is_alive = (not self._alive.isdisjoint(places) for places in (taken, marked))
+            if is_alive and not was_alive and not isinstance(guard, Adopted):
+                rule = Rule("withheld", Withheld(self.step.index, self.binding.accept, deed), self.step.index)
+                self.builder.transition(self.name(f"withheld before {name}"), rule, taken, self._if_withheld(name))
+            inputs = {**taken, **dict.fromkeys(self._resources, 1)} if is_alive and not was_alive else taken
+            outputs = [*marked, *self._resources] if was_alive and not is_alive else marked
+        super().add(name, guard, inputs, outputs, deed)
+
+    def _if_withheld(self, what: str) -> list[str]:
+        """Return what is marked when this cannot be done for want of resources: as if the server were not there, if that is a way out."""
+        out = [self.name("done"), *(self._announced if what == "start" else []), self.name("failed")]
+        found = self._after(Cause.UNAVAILABLE, out) if what.endswith("start") else out
+        return found if self._alive.isdisjoint(found) else out
+
+    def place(self, name: str) -> str:
+        """Make a place of this block."""
+        if name in _ALIVE or (name == "finished" and not self.awaited):
+            self.builder.alive_places.add(self.name(name))
+        if name in ("returned", "finished"):
+            self.builder.settling_places[self.name(name)] = self.step.index
+        return super().place(name)
+
+    @cached_property
+    def _announced(self) -> list[str]:
+        """What the start of the call marks."""
+        return self.builder.out_of.get(PlanEvent(self.step.index, Moment.START), [])
+
+    @cached_property
+    def _alive(self) -> frozenset[str]:
+        """Places of a call that is under way; what waits for others before its effects are looked for is not."""
+        return frozenset(map(self.name, _ALIVE if self.awaited else (*_ALIVE, "finished")))
+
+    @cached_property
+    def _resources(self) -> tuple[str, ...]:
+        return tuple(f"resource {name}" for name in self.builder.bindings.resources(self.step.action))
+
+    @cached_property
+    def binding(self) -> Binding:
+        """Limits of the action."""
+        return self.builder.bindings.of(self.step.action.name)
+
+    @property
+    def retries(self) -> int:
+        """How often the call is tried again if nothing else is said."""
+        return self.binding.retries if self.step.retries is None else self.step.retries
+
+    @property
+    def _timeout(self) -> float:
+        return self.builder.bindings.timeout(self.step.action) if self.step.timeout is None else self.step.timeout
+
+    def _attempt(self, phase: str, announced: list[str]) -> None:
+        """From `ready` to acceptance, and from `recover` back or out."""
+        call, action = self.step.index, self.step.action
+        ready, requested, recover, withdrawing = (self.name(phase + name) for name in ("ready", "requested", "recover", "withdrawing"))
+        out = [self.name("done"), *announced]
+        failed = [*out, self.name("failed")]
+        may_start = conjunction((action.precondition, _before_invariant(action, self.builder.plan.rules)))
+
+        def add(name: str, guard: Guard, source: str, outputs: Iterable[str], deed: Deed | None = None) -> None:
+            self.add(phase + name, guard, [source], outputs, deed)
+
+        if self.step.under_way and announced == self._announced:
+            add("adopt", Adopted(call), ready, [self.name("running"), *announced], Deed.ADOPT)
+        add("skip", Ending(), ready, out)
+        if not self._must_happen:
+            add("already_true", AlreadyTrue(call), ready, out)
+        self._own_checks(Cause.BEFORE, "ready")
+        add("data_missing", DataMissing(call), ready, self._after(Cause.DATA_MISSING, failed))
+        if isfinite(self.step.deadline):
+            add("too_late", Due(self.step.deadline), ready, failed)
+        add("start", Holding(may_start), ready, [requested], Deed.SEND)
+        add("precondition_false", Denied(may_start), ready, self._after(Cause.PRECONDITION_FALSE, failed))
+
+        add("accepted", Accepts(call), requested, [self.name("running"), *announced], Deed.BEGIN)
+        for kind, cause in _EARLY.items():
+            name = f"{kind.value}{'_early' if kind is OutcomeKind.LOST else ''}"
+            add(name, Ends(call, frozenset({kind})), requested, self._after(cause, [recover]))
+        unavailable = self._after(Cause.UNAVAILABLE, [recover])
+        add("ended_early", Ends(call, _NOT_EARLY), requested, unavailable)
+        add("unanswered", After(self.binding.accept), requested, [withdrawing], Deed.CANCEL)
+        add("withdrawn", Ends(call, _ANY), withdrawing, unavailable)
+        add("unheard", After(self.binding.cancel), withdrawing, failed)
+
+        abandon(self, "recover", *announced, phase=phase)
+        budget, spent, retries = self.name("budget"), self.name("spent"), self.retries
+        if retries:
+            self.add(f"{phase}retry", Always(), [recover, budget], [ready, spent])
+        self.add(f"{phase}give_up", Always(), {recover: 1, spent: retries} if retries else {recover: 1}, failed)
+
+    @property
+    def _must_happen(self) -> bool:
+        """Whether the call is made even if all that it would change is so already.
+
+        What comes while it runs relies on its start; time may still undo what seems to be done; and when it is
+        repeated, what it has made itself the last time says nothing.
+        """
+        repeats = self.context.repeated and self.step.action.expected != TRUE
+        relied_on = bool(self.awaited or self._announced)
+        return repeats or relied_on or bool(self.step.release)
+
+    def _run(self, phase: str) -> None:
+        """From acceptance to one exit per outcome."""
+        call = self.step.index
+        returned = "finished"
+        if self.awaited:
+            self.place("returned")
+            returned = "returned"
+        recover = [self.name(phase + "recover")]
+        self.fire("succeeded", Ends(call, _SUCCEEDED), "running", returned)
+        for kind, cause in _LATE.items():
+            self._outcome(kind.value, Ends(call, frozenset({kind})), "running", cause, recover)
+        self._outcome("ended_oddly", Ends(call, _ODD), "running", Cause.ABORTED, recover)
+        self.fire("stop", CancelAsked(), "running", "stopping", deed=Deed.CANCEL)
+        self.fire("suspend", PauseAsked(), "running", "suspending", deed=Deed.CANCEL)
+        if self.step.action.invariant != TRUE:
+            self.fire("invariant_false", Denied(self.step.action.invariant), "running", "stopping", "failed", deed=Deed.CANCEL)
+        if isfinite(self.step.deadline):
+            self.fire("deadline_missed", Due(self.step.deadline), "running", "stopping", "failed", deed=Deed.CANCEL)
+        self.fire("timed_out", After(self._timeout), "running", "overdue", deed=Deed.CANCEL)
+
+        self.fire("late_success", Ends(call, _SUCCEEDED), "overdue", returned)
+        self._outcome("expired", Ends(call, _UNSUCCESSFUL), "overdue", Cause.TIMED_OUT, recover)
+        self.fire("unconfirmed", After(self.binding.cancel), "overdue", "done", "failed", deed=Deed.UNDO)
+
+        self.fire("stop_suspending", CancelAsked(), "suspending", "stopping")
+        self.fire("ended_before", Ends(call, _SUCCEEDED), "suspending", returned)
+        self.fire("suspended", Ends(call, _UNSUCCESSFUL), "suspending", phase + "ready", deed=Deed.UNDO)
+        self.fire("unconfirmed_pause", After(self.binding.cancel), "suspending", "done", "failed", deed=Deed.UNDO)
+
+        self.fire("completed", Ends(call, _SUCCEEDED), "stopping", "done", deed=Deed.FINISH)
+        self.fire("stopped", Ends(call, _UNSUCCESSFUL), "stopping", "done", deed=Deed.UNDO)
+        self.fire("unconfirmed_stop", After(self.binding.cancel), "stopping", "done", deed=Deed.UNDO)
+
+    def _finish(self, phase: str) -> None:
+        """From success to done, once the effects are seen."""
+        call = self.step.index
+        if self.awaited:
+            self.add("await", Always(), [self.name("returned"), *self.awaited], [self.name("finished"), *self.awaited])
+        self._own_checks(Cause.AFTER, "finished")
+        self.fire("effects_hold", EffectsSeen(call), "finished", "done", deed=Deed.FINISH)
+        recover = [self.name(phase + "recover")]
+        self._outcome("effects_missing", EffectsMissing(call), "finished", Cause.EFFECTS_MISSING, recover)
+
+    # --- recovery -----------------------------------------------------------------------------
+
+    def _after(self, cause: Cause, otherwise: list[str]) -> list[str]:
+        """Return the places that are marked for this cause: what the plan says about it, or else these."""
+        return self.recoveries.places.get(cause, otherwise)
+
+    def _outcome(self, name: str, guard: Guard, source: str, cause: Cause, otherwise: list[str]) -> None:
+        """Add an outcome that is no success; what was done at the start is taken back unless the call goes on nevertheless."""
+        deed = None if cause in self.recoveries.kept else Deed.UNDO
+        self.add(name, guard, [self.name(source)], self._after(cause, otherwise), deed)
+
+    def _own_checks(self, wanted: Cause, source: str) -> None:
+        """Add the checks that the plan has besides, in its order."""
+        for cause, name, condition, places in self.recoveries.checks:
+            if cause is wanted:
+                self.add(name, Holding(condition), [self.name(source)], places)
+
+
+def _before_invariant(action: GroundAction, rules: Rules) -> Condition:
+    """Return what of the over-all condition can be checked before the start: all that the start does not itself change."""
+    changed = names_written(action.start_effects)
+    return All(tuple(part for part in conjuncts(action.invariant) if not rules.base(names(part)) & changed))

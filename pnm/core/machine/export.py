@@ -1,0 +1,126 @@
+"""Machines written in other formats. Pure functions; the same machine gives the same bytes.
+
+Machines as Graphviz text: places round, transitions square, one frame per step, around what it holds. Byte-stable.
+
+Machines as JSON: places with their roles, transitions with δ̂, arcs, initial marking. Byte-stable.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from typing import Any
+
+from pnm.core.machine.machine import Guard, PetriNetMachine
+from pnm.core.machine.plan_graph import ActionCall, Step, flows
+
+_COLOURS = {
+    "goal": "#2e7d32",
+    "failure": "#c62828",
+    "restart": "#ef6c00",
+    "budget": "#f9a825",
+    "resource": "#6a1b9a",
+    "ordering": "#1565c0",
+    "": "#455a64",
+}
+
+_DOTS = 5
+"""Tokens that are drawn as dots; more are counted."""
+
+
+def to_dot(machine: PetriNetMachine) -> str:
+    """Return the machine as a directed graph."""
+    return "\n".join(("digraph machine {", '  rankdir=LR; node [fontname="sans-serif", fontsize=10];', *_body(machine), "}", ""))
+
+
+def _body(machine: PetriNetMachine) -> Iterator[str]:
+    transitions: dict[int | None, list[str]] = {}
+    for name, rule in machine.rules.items():
+        transitions.setdefault(rule.call, []).append(name)
+    for step in machine.plan.steps:
+        yield from _cluster(machine, step, transitions, "  ")
+    inside = {place for places in machine.blocks.values() for place in places}
+    inside |= {place for region in machine.regions if region.owner is not None for place in (*region.first, *region.last)}
+    yield from (f"  {_place(machine, place)}" for place in machine.net.places if place not in inside)
+    yield from (f"  {_transition(machine, name)}" for name in transitions[None])
+    for arc in machine.net.arcs:
+        weight = f" [label={arc.weight}]" if arc.weight > 1 else ""
+        yield f"  {_quote(arc.source)} -> {_quote(arc.target)}{weight};"
+
+
+def _cluster(machine: PetriNetMachine, step: Step, transitions: Mapping[int | None, list[str]], indent: str) -> Iterator[str]:
+    """Yield a frame around a step and all that it holds."""
+    yield f'{indent}subgraph cluster_{step.index} {{ label={_quote(str(step))}; color=gray; fontname="sans-serif";'
+    yield from (f"{indent}  {_place(machine, place, f'{step} ')}" for place in machine.blocks[step.index])
+    yield from (f"{indent}  {_transition(machine, name)}" for name in transitions[step.index])
+    held = (region for region in machine.regions if region.owner == step.index)
+    inner_places = dict.fromkeys(place for region in held for place in (*region.first, *region.last))
+    yield from (f"{indent}  {_place(machine, place)}" for place in inner_places)
+    for flow in flows(step):
+        for inner in flow.steps:
+            yield from _cluster(machine, inner, transitions, f"{indent}  ")
+    yield f"{indent}}}"
+
+
+def _place(machine: PetriNetMachine, place: str, title: str = "") -> str:
+    label = place.removeprefix(title)
+    if place in machine.orderings:
+        label = ", ".join(map(" ".join, machine.orderings[place].protects))
+    elif place in machine.border_places:
+        label = ""  # its arcs say which steps it connects
+    tokens = machine.initial[place]
+    label += " •" * tokens if tokens <= _DOTS else f" {tokens}"
+    return f"{_quote(place)} [shape=circle, label={_quote(label)}, color={_quote(_COLOURS[machine.role(place)])}];"
+
+
+def _transition(machine: PetriNetMachine, name: str) -> str:
+    return f"{_quote(name)} [shape=box, height=0.2, label={_quote(machine.rules[name].name)}];"
+
+
+def _quote(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def to_json(machine: PetriNetMachine) -> str:
+    """Return the machine as one JSON object."""
+    return json.dumps(as_data(machine), indent=1, ensure_ascii=False) + "\n"
+
+
+def as_data(machine: PetriNetMachine) -> dict[str, Any]:
+    """Return the machine as plain data."""
+    return {
+        "calls": [{"name": str(call), "action": call.action.name, "arguments": list(call.action.arguments)} for call in machine.plan.calls],
+        "steps": [{"number": step.index, "name": str(step)} for step in machine.plan.every_step if not isinstance(step, ActionCall)],
+        "orderings": [
+            {"before": str(one.before), "after": str(one.after), "protects": [" ".join(fluent) for fluent in one.protects]}
+            for one in machine.orderings.values()
+        ],
+        "places": [{"name": place, "role": machine.role(place), "tokens": machine.initial[place]} for place in machine.net.places],
+        "transitions": [
+            {
+                "name": name,
+                "event": rule.name,
+                "call": rule.call,
+                "guard": _guard(rule.guard),
+                "deed": rule.deed.name if rule.deed else None,
+            }
+            for name, rule in machine.rules.items()
+        ],
+        "arcs": [{"source": arc.source, "target": arc.target, "weight": arc.weight} for arc in machine.net.arcs],
+        "goal_places": sorted(machine.goal_places),
+    }
+
+
+def _guard(guard: Guard) -> dict[str, Any]:
+    found: dict[str, Any] = {"kind": type(guard).__name__}
+    for one in fields(guard):
+        value = getattr(guard, one.name)
+        found[one.name] = (
+            sorted(kind.value for kind in value)
+            if isinstance(value, frozenset)
+            else value
+            if isinstance(value, int | float)
+            else str(value)
+        )
+    return found

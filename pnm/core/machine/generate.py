@@ -1,0 +1,63 @@
+"""The frame around all steps: where a machine begins, and where it ends in goal or failed.
+
+What blocks are built with: the net so far, its roles, and which places connect which steps.
+"""
+
+from __future__ import annotations
+
+from typing import assert_never
+
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.builder import Builder, Context
+from pnm.core.machine.call_block import CallBlock
+from pnm.core.machine.machine import Always, Denied, Due, Ending, Failing, Holding, OnFailure, PetriNetMachine, Rule
+from pnm.core.machine.plan_graph import ActionCall, Choice, Junction, Loop, PlanGraph, Step
+from pnm.core.machine.step_block import ChoiceBlock, JunctionBlock, LoopBlock
+
+
+def generate(plan: PlanGraph, bindings: Bindings | None = None, *, on_failure: OnFailure = OnFailure.DRAIN) -> PetriNetMachine:
+    """Build the machine of a plan; retries and limits of each call come from the plan, or else from the bindings."""
+    builder = Builder(plan, bindings or Bindings())
+    start, end = builder.net.place("start"), builder.net.place("end")
+    goal, failed = builder.net.place("goal"), builder.net.place("failed")
+    builder.initial[start] = 1
+    for name in dict.fromkeys(name for call in plan.calls for name in builder.bindings.resources(call.action)):
+        place = builder.net.place(f"resource {name}")
+        builder.resource_places.add(place)
+        builder.initial[place] = plan.capacities.get(name, 1)
+    whole = builder.region(plan.flow, None, "begin", "finish", Context(repeated=builder.starts_anew))
+    builder.transition("begin", Rule("begin"), [start], whole.first)
+    while builder.waiting:
+        _build(builder, *builder.waiting.popleft())
+    if plan.due:
+        builder.transition("overtaken", Rule("overtaken", Ending()), whole.last, [end])
+    builder.transition("finish", Rule("finish", Due(plan.due) if plan.due else Always()), whole.last, [end])
+    builder.transition("ended_by_failure", Rule("ended_by_failure", Failing()), [end], [failed])
+    _begin_anew(builder, end, start)
+    builder.transition("goal_holds", Rule("goal_holds", Holding(plan.goal)), [end], [goal])
+    builder.transition("goal_missing", Rule("goal_missing", Denied(plan.goal)), [end], [failed])
+    return builder.machine(goal, failed, on_failure)
+
+
+def _build(builder: Builder, step: Step, context: Context) -> None:
+    match step:
+        case ActionCall():
+            CallBlock(builder, step, context).build()
+        case Loop():
+            LoopBlock(builder, step, context).build()
+        case Choice():
+            ChoiceBlock(builder, step, context).build()
+        case Junction():
+            JunctionBlock(builder, step, context).build()
+        case _:
+            assert_never(step)
+
+
+def _begin_anew(builder: Builder, end: str, start: str) -> None:
+    """Once everything has ended, take all that ask for it at their word, and begin once."""
+    if builder.restart_places:
+        restarting = builder.net.place("restarting")
+        for place in builder.restart_places:
+            for source, name in ((end, "restart"), (restarting, "restart_too")):
+                builder.transition(f"{name} {place}", Rule(name), [source, place], [restarting])
+        builder.transition("begin_anew", Rule("begin_anew"), [restarting], [start])

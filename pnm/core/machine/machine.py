@@ -1,0 +1,280 @@
+"""Petri Net Machines: PNM = (Σ, PN, m₀, δ̂, P_g) of the 2019 paper.
+
+Σ are the reports, knowledge changes and moments in time of `pnm.core.execution.events`; PN and m₀ are the net
+and its initial marking; P_g are the goal places. δ̂ is written down as one *rule* per
+transition: a guard, asked besides the preset, and a deed that its firing brings about.
+`pnm.core.execution.run` evaluates the rules; nothing here has a clock or does I/O.
+
+At a place with several consumers the rules are asked in the order of the net's transitions,
+and the first open one fires.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from typing import NamedTuple, TypeAlias
+
+from pnm.core.logic.conditions import Condition
+from pnm.core.machine.plan_graph import Ordering, PlanGraph
+from pnm.core.machine.requests import OutcomeKind
+from pnm.core.net.firing_engine import CompiledNet
+from pnm.core.net.net import Marking, PetriNet
+
+# --- guards --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Always:
+    """Open at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """Open when nothing more is started: a failure place or a restart place is marked, or the run was told to stop."""
+
+
+@dataclass(frozen=True, slots=True)
+class Failing:
+    """Open when the run can no longer succeed: a failure place is marked, or it was told to stop."""
+
+
+@dataclass(frozen=True, slots=True)
+class CancelAsked:
+    """Open when running calls shall be cancelled: the run was told so, or is ending under policy `CANCEL`."""
+
+
+@dataclass(frozen=True, slots=True)
+class PauseAsked:
+    """Open when the run was told to pause at once: running calls shall be cancelled, to begin anew later."""
+
+
+@dataclass(frozen=True, slots=True)
+class Holding:
+    """Open when the condition is true."""
+
+    condition: Condition
+
+
+@dataclass(frozen=True, slots=True)
+class Denied:
+    """Open when the condition has not been true for as long as reports about it may be late."""
+
+    condition: Condition
+
+
+@dataclass(frozen=True, slots=True)
+class AlreadyTrue:
+    """Open when all that the call would change is a plain fact and is so already."""
+
+    call: int
+
+
+@dataclass(frozen=True, slots=True)
+class DataMissing:
+    """Open when a goal field has no value."""
+
+    call: int
+
+
+@dataclass(frozen=True, slots=True)
+class Withheld:
+    """Open when the call has waited so many seconds for resources of requests that were given up and are not known to be over."""
+
+    call: int
+    seconds: float
+    deed: Deed | None
+    """What it waits with: a request that is sent is another one than that which goes on, and may need others."""
+
+
+@dataclass(frozen=True, slots=True)
+class EffectsSeen:
+    """Open when every sensed effect of the call is reported and its end condition held."""
+
+    call: int
+
+
+@dataclass(frozen=True, slots=True)
+class EffectsMissing:
+    """Open when that has not been so for as long as the reports may be late."""
+
+    call: int
+
+
+@dataclass(frozen=True, slots=True)
+class Adopted:
+    """Open when another run has sent the call's request, which is under way, and this run has not taken it over yet."""
+
+    call: int
+
+
+@dataclass(frozen=True, slots=True)
+class Accepts:
+    """Opened by the report that the call's request was accepted."""
+
+    call: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ends:
+    """Opened by the report that the call's request ended in one of these ways."""
+
+    call: int
+    kinds: frozenset[OutcomeKind]
+
+
+@dataclass(frozen=True, slots=True)
+class After:
+    """Open when the token has been in the place for so many seconds."""
+
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Due:
+    """Open when so many seconds have passed since the origin of the run, the moment it was planned from."""
+
+    seconds: float
+    since: tuple[tuple[str, float], ...] = ()
+    """And for each of these places, so many seconds since it was marked."""
+
+
+Guard: TypeAlias = (
+    Always
+    | Ending
+    | Failing
+    | CancelAsked
+    | PauseAsked
+    | Holding
+    | Denied
+    | AlreadyTrue
+    | DataMissing
+    | Withheld
+    | EffectsSeen
+    | EffectsMissing
+    | Adopted
+    | Accepts
+    | Ends
+    | After
+    | Due
+)
+
+
+class Deed(Enum):
+    """What the firing of a transition brings about for its call."""
+
+    SEND = "send the request"
+    ADOPT = "take over the request that another run has sent"
+    CANCEL = "ask for the request to be cancelled"
+    BEGIN = "write the assumed start effects"
+    FINISH = "write the assumed end effects"
+    UNDO = "take the assumed start effects back"
+
+
+class Rule(NamedTuple):
+    """δ̂ for one transition."""
+
+    name: str
+    """What happens, such as ``start`` or ``aborted``; the same for every call."""
+    guard: Guard = Always()
+    call: int | None = None
+    """The number of the step it belongs to, which most often is a call; None for the frame around all steps."""
+    deed: Deed | None = None
+
+
+class OnFailure(Enum):
+    """What happens to running calls once a failure place is marked."""
+
+    DRAIN = "drain"
+    CANCEL = "cancel"
+    CONTINUE_OTHERS = "continue_others"
+    """As drain; but whoever has the run carried out does not wait for its end before going on in another way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """Steps that are entered and left as a whole: all of the plan, the body of a loop, a branch, a chain of recovery."""
+
+    owner: int | None
+    """The number of the step that holds it; None for all of the plan."""
+    steps: frozenset[int]
+    first: tuple[str, ...]
+    """Places that the owner marks, all at once."""
+    last: tuple[str, ...]
+    """Places that are marked when all steps are done, and that the owner takes all at once."""
+
+
+@dataclass(frozen=True)
+class PetriNetMachine:
+    """A net with roles, rules and the plan it was made from."""
+
+    plan: PlanGraph
+    net: PetriNet
+    initial: Marking
+    rules: Mapping[str, Rule]
+    """For every transition, what δ̂ asks and what its firing brings about."""
+    goal_place: str
+    failed_place: str
+    failure_places: Mapping[str, int]
+    """For every place that marks the failure of a step, the number of the step."""
+    restart_places: Mapping[str, int]
+    """For every place that asks for the plan to begin anew, the call that marks it."""
+    budget_places: frozenset[str]
+    """Places that count retries, recoveries and rounds left, and those spent."""
+    resource_places: frozenset[str]
+    """Places whose tokens calls have for themselves as long as they are under way."""
+    settling_places: Mapping[str, int]
+    """For every place at which a call has succeeded and its effects are still to be looked for, the number of the call."""
+    alive_places: frozenset[str]
+    """Places of calls that are under way: a request may be alive, or its effects are looked for."""
+    blocks: Mapping[int, tuple[str, ...]]
+    """For every step, the places of its block."""
+    orderings: Mapping[str, Ordering]
+    """For every place that stands for an ordering of the plan, that ordering."""
+    regions: tuple[Region, ...]
+    """The plan itself first."""
+    on_failure: OnFailure = OnFailure.DRAIN
+
+    @property
+    def goal_places(self) -> frozenset[str]:
+        """P_g: the run has reached its goal when one of these is marked."""
+        return frozenset({self.goal_place})
+
+    @cached_property
+    def record_places(self) -> frozenset[str]:
+        """Places that may stay marked at the end: counters and resources."""
+        return self.counter_places | self.resource_places
+
+    @cached_property
+    def counter_places(self) -> frozenset[str]:
+        """Failures, restarts asked for, and budgets: nothing starts from them, they are looked at from other places."""
+        return frozenset(self.failure_places) | frozenset(self.restart_places) | self.budget_places
+
+    @cached_property
+    def border_places(self) -> frozenset[str]:
+        """Places between steps and what holds them."""
+        return frozenset(place for region in self.regions for place in (*region.first, *region.last))
+
+    def role(self, place: str) -> str:
+        """Return ``goal``, ``failure``, ``restart``, ``budget``, ``resource``, ``ordering`` or, for all other places, nothing."""
+        if place == self.goal_place:
+            return "goal"
+        if place in self.failure_places or place == self.failed_place:
+            return "failure"
+        if place in self.restart_places:
+            return "restart"
+        if place in self.budget_places:
+            return "budget"
+        if place in self.resource_places:
+            return "resource"
+        return "ordering" if place in self.orderings else ""
+
+    @cached_property
+    def compiled(self) -> CompiledNet:
+        """The net over integers, made once and shared by all runs."""
+        return CompiledNet(self.net)
+
+    def __repr__(self) -> str:
+        return f"<PetriNetMachine {len(self.plan.calls)} calls, {len(self.net.places)} places, {len(self.net.inputs)} transitions>"

@@ -1,0 +1,358 @@
+"""The neutral plan: steps, and which event of which step must wait for which.
+
+A step is a call of an action, or holds steps itself: a loop, a choice. It has two events, its
+start and its end. An ordering says that one event comes after another and names the facts that
+the order protects. Any partial order can be said this way, sequential and time-triggered plans
+included. Planners make plans of calls alone; people write the rest. Knows nothing of PDDL or of nets.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import cached_property
+from graphlib import CycleError, TopologicalSorter
+from math import inf
+from typing import Final, NamedTuple, TypeAlias
+
+from pnm.core.logic.computed_values import Data, KnowledgeOperation
+from pnm.core.logic.conditions import TRUE, Condition
+from pnm.core.logic.effects import Effects
+from pnm.core.logic.expressions import Fluent, show
+from pnm.core.logic.rules import NO_RULES, Rules
+from pnm.errors import PnmError
+
+
+class PlanGraphError(PnmError):
+    """The orderings of a plan contradict each other, or it names a step that is not there."""
+
+
+@dataclass(frozen=True, slots=True)
+class GroundAction:
+    """An action with objects for its parameters: what must hold, what it changes, how long it takes.
+
+    An instantaneous PDDL action has no duration here; its precondition must hold at the start
+    and its effects are there at the end, however long the robot takes.
+    """
+
+    name: str
+    arguments: tuple[str, ...] = ()
+    parameters: tuple[str, ...] = ()
+    """The names of the arguments, without ``?``."""
+    precondition: Condition = TRUE
+    """Must hold when the action starts."""
+    invariant: Condition = TRUE
+    """Must hold all the time between start and end."""
+    end_condition: Condition = TRUE
+    """Must hold just before the end effects."""
+    start_effects: Effects = ()
+    end_effects: Effects = ()
+    duration: float | None = None
+    """Planned seconds from start to end; None when nothing is known about it."""
+    expected: Condition = TRUE
+    """Holds once the action is done; where it holds before, there is nothing to do. Effects are what is written besides."""
+    given: tuple[tuple[str, Data], ...] = ()
+    """Goal fields whose values the plan gives. An argument that begins with ``?`` has no value before the call starts."""
+    operation: KnowledgeOperation | None = None
+    """What is done to knowledge; no server is needed then."""
+    resources: tuple[str, ...] = ()
+    """What the action has for itself while it is under way, such as an arm; ``{robot}`` stands for an argument."""
+    returns: tuple[tuple[str, Data], ...] = ()
+    """What a simulated server answers: result fields, computed from the goal and from the world at the end."""
+
+    def __str__(self) -> str:
+        return f"{self.name}({', '.join(self.arguments)})"
+
+
+class Cause(Enum):
+    """Why a call recovers: what a check says, or how its request ended."""
+
+    BEFORE = "before"
+    """The recovery's own condition holds before the start."""
+    PRECONDITION_FALSE = "precondition_false"
+    DATA_MISSING = "data_missing"
+    REJECTED = "rejected"
+    UNAVAILABLE = "unavailable"
+    ABORTED = "aborted"
+    CANCELED = "canceled"
+    TIMED_OUT = "timed_out"
+    LOST = "lost"
+    AFTER = "after"
+    """The recovery's own condition holds after success."""
+    EFFECTS_MISSING = "effects_missing"
+
+
+class Then(Enum):
+    """How a recovery ends."""
+
+    RETRY = "retry"
+    """The call begins anew, with all of its checks."""
+    CONTINUE = "continue"
+    """As if the request had succeeded: effects are checked."""
+    SKIP = "skip_action"
+    """The call is done, whatever its effects."""
+    FAIL = "fail"
+    REPLAN = "replan"
+    """The call fails, and a planner shall find another way."""
+    RESTART_PLAN = "restart_plan"
+    """Everything else is brought to an end, then the plan begins anew."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """What is done about some causes: a chain of steps, and how to go on after them."""
+
+    causes: frozenset[Cause]
+    then: Then
+    chain: Flow
+    times: int = 1
+    """How often, each time the call is reached; after that the call fails."""
+    when: Condition = TRUE
+    """For `Cause.BEFORE` and `Cause.AFTER`."""
+
+
+@dataclass(frozen=True, slots=True)
+class ActionCall:
+    """One occurrence of a ground action in a plan, named by its number."""
+
+    index: int
+    action: GroundAction
+    planned: float = 0.0
+    """Seconds after the moment the plan starts from at which its planner had the call start."""
+    release: float = 0.0
+    """Seconds after that moment before which the call must not start."""
+    deadline: float = inf
+    """Seconds after that moment by which the call must have ended."""
+    lasting: frozenset[Fluent] = frozenset()
+    """Fluents written at the start that are still the action's own doing when it ends."""
+    recoveries: tuple[Recovery, ...] = ()
+    """The first for a cause counts; without any, the call is tried again as often as it may be."""
+    timeout: float | None = None
+    """In place of the binding's."""
+    retries: int | None = None
+    """In place of the binding's."""
+    store: tuple[tuple[str, str], ...] = ()
+    """Result fields and the variables they are stored in, where this is not what the binding says."""
+    under_way: bool = False
+    """Its request has been sent by another run, and was accepted; it is taken over as it is."""
+
+    def __str__(self) -> str:
+        return f"{self.action}#{self.index}"
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """Steps that are repeated as long as a condition holds."""
+
+    index: int
+    condition: Condition
+    body: Flow
+    limit: int
+    """How often at most, each time the loop is reached; it fails when the condition still holds then."""
+
+    def __str__(self) -> str:
+        return f"while({self.condition})#{self.index}"
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Steps that are done if a condition holds, and others that are done if not."""
+
+    index: int
+    condition: Condition
+    then: Flow
+    otherwise: Flow
+
+    def __str__(self) -> str:
+        return f"if({self.condition})#{self.index}"
+
+
+@dataclass(frozen=True, slots=True)
+class Junction:
+    """Nothing to do: where several branches meet before several others begin."""
+
+    index: int
+
+    def __str__(self) -> str:
+        return f"meet#{self.index}"
+
+
+Step: TypeAlias = ActionCall | Loop | Choice | Junction
+
+
+@dataclass(frozen=True, slots=True)
+class Flow:
+    """Steps, and orderings between their events."""
+
+    steps: tuple[Step, ...] = ()
+    orderings: tuple[Ordering, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{len(self.steps)} steps, {len(self.orderings)} orderings"
+
+
+EMPTY: Final = Flow()
+
+
+def flows(step: Step) -> tuple[Flow, ...]:
+    """Return what the step holds."""
+    match step:
+        case ActionCall():
+            return tuple(recovery.chain for recovery in step.recoveries)
+        case Loop():
+            return (step.body,)
+        case Choice():
+            return step.then, step.otherwise
+        case Junction():
+            return ()
+
+
+def every_step(steps: Iterable[Step]) -> Iterator[Step]:
+    """Yield the steps and all that they hold, outer ones first."""
+    waiting = [*steps]
+    waiting.reverse()
+    while waiting:
+        step = waiting.pop()
+        yield step
+        waiting += reversed([inner for flow in flows(step) for inner in flow.steps])
+
+
+class Moment(Enum):
+    """The two events of a step."""
+
+    START = "start"
+    END = "end"
+
+    __hash__ = object.__hash__  # each is there once; plans are walked through by their events all the time
+
+
+class PlanEvent(NamedTuple):
+    """The start or the end of a step."""
+
+    call: int
+    """The number of the step, which most often is a call."""
+    moment: Moment
+
+    def __str__(self) -> str:
+        return f"{self.moment.value} of #{self.call}"
+
+
+@dataclass(frozen=True, slots=True)
+class Ordering:
+    """`after` waits for `before`."""
+
+    before: PlanEvent
+    after: PlanEvent
+    protects: tuple[Fluent, ...] = ()
+    """The facts for whose sake the order must be kept."""
+    delay: float = 0.0
+    """Seconds that `after`, which is then a start, must come later than `before`, at least."""
+
+    def __str__(self) -> str:
+        reason = f" ({', '.join(map(show, self.protects))})" if self.protects else ""
+        delay = f" + {self.delay:g} s" if self.delay else ""
+        return f"{self.before}{delay} < {self.after}{reason}"
+
+
+@dataclass(frozen=True)
+class PlanGraph:
+    """Steps, orderings between their events, and the goal that holds after all of them.
+
+    All calls, those inside other steps included, are numbered from 0 in the order in which they stand; all other
+    steps have the numbers after that.
+
+    Raises:
+        PlanGraphError: the numbers are not so, an ordering names a step that does not stand beside its own, the
+            orderings form a cycle, or what others wait for cannot be said of such a step.
+    """
+
+    steps: tuple[Step, ...]
+    orderings: tuple[Ordering, ...] = ()
+    goal: Condition = TRUE
+    rules: Rules = NO_RULES
+    """What derives facts that its conditions mention."""
+    due: float = 0.0
+    """Seconds after the moment the plan starts from before which the goal is not looked at: time itself does the last part."""
+    capacities: Mapping[str, int] = field(default_factory=dict)
+    """How many calls may have a resource at the same time; one for those not listed."""
+
+    def __post_init__(self) -> None:
+        for position, call in enumerate(self.calls):
+            if call.index != position:
+                raise PlanGraphError(f"{call} stands at position {position}")
+        others = [step.index for step in self.every_step if not isinstance(step, ActionCall)]
+        if sorted(others) != [*range(len(self.calls), len(self.calls) + len(others))]:
+            raise PlanGraphError("the steps that are not calls are numbered after the calls, each once")
+        outermost = {step.index for step in self.steps}
+        for call in (one for one in self.calls if one.under_way):
+            waits = any(one.after == PlanEvent(call.index, Moment.START) for one in self.orderings)
+            if waits or call.index not in outermost:
+                raise PlanGraphError(f"{call} is under way: it cannot wait for others, or be part of another step")
+        inside = tuple(inner for step in self.every_step for inner in flows(step))
+        for flow in (self.flow, *inside):
+            _check_orderings(flow)
+        for flow in inside:
+            in_order(flow)
+        self.in_order()
+
+    @property
+    def flow(self) -> Flow:
+        """The outermost steps and their orderings."""
+        return Flow(self.steps, self.orderings)
+
+    @cached_property
+    def every_step(self) -> tuple[Step, ...]:
+        """All steps, those inside others included."""
+        return tuple(every_step(self.steps))
+
+    @cached_property
+    def calls(self) -> tuple[ActionCall, ...]:
+        """All calls, by number."""
+        return tuple(step for step in self.every_step if isinstance(step, ActionCall))
+
+    def in_order(self) -> tuple[PlanEvent, ...]:
+        """Return all outermost events in an order that keeps every start before its end and every ordering."""
+        return self._order
+
+    @cached_property
+    def _order(self) -> tuple[PlanEvent, ...]:
+        return in_order(self.flow)
+
+    def __repr__(self) -> str:
+        return f"<PlanGraph {len(self.calls)} calls, {len(self.orderings)} orderings>"
+
+
+def _check_orderings(flow: Flow) -> None:
+    beside = Counter(step.index for step in flow.steps)
+    calls = {step.index: step for step in flow.steps if isinstance(step, ActionCall)}
+    for ordering in flow.orderings:
+        for event in (ordering.before, ordering.after):
+            if event.call not in beside:
+                raise PlanGraphError(f"{ordering} names a step that is not in the plan, or not beside the other")
+        if ordering.delay and ordering.after.moment is Moment.END:
+            raise PlanGraphError(f"{ordering} would delay an end, which comes when the action's time is up")
+        between = (ordering.before, Moment.START), (ordering.after, Moment.END)
+        for event, special in between:
+            if event.moment is special and (event.call not in calls or calls[event.call].recoveries):
+                raise PlanGraphError(f"{ordering} speaks of the {special.value} of a step that is no call, or has recoveries of its own")
+
+
+def in_order(flow: Flow) -> tuple[PlanEvent, ...]:
+    """Return the events of the steps in an order that keeps every start before its end and every ordering.
+
+    Raises:
+        PlanGraphError: there is none.
+    """
+    before: dict[PlanEvent, list[PlanEvent]] = {}
+    for step in flow.steps:
+        start, end = PlanEvent(step.index, Moment.START), PlanEvent(step.index, Moment.END)
+        before.setdefault(start, [])
+        before.setdefault(end, []).append(start)
+    for ordering in flow.orderings:
+        before[ordering.after].append(ordering.before)
+    try:
+        return tuple(TopologicalSorter(before).static_order())
+    except CycleError as error:
+        raise PlanGraphError(f"the orderings form a cycle: {' < '.join(map(str, error.args[1]))}") from error

@@ -1,0 +1,107 @@
+"""What a plan says itself about failing calls: chains of steps, and how to go on after them.
+
+    hurt → (recover) → chain → mended → ready, finished, done, or done and failed
+
+Every use takes a token from *left* and gives one to *used*; when all are used, the call gives up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final, assert_never
+
+from pnm.core.logic.conditions import Condition
+from pnm.core.machine.machine import Always, Ending, Failing
+from pnm.core.machine.plan_graph import EMPTY, ActionCall, Cause, PlanGraphError, Recovery, Then
+from pnm.core.machine.step_block import Block
+
+_UNSENT: Final = frozenset({Cause.BEFORE, Cause.DATA_MISSING, Cause.PRECONDITION_FALSE})
+
+
+@dataclass(frozen=True, slots=True)
+class Recoveries:
+    """Where the tokens of a call go when something is wrong."""
+
+    places: Mapping[Cause, list[str]] = field(default_factory=dict)
+    """What is marked in the place of the usual."""
+    kept: frozenset[Cause] = frozenset()
+    """Causes after which the call goes on as if it had succeeded: what was done at the start stays."""
+    checks: tuple[tuple[Cause, str, Condition, list[str]], ...] = ()
+    """Checks of the plan's own, before or after: their names, conditions, and what is marked when they hold."""
+
+
+def build_recoveries(block: Block[ActionCall]) -> Recoveries:
+    """Add the plan's own recoveries to the block of a call."""
+    places: dict[Cause, list[str]] = {}
+    kept: set[Cause] = set()
+    checks: list[tuple[Cause, str, Condition, list[str]]] = []
+    for number, recovery in enumerate(block.step.recoveries):
+        entered = _direct(block, recovery) or _chained(block, recovery, number)
+        for cause in recovery.causes:
+            if recovery.then is Then.CONTINUE and cause in _UNSENT | {Cause.AFTER, Cause.EFFECTS_MISSING}:
+                raise PlanGraphError(
+                    f"{block.step} cannot continue after {cause.value}: nothing has succeeded that effects could be seen of"
+                )
+            if cause in (Cause.BEFORE, Cause.AFTER):
+                checks.append((cause, f"{cause.value} {number}", recovery.when, entered))
+            elif cause not in places:
+                places[cause] = entered
+                kept |= {cause} if recovery.then is Then.CONTINUE else set()
+    return Recoveries(places, frozenset(kept), tuple(checks))
+
+
+def _direct(block: Block[ActionCall], recovery: Recovery) -> list[str] | None:
+    """Return what is marked when there is nothing to do first."""
+    if recovery.chain != EMPTY:
+        return None
+    match recovery.then:
+        case Then.CONTINUE:
+            return [block.name("finished")]
+        case Then.SKIP:
+            return [block.name("done")]
+        case Then.FAIL:
+            return [block.name("done"), block.name("failed")]
+        case _:
+            return None
+
+
+def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> list[str]:
+    hurt, mended = block.place(f"hurt {number}"), block.place(f"mended {number}")
+    done, failed = block.name("done"), block.name("failed")
+    left, used = f"left {number}", f"used {number}"
+    block.budget(left, used, recovery.times, refilled=recovery.then is not Then.RESTART_PLAN)
+    chain = block.region(recovery.chain, f"recovery {number}", repeated=recovery.times > 1)
+    abandon(block, f"hurt {number}")
+    block.add(f"recover {number}", Always(), [hurt, block.name(left)], [*chain.first, block.name(used)])
+    block.add(f"give_up {number}", Always(), {hurt: 1, block.name(used): recovery.times}, [done, failed])
+    block.add(f"chain_done {number}", Always(), chain.last, [mended])
+    abandon(block, f"mended {number}")
+    then = recovery.then
+    match then:
+        case Then.RETRY:
+            goal = [block.name("ready")]
+        case Then.CONTINUE:
+            goal = [block.name("finished")]
+        case Then.SKIP:
+            goal = [done]
+        case Then.FAIL | Then.REPLAN:
+            goal = [done, failed]
+        case Then.RESTART_PLAN:
+            asked = block.place(f"restart {number}")
+            block.builder.restart_places[asked] = block.step.index
+            goal = [done, asked]
+        case _:
+            assert_never(then)
+    block.add(f"{then.value} {number}", Always(), [mended], goal)
+    return [hurt]
+
+
+def abandon(block: Block[ActionCall], place: str, *announced: str, phase: str = "") -> None:
+    """Let the call fail when the run does; when the plan begins anew, it has not failed."""
+    done, failed = block.name("done"), block.name("failed")
+    starts_anew = block.builder.starts_anew
+    name, source = f"{phase}abandon{f' {place}' if place != 'recover' else ''}", block.name(phase + place)
+    block.add(name, Failing() if starts_anew else Ending(), [source], [done, *announced, failed])
+    if starts_anew:
+        block.add(f"{phase}drop {place}", Ending(), [source], [done, *announced])

@@ -1,0 +1,83 @@
+"""What the executor asks of anything that carries out actions.
+
+A *request* is one dispatch of a call to an action server, with a UUID chosen by us. It is
+answered by reports: at most one `Accepted`, then exactly one `Ended` with an `Outcome`. (An
+`Accepted` may be left out before an end that implies it.) A
+client that cannot keep that promise is still safe: the run gives every request a limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Protocol, TypeAlias
+from uuid import UUID
+
+from pnm.core.machine.plan_graph import GroundAction
+
+
+class OutcomeKind(Enum):
+    """How a request ended."""
+
+    SUCCEEDED = "succeeded"
+    ABORTED = "aborted"
+    CANCELED = "canceled"
+    REJECTED = "rejected"
+    TIMED_OUT = "timed_out"
+    UNAVAILABLE = "unavailable"
+    """No server was there, or it never answered the request."""
+    LOST = "lost"
+    """The server went away after it had accepted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a request ended, the fields of the result by name, and what is known of the reason."""
+
+    kind: OutcomeKind
+    result: Mapping[str, object] = field(default_factory=dict)
+    message: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """One dispatch of a call to an action server."""
+
+    id: UUID
+    action: GroundAction
+    goal: Mapping[str, object]
+    """Values for the fields of the goal message, by name; nested fields as mappings."""
+    attempt: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Accepted:
+    """The server has taken the goal on; the action's clock starts."""
+
+    request: UUID
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """The request is over."""
+
+    request: UUID
+    outcome: Outcome
+
+
+Report: TypeAlias = Accepted | Ended
+Reporter: TypeAlias = Callable[[Report], None]
+
+
+class ActionClient(Protocol):
+    """Carries out actions. Every method is called on the event loop's thread and returns at once."""
+
+    def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
+        """Return the names of the fields a goal must have, or None when nothing is known about them."""
+
+    def send(self, request: Request, report: Reporter, /) -> None:
+        """Send the goal; `report` is then called on the event loop's thread, never from within `send`."""
+
+    def cancel(self, request: UUID, /) -> None:
+        """Ask for the request to be cancelled; its `Ended` says whether it was. Unknown ids are ignored."""

@@ -1,0 +1,135 @@
+"""The block of any step: how it is entered, and how it is left.
+
+Loops, choices and junctions.
+
+A loop counts its rounds: each takes a token from *left* and gives one to *spent*. When all are spent and the condition
+still holds, the loop has failed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Generic, TypeVar
+
+from pnm.core.machine.builder import Builder, Context
+from pnm.core.machine.machine import Always, Deed, Denied, Due, Ending, Guard, Holding, Region, Rule
+from pnm.core.machine.plan_graph import Choice, Flow, Junction, Loop, Moment, PlanEvent, Step
+
+AnyStep = TypeVar("AnyStep", bound=Step)
+
+
+@dataclass
+class Block(Generic[AnyStep]):
+    """The places and transitions of one step."""
+
+    builder: Builder
+    step: AnyStep
+    context: Context
+
+    @cached_property
+    def title(self) -> str:
+        """How the step is called."""
+        return str(self.step)
+
+    @cached_property
+    def awaited(self) -> list[str]:
+        """What the end of the step waits for besides the step itself."""
+        return self.builder.into.get(PlanEvent(self.step.index, Moment.END), [])
+
+    def enter(self, ready: str, release: float = 0.0) -> None:
+        """Wait for the orderings into the start, and for the times that it must not be earlier than."""
+        orderings = self.builder.orderings
+        waiting, ready = self.builder.into[PlanEvent(self.step.index, Moment.START)], self.name(ready)
+        delays = tuple((place, orderings[place].delay) for place in waiting if place in orderings and orderings[place].delay > 0)
+        join = Due(release, delays) if release or delays else Always()
+        if join != Always():
+            rule = Rule("overtaken", Ending(), self.step.index)
+            self.builder.transition(self.name("overtaken"), rule, waiting, [ready])
+        self.builder.transition(self.name("join"), Rule("join", join, self.step.index), waiting, [ready])
+
+    def leave(self) -> None:
+        """Tell the steps that wait for the end."""
+        leaving = self.builder.out_of[PlanEvent(self.step.index, Moment.END)]
+        self.builder.transition(self.name("fork"), Rule("fork", call=self.step.index), [self.name("done"), *self.awaited], leaving)
+
+    def budget(self, left: str, spent: str, times: int, *, refilled: bool = True) -> None:
+        """Make the places that count; when the step may be entered again, what was spent comes back before it is left."""
+        self.builder.budget_places |= {self.place(left), self.place(spent)}
+        self.builder.initial[self.name(left)] = times
+        if refilled and self.context.repeated and not self.awaited:
+            done = self.name("done")
+            rule = Rule("refill", call=self.step.index)
+            self.builder.transition(self.name(f"refill {left}"), rule, [done, self.name(spent)], [done, self.name(left)])
+
+    def region(self, flow: Flow, what: str, *, repeated: bool) -> Region:
+        """Make the places around steps that this one holds."""
+        context = Context(repeated or self.context.repeated)
+        return self.builder.region(flow, self.step.index, self.name(f"{what} begins"), self.name(f"{what} ends"), context)
+
+    def fire(self, name: str, guard: Guard, source: str, *targets: str, deed: Deed | None = None) -> None:
+        """Add a transition between places of this block."""
+        self.add(name, guard, [self.name(source)], [self.name(target) for target in targets], deed)
+
+    def add(
+        self, name: str, guard: Guard, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], deed: Deed | None = None
+    ) -> None:
+        """Add a transition between any places; what happens is its name without the number of a recovery."""
+        what = name.rstrip(" 0123456789").removeprefix("again ")
+        self.builder.transition(self.name(name), Rule(what, guard, self.step.index, deed), inputs, outputs)
+
+    def place(self, name: str) -> str:
+        """Make a place of this block."""
+        found = self.builder.net.place(self.name(name))
+        self.builder.blocks.setdefault(self.step.index, []).append(found)
+        return found
+
+    def name(self, name: str) -> str:
+        """Return the full name of a place or transition of this block."""
+        return f"{self.title} {name}"
+
+
+class LoopBlock(Block[Loop]):
+    """``head → body → head``, and out of it when the condition is not true."""
+
+    def build(self) -> None:
+        """Add the block to the machine."""
+        head, done, failed = (self.place(name) for name in ("head", "done", "failed"))
+        left, spent = self.name("left"), self.name("spent")
+        self.builder.failure_places[failed] = self.step.index
+        body = self.region(self.step.body, "body", repeated=True)
+        self.enter("head")
+        self.budget("left", "spent", self.step.limit)
+        self.fire("skip", Ending(), "head", "done")
+        self.add("loop_limit", Holding(self.step.condition), {head: 1, spent: self.step.limit}, [done, failed])
+        self.add("repeat", Holding(self.step.condition), [head, left], [*body.first, spent])
+        self.fire("no_more", Denied(self.step.condition), "head", "done")
+        self.add("round_done", Always(), body.last, [head])
+        self.leave()
+
+
+class ChoiceBlock(Block[Choice]):
+    """One of two regions."""
+
+    def build(self) -> None:
+        """Add the block to the machine."""
+        head, done = self.place("head"), self.place("done")
+        self.enter("head")
+        self.fire("skip", Ending(), "head", "done")
+        branches = (("then", Holding(self.step.condition), self.step.then), ("else", Denied(self.step.condition), self.step.otherwise))
+        for name, guard, flow in branches:
+            branch = self.region(flow, name, repeated=False)
+            self.add(name, guard, [head], branch.first)
+            self.add(f"{name}_done", Always(), branch.last, [done])
+        self.leave()
+
+
+class JunctionBlock(Block[Junction]):
+    """Takes from all, gives to all."""
+
+    def build(self) -> None:
+        """Add the block to the machine."""
+        self.place("done")
+        self.enter("done")
+        self.leave()

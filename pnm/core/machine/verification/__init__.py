@@ -1,0 +1,1 @@
+"""The soundness proof: decomposition into blocks, exploration of each, and their shapes."""

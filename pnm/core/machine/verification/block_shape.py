@@ -1,0 +1,66 @@
+"""When do two blocks behave alike? When they have the same shape, so that exploring one of them is enough.
+
+Does a place have an exit that opens in finite time, whatever the world answers?
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+
+from pnm.core.logic.conditions import Condition
+from pnm.core.machine.machine import After, Denied, Due, Ends, Guard, Holding, Withheld
+from pnm.core.machine.verification.exits import is_timed
+from pnm.core.machine.verification.explore import Inside, Part
+
+
+def shape_of(part: Part) -> object:
+    """Return everything about a part but names, times and what its conditions say.
+
+    Of every step it is what its guard depends on, and of every place its arcs and its roles. Places that have all of
+    this in common always hold the same tokens, so one stands for all of them; only records and the final places, of which
+    one must be marked and not two, are told apart.
+    """
+    conditions: list[Condition] = []
+    guards = tuple(_kind(step.guard, conditions) for step in part.steps)
+    arcs: dict[str, list[tuple[int, int]]] = {place: [] for place in part.places}
+    for number, step in enumerate(part.steps):
+        for place, weight in step.inputs.items():
+            arcs[place].append((number, -weight))
+        for place, weight in step.outputs.items():
+            arcs[place].append((number, weight))
+    special = frozenset(part.initial).union(*_sets(part), *part.supplies)
+    places = frozenset(
+        (tuple(found), _roles(part, place, number) if place in special else None) for number, (place, found) in enumerate(arcs.items())
+    )
+    return guards, places, bool(part.finals), part.cancels, part.others_restart, part.repeats
+
+
+def _roles(part: Part, place: str, number: int) -> object:
+    return (
+        part.initial.get(place, 0),
+        tuple(place in supply for supply in part.supplies),
+        tuple(place in role for role in _sets(part)),
+        number if place in part.records | part.finals else None,
+    )
+
+
+def _sets(part: Part) -> tuple[frozenset[str], ...]:
+    """Return the sets of places that have a role."""
+    return part.records, part.counters, part.failures, part.outputs, part.finals, part.early, part.restarts, part.resources
+
+
+def _kind(guard: Guard | Inside, conditions: list[Condition]) -> object:
+    """Return what is proved of a guard: when it opens, as far as the world does not decide, and which conditions are the same."""
+    match guard:
+        case Holding(condition) | Denied(condition):
+            if condition not in conditions:
+                conditions.append(condition)
+            return type(guard), conditions.index(condition)
+        case Ends():
+            return Ends, guard.kinds
+        case After() | Due():
+            return type(guard), is_timed(guard)
+        case Withheld(_, seconds):
+            return Withheld, isfinite(seconds)
+        case _:
+            return type(guard)

@@ -1,0 +1,279 @@
+"""A machine taken apart for its proof: blocks, one per step, the regions they stand in, and what connects them.
+
+Nothing that a machine says of its regions is believed: it is compared with the net.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
+from typing import Final, TypeAlias
+
+from pnm.core.machine.machine import OnFailure, PetriNetMachine, Region
+from pnm.core.machine.plan_graph import Moment
+from pnm.core.machine.verification.explore import Inside, Part, Step, Unsound
+from pnm.core.net.net import Weights
+
+Owner: TypeAlias = int | None
+"""The number of a step, or None for the frame around all of them."""
+Event: TypeAlias = tuple[Owner, str]
+"""The start or the end of a block, or the marking of one of its places."""
+ENOUGH: Final = 2
+"""A counter of more is explored as one of so many: whether none, some or all of it is spent is all that matters."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A block and what connects it to others of its region."""
+
+    owner: Owner
+    part: Part
+    first: tuple[str, ...]
+    """Inputs that its start waits for."""
+    rest: tuple[str, ...]
+    """Inputs that only its end waits for."""
+    early: frozenset[str]
+    """Outputs that its start gives."""
+
+
+class Anatomy:
+    """The blocks and regions of a machine.
+
+    Raises:
+        Unsound: a place connects what it must not connect, or regions are not what the machine says.
+    """
+
+    def __init__(self, machine: PetriNetMachine) -> None:
+        self.machine = machine
+        self.transitions: dict[Owner, list[str]] = {None: []}
+        for name, rule in machine.rules.items():
+            self.transitions.setdefault(rule.call, []).append(name)
+        self.writers, self.readers = self._owners(machine.net.outputs), self._owners(machine.net.inputs)
+        self.region_of: dict[Owner, Region] = {}
+        self.regions: dict[Owner, list[Region]] = {}
+        self.first: dict[str, Region] = {}
+        self.last: dict[str, Region] = {}
+        for region in machine.regions:
+            self._add(region)
+        self._check_nesting()
+        self.between = frozenset(filter(self._is_between, machine.net.places))
+        """Places that connect blocks, or should."""
+        for place in self.between:
+            self._check_channel(place)
+        for region in (*self.first.values(), *self.last.values()):
+            self._check_entry(region)
+
+    def _owners(self, weights: Mapping[str, Weights]) -> dict[str, set[Owner]]:
+        """Return, for every place, the blocks whose transitions write it, or read it."""
+        found: dict[str, set[Owner]] = {place: set() for place in self.machine.net.places}
+        for transition, connected in weights.items():
+            owner = self.machine.rules[transition].call
+            for place in connected:
+                found[place].add(owner)
+        return found
+
+    def _is_between(self, place: str) -> bool:
+        if place in self.machine.resource_places:
+            return False
+        readers = self.readers[place]
+        between = len(readers) != 1 or readers != self.writers[place]
+        return between or place in self.machine.orderings or place in self.first or place in self.last
+
+    def _add(self, region: Region) -> None:
+        for step in region.steps:
+            if step in self.region_of:
+                raise Unsound(f"step {step} stands in two regions")
+            self.region_of[step] = region
+        if region.steps:
+            self.regions.setdefault(region.owner, []).append(region)
+            self.first |= dict.fromkeys(region.first, region)
+            self.last |= dict.fromkeys(region.last, region)
+
+    # --- checks -------------------------------------------------------------------------------
+
+    def _check_nesting(self) -> None:
+        """Check that every block stands in a region, and that its owners lead to the frame."""
+        proved: set[Owner] = {None}
+        for owner in self.transitions:
+            chain: list[Owner] = []
+            while owner not in proved:
+                if owner not in self.region_of or owner in chain:
+                    raise Unsound(f"step {owner} stands in no region of the plan")
+                chain.append(owner)
+                owner = self.region_of[owner].owner
+            proved.update(chain)
+
+    def _check_channel(self, place: str) -> None:
+        """Check that the place connects two blocks at most: neighbours, or a step and what holds it."""
+        readers, outside = self.readers[place], self.writers[place] - self.readers[place]
+        if len(readers) > 1 or len(outside) > 1 or len(self.writers[place]) > 2:
+            raise Unsound(f"{place} connects more than two blocks")
+        if place in self.machine.orderings:
+            ordering = self.machine.orderings[place]
+            if outside != {ordering.before.call} or readers != {ordering.after.call}:
+                raise Unsound(f"{place} does not connect the calls of its ordering {ordering}")
+        entered, left = self.first.get(place), self.last.get(place)
+        if (entered or left) and not (readers and outside):
+            raise Unsound(f"{place} does not connect a step and what holds it")
+        if not readers or not outside or place in self.machine.restart_places:
+            return
+        (writer,), (reader,) = outside, readers
+        if entered or left:
+            good = entered is None or (writer == entered.owner and self.region_of.get(reader) is entered)
+            good = good and (left is None or (reader == left.owner and self.region_of.get(writer) is left))
+        else:
+            good = None not in (writer, reader) and self.region_of.get(writer) is self.region_of.get(reader)
+        if not good:
+            raise Unsound(f"{place} connects steps that do not stand beside each other")
+
+    def _check_entry(self, region: Region) -> None:
+        """Check that the owner enters all of the region at once, and leaves it so."""
+        for name in self.transitions[region.owner]:
+            marked = self.machine.net.outputs[name].keys() & set(region.first)
+            taken = self.machine.net.inputs[name].keys() & set(region.last)
+            if 0 < len(marked) < len(region.first) or 0 < len(taken) < len(region.last):
+                raise Unsound(f"{name} enters or leaves only some of the steps it holds")
+
+    # --- blocks -------------------------------------------------------------------------------
+
+    def block(self, owner: Owner) -> Block:
+        """Cut the block of a step, or the frame, out of the machine; what it holds becomes a single step."""
+        machine = self.machine
+        regions = self.regions.get(owner, [])
+        own_records = self._restarts if owner is None else ()
+        left_out = machine.restart_places.keys() - set(own_records) if owner is None else frozenset[str]()
+        own = [step_of(machine, name) for name in self.transitions[owner]]
+        steps = (*(one for one in own if left_out.isdisjoint(one.inputs)), *self._inside(regions)) if owner is None or regions else (*own,)
+        places = dict.fromkeys(chain.from_iterable(connected for step in steps for connected in (step.inputs, step.outputs)))
+        held = {place for region in regions for place in (*region.first, *region.last)}
+        finals = frozenset((machine.goal_place, machine.failed_place)) if owner is None else frozenset[str]()
+        between = [one for one in places if one in self.between and one not in held and one not in machine.restart_places]
+        inputs = [one for one in between if owner in self.readers[one] and self.writers[one] - {owner}]
+        outputs = [one for one in between if self._is_output(one, owner) and one not in finals]
+        given = frozenset(chain.from_iterable(step.outputs for step in steps))
+        first = tuple(one for one in inputs if one not in given)
+        rest = tuple(one for one in inputs if one in given)
+        _check_together((first, rest), steps)
+        early = frozenset(one for one in outputs if one in machine.orderings and machine.orderings[one].before.moment is Moment.START)
+        resources = frozenset(place for place in places if place in machine.resource_places)
+        taken = _resources(steps, resources)
+        initial = {place: machine.initial[place] for place in places if machine.initial[place] and place not in resources}
+        counters = frozenset(place for place in places if place in machine.counter_places).union(map(_may_come, own_records))
+        steps, initial = _counted(steps, initial, counters)
+        part = Part(
+            places=tuple(places),
+            steps=steps,
+            initial={**initial, **taken, **{_may_come(one): ENOUGH for one in own_records}},
+            supplies=tuple(together for together in (first, rest) if together),
+            failures=frozenset(place for place in counters if place in machine.failure_places),
+            records=counters,
+            counters=counters,
+            cancels=machine.on_failure is OnFailure.CANCEL,
+            outputs=frozenset(outputs),
+            finals=finals,
+            early=early if rest else frozenset(),
+            restarts=frozenset(own_records),
+            others_restart=bool(machine.restart_places) and owner is not None,
+            repeats=owner is not None and (bool(machine.restart_places) or self.region_of[owner].owner is not None),
+            resources=resources,
+        )
+        return Block(owner, part, first, rest, early)
+
+    def _is_output(self, place: str, owner: Owner) -> bool:
+        final = place in (self.machine.goal_place, self.machine.failed_place)
+        return owner in self.writers[place] and (final or bool(self.readers[place] - {owner}))
+
+    @cached_property
+    def _restarts(self) -> tuple[str, ...]:
+        """Return places that steps inside the frame mark to have the plan begin anew: all, or as many as matter.
+
+        If the frame treats all of them alike, what can happen depends on whether none, one or several are marked.
+        """
+        machine, places = self.machine, self.machine.restart_places
+        taking: dict[str, list[object]] = {place: [machine.initial[place], place in machine.failure_places] for place in places}
+        numbers: list[int] = []
+        for number, name in enumerate(self.transitions[None]):
+            inputs, outputs = machine.net.inputs[name], machine.net.outputs[name]
+            touched = [place for place in (*inputs, *outputs) if place in taking]
+            if touched:
+                rest = {place: weight for place, weight in inputs.items() if place not in taking}
+                taking[touched[0]].append((machine.rules[name].guard, rest, inputs.get(touched[0]), outputs))
+                numbers.append(number)
+            if len(touched) > 1 or any(place in taking for place in outputs):
+                return tuple(places)
+        are_alike = all(one == next(iter(taking.values())) for one in taking.values())
+        stand_together = not numbers or numbers == [*range(numbers[0], numbers[-1] + 1)]
+        return tuple(places)[:ENOUGH] if are_alike and stand_together else tuple(places)
+
+    def _inside(self, regions: Iterable[Region]) -> Iterable[Step]:
+        """Return one step in the place of all that happens inside each region."""
+        for region in regions:
+            first = dict.fromkeys(region.first, 1)
+            yield Step("inside", Inside(), first, dict.fromkeys(region.last, 1))
+            if region.owner is None:
+                for place in self._restarts:
+                    yield Step("restart asked", Inside(), {**first, _may_come(place): 1}, {**first, place: 1})
+
+    def note_waits(self, block: Block, waits: dict[Event, set[Event]]) -> None:
+        """Note which events of other blocks of the same region the events of this block wait for."""
+        start, end = (block.owner, "start"), (block.owner, "end")
+        waits.setdefault(end, set()).add(start)
+        for places, event in ((block.first, start), (block.rest, end)):
+            for place in places:
+                (writer,) = self.writers[place] - {block.owner}
+                if place not in self.first:
+                    waits.setdefault(event, set()).add((writer, f"start of {place}"))
+        for place in block.part.outputs:
+            waits.setdefault((block.owner, f"start of {place}"), set()).add(start if place in block.early else end)
+
+
+def step_of(machine: PetriNetMachine, name: str) -> Step:
+    """Return a transition with its guard."""
+    return Step(name, machine.rules[name].guard, machine.net.inputs[name], machine.net.outputs[name])
+
+
+def _may_come(place: str) -> str:
+    """Name the counter of how often the place may still be marked from outside, for the exploration to end."""
+    return f"{place} may come"
+
+
+def _check_together(supplies: Iterable[tuple[str, ...]], steps: Sequence[Step]) -> None:
+    for together in supplies:
+        if len(together) > 1:
+            for step in steps:
+                if 0 < sum(place in step.inputs for place in together) < len(together):
+                    raise Unsound(f"{step.name} takes only some of the inputs {list(together)}")
+
+
+def _resources(steps: Iterable[Step], resources: frozenset[str]) -> dict[str, int]:
+    """Return what the block takes of resources; it must take all of it at once.
+
+    That it has none of it when it does, is explored: there is only so much for it.
+    """
+    taken: dict[str, int] = {}
+    if not resources:
+        return taken
+    for step in steps:
+        wanted = {place: weight for place, weight in step.inputs.items() if place in resources}
+        if wanted and taken not in ({}, wanted):
+            raise Unsound(f"{step.name} waits for {', '.join(wanted)} while it may hold what others wait for")
+        taken |= wanted
+    return taken
+
+
+def _counted(steps: tuple[Step, ...], initial: dict[str, int], counters: frozenset[str]) -> tuple[tuple[Step, ...], dict[str, int]]:
+    """Return steps and tokens with large counters made small, which changes nothing that can happen but how often.
+
+    A counter is a pair of places whose tokens move one at a time from one to the other and back; whoever asks for more than one
+    asks for all of them.
+    """
+    large = {tokens for place, tokens in initial.items() if place in counters and tokens > ENOUGH}
+    if not large:
+        return steps, initial
+
+    def scaled(weights: Weights) -> dict[str, int]:
+        return {place: ENOUGH if weight in large and place in counters else weight for place, weight in weights.items()}
+
+    return tuple(Step(step.name, step.guard, scaled(step.inputs), scaled(step.outputs)) for step in steps), scaled(initial)

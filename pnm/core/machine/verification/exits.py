@@ -1,0 +1,53 @@
+"""Exits of a place: does one open in finite time, whatever the world answers?"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from math import isfinite
+
+from pnm.core.machine.machine import After, Denied, Due, EffectsMissing, EffectsSeen, Ends, Guard, Holding
+from pnm.core.machine.requests import OutcomeKind
+
+_ANY = frozenset(OutcomeKind)
+
+
+def missing_exit(guards: Collection[Guard]) -> str:
+    """Say for which answer of the world none of these guards opens in finite time; empty when one always does."""
+    outcomes = [guard.kinds for guard in guards if isinstance(guard, Ends)]
+    if outcomes and (others := _ANY.difference(*outcomes)):
+        return f"has no exit for {set(others)}"
+    if any(is_timed(guard) or _completes(guard, guards) for guard in guards):
+        return ""
+    for guard in guards:
+        match guard:
+            case Holding(condition):
+                return f"has no exit for when {condition} does not hold"
+            case Denied(condition):
+                return f"has no exit for when {condition} holds"
+            case EffectsSeen():
+                return "has no exit for when the effects are not seen"
+            case _:
+                pass
+    return "has no exit that is sure to open in finite time"
+
+
+def is_timed(guard: object) -> bool:
+    """Tell whether the guard opens by itself, in finite time."""
+    match guard:
+        case After(seconds):
+            return isfinite(seconds)
+        case Due(seconds, since):
+            return all(map(isfinite, (seconds, *(delay for _, delay in since))))
+        case _:
+            return False
+
+
+def _completes(guard: Guard, guards: Collection[Guard]) -> bool:
+    """Tell whether the guard opens, in finite time, whenever another one does not."""
+    match guard:
+        case Denied(condition):
+            return Holding(condition) in guards
+        case EffectsMissing(call):
+            return EffectsSeen(call) in guards
+        case _:
+            return False

@@ -1,0 +1,204 @@
+"""Place/transition nets: N = (P, T, A) with arc weights W. Frozen; a marking lives elsewhere.
+
+Markings: sparse multisets of places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, TypeAlias
+
+from pnm.errors import PnmError
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+
+Weights: TypeAlias = Mapping[str, int]
+"""Places and the weights of the arcs that connect them to one transition."""
+
+
+class NetError(PnmError):
+    """A net is not one: a name is used twice, an arc leads nowhere or weighs less than one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Holds tokens."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """Takes tokens from its preset and puts tokens into its postset."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Arc:
+    """Leads from a place to a transition or from a transition to a place."""
+
+    source: str
+    target: str
+    weight: int = 1
+
+
+@dataclass(frozen=True)
+class PetriNet:
+    """Places and transitions by name, in the order in which they were added, and the arcs between them."""
+
+    places: tuple[str, ...]
+    inputs: Mapping[str, Weights]
+    """For every transition, the weights of the arcs from its places."""
+    outputs: Mapping[str, Weights]
+    """For every transition, the weights of the arcs to its places."""
+
+    @property
+    def transitions(self) -> tuple[str, ...]:
+        """The transitions, in the order in which they were added."""
+        return tuple(self.inputs)
+
+    @property
+    def arcs(self) -> tuple[Arc, ...]:
+        """Every arc, ordered by transition."""
+        return tuple(
+            arc
+            for transition in self.inputs
+            for arc in (
+                *(Arc(place, transition, weight) for place, weight in self.inputs[transition].items()),
+                *(Arc(transition, place, weight) for place, weight in self.outputs[transition].items()),
+            )
+        )
+
+    def preset(self, node: str) -> tuple[str, ...]:
+        """Return the nodes with an arc to this one."""
+        return tuple(self.inputs[node]) if node in self.inputs else self._producers[node]
+
+    def postset(self, node: str) -> tuple[str, ...]:
+        """Return the nodes with an arc from this one."""
+        return tuple(self.outputs[node]) if node in self.outputs else self._consumers[node]
+
+    @cached_property
+    def _producers(self) -> dict[str, tuple[str, ...]]:
+        return _neighbours(self.places, self.outputs)
+
+    @cached_property
+    def _consumers(self) -> dict[str, tuple[str, ...]]:
+        return _neighbours(self.places, self.inputs)
+
+    def incidence(self) -> npt.NDArray[np.int64]:
+        """Return D = D⁺ - D⁻, shape |T| x |P|: what one firing of each transition changes.
+
+        Dense, so for small nets: the oracle m' = T·D + m of the paper (equation 2).
+        """
+        import numpy as np  # here, so that `import pnm` stays quick
+
+        column = {place: index for index, place in enumerate(self.places)}
+        matrix = np.zeros((len(self.inputs), len(self.places)), dtype=np.int64)
+        for row, transition in enumerate(self.inputs):
+            for place, weight in self.inputs[transition].items():
+                matrix[row, column[place]] -= weight
+            for place, weight in self.outputs[transition].items():
+                matrix[row, column[place]] += weight
+        return matrix
+
+    def __repr__(self) -> str:
+        return f"<PetriNet {len(self.places)} places, {len(self.inputs)} transitions>"
+
+
+def _neighbours(places: Iterable[str], weights: Mapping[str, Weights]) -> dict[str, tuple[str, ...]]:
+    found: dict[str, list[str]] = {place: [] for place in places}
+    for transition, connected in weights.items():
+        for place in connected:
+            found[place].append(transition)
+    return {place: tuple(transitions) for place, transitions in found.items()}
+
+
+@dataclass
+class NetBuilder:
+    """Collects places and transitions, then builds the frozen net. A name that is used twice raises NetError, and adds nothing."""
+
+    _places: dict[str, None] = field(default_factory=dict)
+    _inputs: dict[str, Weights] = field(default_factory=dict)
+    _outputs: dict[str, Weights] = field(default_factory=dict)
+
+    def place(self, name: str) -> str:
+        """Add a place and return its name."""
+        if name in self._places or name in self._inputs:
+            raise NetError(f"the name {name!r} is used twice")
+        self._places[name] = None
+        return name
+
+    def transition(self, name: str, inputs: Weights | Iterable[str], outputs: Weights | Iterable[str]) -> str:
+        """Add a transition with its arcs and return its name; names alone mean weight one."""
+        if name in self._places or name in self._inputs:
+            raise NetError(f"the name {name!r} is used twice")
+        self._inputs[name], self._outputs[name] = self._weights(name, inputs), self._weights(name, outputs)
+        return name
+
+    def _weights(self, name: str, connected: Weights | Iterable[str]) -> Weights:
+        # lists first: to ask whether something is a mapping takes long
+        weights = dict.fromkeys(connected, 1) if isinstance(connected, list) or not isinstance(connected, Mapping) else dict(connected)
+        for place, weight in weights.items():
+            if place not in self._places:
+                raise NetError(f"{name!r} is connected to {place!r}, which is not a place")
+            if weight < 1:
+                raise NetError(f"the arc between {name!r} and {place!r} weighs {weight}; at least 1 expected")
+        return weights
+
+    def build(self) -> PetriNet:
+        """Return the net collected so far."""
+        return PetriNet(tuple(self._places), dict(self._inputs), dict(self._outputs))
+
+
+class Marking(Mapping[str, int]):
+    """How many tokens each place holds; places without tokens are absent, asking for them gives 0.
+
+    Immutable and hashable: equal counts, equal markings.
+
+    >>> Marking({"p": 2, "q": 0})
+    Marking(p: 2)
+    """
+
+    __slots__ = ("_tokens",)
+
+    def __init__(self, tokens: Mapping[str, int] | Iterable[str] = ()) -> None:
+        if isinstance(tokens, Mapping):
+            counts = {place: count for place, count in tokens.items() if count}
+        else:
+            counts = {}
+            for place in tokens:
+                counts[place] = counts.get(place, 0) + 1
+        if any(count < 0 for count in counts.values()):
+            raise ValueError(f"a marking cannot be negative: {counts}")
+        self._tokens = counts
+
+    def __getitem__(self, place: str) -> int:
+        return self._tokens.get(place, 0)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._tokens)
+
+    def __len__(self) -> int:
+        return len(self._tokens)
+
+    def __contains__(self, place: object) -> bool:
+        return place in self._tokens
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Marking) and self._tokens == other._tokens
+
+    def __hash__(self) -> int:
+        return hash(frozenset(self._tokens.items()))
+
+    def __repr__(self) -> str:
+        return f"Marking({', '.join(f'{place}: {count}' for place, count in sorted(self._tokens.items()))})"
+
+    def covers(self, weights: Mapping[str, int], times: int = 1) -> bool:
+        """Tell whether there are at least `times` as many tokens as the weights ask for."""
+        return all(self[place] >= weight * times for place, weight in weights.items())

@@ -1,1 +1,0 @@
-"""Machines written in other formats. Pure functions; the same machine gives the same bytes."""

@@ -1,0 +1,1 @@
+"""Reading files: text with positions, YAML with positions, suggestions for misspelt names."""

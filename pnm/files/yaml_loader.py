@@ -1,0 +1,131 @@
+"""From YAML text to nodes: no classes, and bounded in size and depth, aliases counted at every use."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import count
+from typing import Any, Final
+
+import yaml
+
+from pnm.errors import InputError, Position, meant
+
+MAX_NODES: Final = 200_000
+"""Values in a file, those behind an alias counted at every use: an alias bomb is refused."""
+MAX_DEPTH: Final = 60
+MAX_DOCUMENTS: Final = 100
+NO_ANCHORS: Final[Mapping[str, Mapping[str, str]]] = {}
+
+CORE: Final = "tag:yaml.org,2002:"
+TEXTS: Final = frozenset({"str", "timestamp", "value", "merge"})
+"""Kinds of values that stay text; so do dates, which no action server and no JSON has."""
+_PLAIN: Final = frozenset({"map", "seq", "int", "float", "bool", "null"}) | TEXTS
+
+
+def compose(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_ANCHORS) -> list[yaml.Node]:
+    """Return the documents that are not empty, at least one.
+
+    Args:
+        text: what the file has.
+        file: its name.
+        anchors: what aliases stand for that the text does not define.
+
+    Raises:
+        InputError: it is not plain YAML, or too large.
+    """
+    start = Position(file, 1, 1)
+    loader: _Loader | None = None
+    try:
+        loader = _Loader(text, anchors)
+        nodes = list(loader.documents())
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        where = Position(file, mark.line + 1, mark.column + 1) if mark else start
+        hint = "; inside braces and brackets a '?' needs quotes" if "'?'" in str(error.problem) else ""
+        raise InputError(f"not YAML: {error.problem}{hint}", where) from error
+    except yaml.YAMLError as error:
+        raise InputError(f"not YAML: {str(error).splitlines()[0]}", start) from error
+    except RecursionError as error:
+        raise InputError(f"nested deeper than {MAX_DEPTH}", start) from error
+    finally:
+        if loader is not None:
+            loader.dispose()
+    if not nodes:
+        raise InputError("the file is empty; expected a mapping", start)
+    _check_bounds(nodes, file)
+    return nodes
+
+
+class _Loader(yaml.SafeLoader):
+    """A loader to which some anchors are known beforehand, as mappings of texts."""
+
+    def __init__(self, text: str, known: Mapping[str, Mapping[str, str]]) -> None:
+        super().__init__(text)
+        self._known = known
+        self._composed = 0
+
+    def documents(self) -> Iterator[yaml.Node]:
+        """Yield the documents that are not empty."""
+        for number in count(1):
+            if not self.check_node():
+                return
+            if number > MAX_DOCUMENTS:
+                raise yaml.MarkedYAMLError(problem=f"more than {MAX_DOCUMENTS} documents", problem_mark=self.get_mark())
+            node = self.get_node()
+            if node is not None and not (is_null(node) and not node.value):
+                yield node
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+            if event.anchor not in self.anchors:
+                if event.anchor not in self._known:
+                    hint = meant(event.anchor, [*self.anchors, *self._known])
+                    problem = f"found undefined alias {event.anchor!r}{f'; {hint}' if hint else ''}"
+                    raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
+                self.get_event()  # type: ignore[no-untyped-call]
+                return _given(self._known[event.anchor], event)
+        self._composed += 1
+        if self._composed > MAX_NODES:  # the bounds are checked once all is there, which may take minutes
+            raise yaml.MarkedYAMLError(problem=f"more than {MAX_NODES} values", problem_mark=self.get_mark())
+        return super().compose_node(parent, index)
+
+
+def _given(entries: Mapping[str, str], event: Any) -> yaml.Node:
+    def scalar(text: str) -> yaml.Node:
+        return yaml.ScalarNode(f"{CORE}str", text, event.start_mark, event.end_mark)
+
+    pairs = [(scalar(key), scalar(value)) for key, value in entries.items()]
+    return yaml.MappingNode(f"{CORE}map", pairs, event.start_mark, event.end_mark)
+
+
+def _check_bounds(roots: list[yaml.Node], file: str) -> None:
+    stack = [(root, 0) for root in reversed(roots)]
+    seen = 0
+    while stack:
+        node, depth = stack.pop()
+        seen += 1
+        if seen > MAX_NODES or depth > MAX_DEPTH:
+            what = f"more than {MAX_NODES} values" if seen > MAX_NODES else f"nested deeper than {MAX_DEPTH}"
+            raise InputError(what, position(node, file))
+        if kind(node) not in _PLAIN:
+            raise InputError(f"the tag {node.tag.replace(CORE, '!!')} is not allowed; expected plain data", position(node, file))
+        if isinstance(node, yaml.MappingNode):
+            stack.extend((part, depth + 1) for pair in reversed(node.value) for part in reversed(pair))
+        elif isinstance(node, yaml.SequenceNode):
+            stack.extend((part, depth + 1) for part in reversed(node.value))
+
+
+def position(node: yaml.Node, file: str) -> Position:
+    """Return where the node stands."""
+    return Position(file, node.start_mark.line + 1, node.start_mark.column + 1)
+
+
+def kind(node: yaml.Node) -> str:
+    """Return the node's tag, without what all plain ones begin with."""
+    return str(node.tag).removeprefix(CORE)
+
+
+def is_null(node: yaml.Node) -> bool:
+    """Tell whether the node is ``null``, or no value at all."""
+    return isinstance(node, yaml.ScalarNode) and kind(node) == "null"

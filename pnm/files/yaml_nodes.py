@@ -1,0 +1,255 @@
+"""Reading YAML as data: no classes, bounded, and every value knows where it stands in its file.
+
+Anchors, aliases and merge keys (``<<: *base``) mean what YAML 1.1 says: own keys count before merged ones,
+and what is merged first before what is merged later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from sys import float_info
+from typing import Final, TypeVar
+
+import yaml
+
+from pnm.errors import InputError, Position, meant
+from pnm.files.text import read_text
+from pnm.files.yaml_loader import NO_ANCHORS, TEXTS, compose, is_null, kind, position
+
+MAX_BYTES: Final = 4_000_000
+
+T = TypeVar("T")
+
+
+def load_yaml(path: Path) -> Mapped:
+    """Read a YAML file whose top level is a mapping.
+
+    Raises:
+        InputError: there is no such file, or it is not YAML, not text, too large, or not a mapping.
+    """
+    found = parse_yaml(read_text(path, MAX_BYTES), str(path))
+    if len(found) > 1:
+        raise InputError("a second document begins here; expected one", found[1].start)
+    return found[0]
+
+
+def parse_yaml(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_ANCHORS) -> tuple[Mapped, ...]:
+    """Read YAML documents, each of them a mapping; there is at least one.
+
+    Args:
+        text: what the file has.
+        file: its name.
+        anchors: what aliases stand for that the text does not define.
+
+    Raises:
+        InputError: it is not YAML, too large, or a document is not a mapping.
+    """
+    return tuple([Mapped.of(node, file) for node in compose(text, file, anchors)])
+
+
+def parse_value(text: str, origin: str) -> object:
+    """Read a single value, such as one from a command line; nothing is an empty text.
+
+    Args:
+        text: the value.
+        origin: where it comes from, for errors.
+
+    Raises:
+        InputError: it is not YAML, more than one value, or too large.
+    """
+    if not text.strip():
+        return ""
+    first, *others = compose(text, origin)
+    if others:
+        raise InputError("a second document begins here; expected one", position(others[0], origin))
+    return _plain(first, origin)
+
+
+def _plain(node: yaml.Node, file: str) -> object:
+    if isinstance(node, yaml.MappingNode):
+        return {key: _plain(value, file) for key, (_, value) in Mapped.of(node, file).nodes.items()}
+    if isinstance(node, yaml.SequenceNode):
+        return [_plain(item, file) for item in node.value]
+    if kind(node) in TEXTS:
+        return node.value
+    constructor = yaml.SafeLoader("")
+    try:
+        return constructor.construct_object(node)
+    except (yaml.YAMLError, ValueError, LookupError) as error:
+        raise InputError(f"cannot be read as {kind(node)}: {node.value[:40]!r}", position(node, file)) from error
+    finally:
+        constructor.dispose()
+
+
+@dataclass(frozen=True, slots=True)
+class Mapped:
+    """A mapping read from a file. Whatever is asked of it raises InputError, with the position, when it is something else."""
+
+    file: str
+    start: Position
+    nodes: Mapping[str, tuple[Position, yaml.Node]]
+    """For every key, where the key stands and the value."""
+
+    @staticmethod
+    def of(node: yaml.Node, file: str) -> Mapped:
+        """Wrap a node, which must be a mapping with text keys, each used once."""
+        if not isinstance(node, yaml.MappingNode):
+            raise InputError("expected a mapping (key: value)", position(node, file))
+        nodes: dict[str, tuple[Position, yaml.Node]] = {}
+        merged: dict[str, tuple[Position, yaml.Node]] = {}
+        for key, value in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise InputError("expected a name as the key", position(key, file))
+            if kind(key) == "merge":
+                for source in value.value if isinstance(value, yaml.SequenceNode) else (value,):
+                    merged = {**Mapped.of(source, file).nodes, **merged}
+                continue
+            if key.value in nodes:
+                raise InputError(f"the key {key.value!r} is there twice", position(key, file))
+            nodes[key.value] = (position(key, file), value)
+        return Mapped(file, position(node, file), {**merged, **nodes})
+
+    def only(self, *known: str) -> None:
+        """Refuse every key but the known ones, naming the nearest."""
+        for key, (where, _) in self.nodes.items():
+            if key not in known:
+                hint = meant(key, known) or f"expected one of {', '.join(known)}"
+                raise InputError(f"unknown key {key!r}; {hint}", where)
+
+    def position(self, key: str) -> Position:
+        """Return where the value of the key stands, or the mapping itself."""
+        return position(self.nodes[key][1], self.file) if key in self.nodes else self.start
+
+    def mapping(self, key: str) -> dict[str, Mapped]:
+        """Return a mapping of mappings; empty when the key is not there."""
+        return {} if self._empty(key) else Mapped.of(self.nodes[key][1], self.file).mappings()
+
+    def mappings(self) -> dict[str, Mapped]:
+        """Return the mappings that all values must be."""
+        return {
+            name: Mapped(self.file, where, {}) if is_null(node) else Mapped.of(node, self.file)
+            for name, (where, node) in self.nodes.items()
+        }
+
+    def sequence(self, key: str) -> list[Mapped]:
+        """Return a list of mappings; empty when the key is not there."""
+        if self._empty(key):
+            return []
+        node = self.nodes[key][1]
+        if not isinstance(node, yaml.SequenceNode):
+            raise InputError(f"expected a list under {key!r}", position(node, self.file))
+        return [Mapped.of(item, self.file) for item in node.value]
+
+    def strings(self, key: str) -> list[str]:
+        """Return a list of texts; empty when the key is not there."""
+        value = self.plain(key)
+        if value is None:
+            return []
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+            raise InputError(f"expected a list of names under {key!r}", self.position(key))
+        return value
+
+    def string(self, key: str) -> str | None:
+        """Return a text, or None when the key is not there."""
+        value = self.plain(key)
+        if value is not None and not isinstance(value, str):
+            raise InputError(f"expected a text under {key!r}, found {value!r}", self.position(key))
+        return value
+
+    def number(self, key: str, default: T) -> float | T:
+        """Return a number that is not negative, or the default when the key is not there."""
+        value = self.plain(key)
+        if value is None:
+            return default
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= float_info.max:
+            raise InputError(f"expected a number of at least 0 under {key!r}, found {value!r}", self.position(key))
+        return float(value)
+
+    def whole(self, key: str, default: T) -> int | T:
+        """Return a whole number that is not negative, or the default when the key is not there."""
+        value = self.number(key, default)
+        if not isinstance(value, float):
+            return value
+        if not value.is_integer():
+            raise InputError(f"expected a whole number under {key!r}, found {value:g}", self.position(key))
+        return int(value)
+
+    def flag(self, key: str) -> bool:
+        """Return true or false; false when the key is not there."""
+        value = self.plain(key)
+        if value is not None and not isinstance(value, bool):
+            raise InputError(f"expected true or false under {key!r}, found {value!r}", self.position(key))
+        return bool(value)
+
+    def plain(self, key: str) -> object:
+        """Return the value as plain data, or None when the key is not there."""
+        return None if self._empty(key) else _plain(self.nodes[key][1], self.file)
+
+    def node(self, key: str) -> Node | None:
+        """Return the value as it stands, or None when the key is not there."""
+        return Node(self.file, self.nodes[key][1]) if key in self.nodes else None
+
+    def needed(self, key: str) -> Node:
+        """Return the value of a key that must be there."""
+        if key not in self.nodes:
+            raise InputError(f"the key {key!r} is missing", self.start)
+        return Node(self.file, self.nodes[key][1])
+
+    def entries(self) -> tuple[tuple[str, Position, Node], ...]:
+        """Return every key with where it stands and its value, merged ones first."""
+        return tuple((key, where, Node(self.file, node)) for key, (where, node) in self.nodes.items())
+
+    def _empty(self, key: str) -> bool:
+        return key not in self.nodes or is_null(self.nodes[key][1])
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """Any value read from a file, to be looked at by its kind."""
+
+    file: str
+    raw: yaml.Node
+
+    @property
+    def position(self) -> Position:
+        """Where the value stands."""
+        return position(self.raw, self.file)
+
+    @property
+    def is_null(self) -> bool:
+        """Whether there is nothing: ``null``, or no value at all."""
+        return is_null(self.raw)
+
+    @property
+    def is_mapping(self) -> bool:
+        """Whether it has keys and values."""
+        return isinstance(self.raw, yaml.MappingNode)
+
+    @property
+    def items(self) -> tuple[Node, ...] | None:
+        """The items of a list; None for anything else."""
+        return tuple(Node(self.file, item) for item in self.raw.value) if isinstance(self.raw, yaml.SequenceNode) else None
+
+    @property
+    def text(self) -> str | None:
+        """A text; None for anything else, numbers and truth values included."""
+        return self.raw.value if isinstance(self.raw, yaml.ScalarNode) and kind(self.raw) in TEXTS else None
+
+    @property
+    def written(self) -> str:
+        """How a scalar is written in the file, without quotes; empty for lists and mappings."""
+        return self.raw.value if isinstance(self.raw, yaml.ScalarNode) else ""
+
+    def mapped(self) -> Mapped:
+        """Return the mapping that it must be."""
+        return Mapped.of(self.raw, self.file)
+
+    def plain(self) -> object:
+        """Return it as plain data."""
+        return _plain(self.raw, self.file)
+
+    def wrong(self, message: str) -> InputError:
+        """Return the error to raise about it."""
+        return InputError(message, self.position)

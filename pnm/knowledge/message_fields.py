@@ -1,0 +1,184 @@
+"""Fields of messages: where they stand, whether they pass a test, and what their values mean."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final, TypeAlias, assert_never
+
+from pnm.core.logic.conditions import TOLERANCE
+from pnm.core.logic.operators import Uncomputable, operate
+from pnm.errors import InputError, PnmError
+
+COMPARISONS: Final = ("eq", "ne", "lt", "le", "gt", "ge", "contains")
+"""Operators of `pnm.core.logic.operators` that a field and a constant can be compared by."""
+
+_STEP: Final = re.compile(r"\.?([A-Za-z]\w*)|\[(-?\d{1,9})\]", re.ASCII)
+
+
+class Unreadable(PnmError):
+    """A message does not say what it should."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """Where in a message something stands: names and, in lists, positions, from its end if negative."""
+
+    steps: tuple[str | int, ...]
+
+    def __str__(self) -> str:
+        return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in self.steps)[1:]
+
+
+Look: TypeAlias = Callable[[Field], object]
+"""Returns what a field of a message holds as plain data; raises `Unreadable` when it has no such item."""
+
+
+def parse_field(text: str) -> Field:
+    """Read ``pose.position.x`` or ``cells[0].voltage``.
+
+    Raises:
+        InputError: it is something else.
+    """
+    steps: list[str | int] = []
+    end = 0
+    while found := _STEP.match(text, end):
+        if (found[0][0] == ".") is not (found[1] is not None and end > 0):
+            break
+        steps.append(found[1] if found[1] is not None else int(found[2]))
+        end = found.end()
+    if not steps or isinstance(steps[0], int) or end != len(text):
+        raise InputError(f"not a field: {text!r}; expected something like pose.position.x or cells[0].voltage")
+    return Field(tuple(steps))
+
+
+# --- tests of fields -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Flag:
+    """The field is true."""
+
+    field: Field
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """The field compares so with the constant."""
+
+    field: Field
+    operation: str
+    constant: object
+
+
+@dataclass(frozen=True, slots=True)
+class Negation:
+    """The test fails."""
+
+    test: Test
+
+
+@dataclass(frozen=True, slots=True)
+class Every:
+    """All tests succeed; so they do when there is none."""
+
+    tests: tuple[Test, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Some:
+    """At least one test succeeds."""
+
+    tests: tuple[Test, ...] = ()
+
+
+Test: TypeAlias = Flag | Comparison | Negation | Every | Some
+
+
+def succeeds(test: Test, look: Look) -> bool:
+    """Tell whether the message passes the test; all of it is looked at.
+
+    Raises:
+        Unreadable: a field is missing, no number, or of another kind than the constant.
+    """
+    match test:
+        case Flag(where):
+            found = look(where)
+            if not isinstance(found, bool):
+                raise Unreadable(f"{where} is {shown(found)}; expected true or false")
+            return found
+        case Comparison(where, operation, constant):
+            found = without_nan(where, look(where))
+            try:
+                return bool(operate(operation, [constant if _close(found, constant) else found, constant]))
+            except Uncomputable as error:
+                raise Unreadable(f"{where} is {shown(found)}, which cannot be compared with {shown(constant)}") from error
+        case Negation(inner):
+            return not succeeds(inner, look)
+        case Every(tests):
+            return _outcomes(tests, look) <= {True}
+        case Some(tests):
+            return True in _outcomes(tests, look)
+        case _:
+            assert_never(test)
+
+
+def _close(found: object, constant: object) -> bool:
+    """Tell whether two numbers are equal for conditions, too: 0.8 in a float32 is not quite 0.8."""
+    numbers = [one for one in (found, constant) if isinstance(one, int | float) and not isinstance(one, bool)]
+    return len(numbers) == 2 and abs(numbers[0] - numbers[1]) <= TOLERANCE
+
+
+def _outcomes(tests: Iterable[Test], look: Look) -> set[bool]:
+    return {succeeds(one, look) for one in tests}
+
+
+# --- values --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a value comes from: a field, and a table in which it is looked up if there is one."""
+
+    field: Field
+    table: Mapping[str, object] | None = None
+
+    def value(self, look: Look) -> object:
+        """Return the value.
+
+        Raises:
+            Unreadable: there is none, or it is not in the table.
+        """
+        found = look(self.field)
+        if self.table is None:
+            return found
+        key = written(found)
+        if key not in self.table:
+            raise Unreadable(f"{self.field} is {shown(found)}, which is not in the table ({', '.join(self.table)})")
+        return self.table[key]
+
+
+def written(value: object) -> str:
+    """Write a value as the keys of a table are written."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
+
+
+def without_nan(where: Field, found: object) -> object:
+    """Return the value of a field, which must be a number if it is one for numbers.
+
+    Raises:
+        Unreadable: it is not.
+    """
+    if isinstance(found, float) and math.isnan(found):
+        raise Unreadable(f"{where} is not a number (NaN)")
+    return found
+
+
+def shown(value: object) -> str:
+    """Return a short text for a value in an error."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,307 @@
+"""The file that says which topics and services speak of which facts, numbers, objects and variables."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from pnm.core.knowledge_base import parse_fluent
+from pnm.core.logic.declared_names import Kind, Signature, Vocabulary
+from pnm.core.logic.expressions import UNDEFINED, Fluent, Variable
+from pnm.errors import InputError, Position, meant
+from pnm.files.yaml_nodes import Mapped, Node, load_yaml
+from pnm.knowledge.message_fields import COMPARISONS, Comparison, Every, Field, Flag, Negation, Some, Source, Test, parse_field
+from pnm.knowledge.sensor_model import VALUE, Choice, Fact, Number, Object, Polled, Sensing, Sensor, Statement, Stored, Topic, placeholders
+
+EVERY: Final = 1.0
+"""Seconds between two requests to a service."""
+LIMIT: Final = 1.0
+"""Seconds that a service may take to answer."""
+
+_TYPE: Final = re.compile(r"[a-z][a-z0-9_]*/(msg|srv)/[A-Z][A-Za-z0-9]*")
+_NAME: Final = re.compile(r"[~/]?[\w{}-]+(/[\w{}-]+)*", re.ASCII)
+_VARIABLE: Final = re.compile(r"[A-Za-z][\w-]*", re.ASCII)
+_OWN: Final = ("for", "facts", "variables", "stale", "lag", "type")
+_TESTS: Final = ("not", "all", "any")
+
+
+def read_sensing(path: Path, known: Vocabulary | None = None) -> Sensing:
+    """Read a file of sensors.
+
+    Args:
+        path: the file.
+        known: the names to be checked against.
+
+    Raises:
+        InputError: the file is not readable YAML, has an unknown key or a value of the wrong kind, or
+            names something that is not known.
+    """
+    top = load_yaml(path)
+    top.only("sensors", "stale")
+    stale = _seconds(top, "stale")
+    sensors = tuple(_Reader(entry, known, stale).sensor() for entry in top.sequence("sensors"))
+    return Sensing(sensors, stale, known.signatures if known else {})
+
+
+def _seconds(entry: Mapped, key: str, default: float | None = None) -> float | None:
+    seconds = entry.number(key, default)
+    if seconds == 0:
+        raise InputError(f"expected more than 0 seconds under {key!r}", entry.position(key))
+    return seconds
+
+
+def _text(entry: Mapped, key: str, example: str) -> str:
+    found = entry.string(key)
+    if not found:
+        raise InputError(f"expected something like {example} under {key!r}", entry.position(key))
+    return found
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Reads one sensor."""
+
+    entry: Mapped
+    known: Vocabulary | None
+    stale: float | None
+
+    def sensor(self) -> Sensor:
+        entry = self.entry
+        is_topic = "topic" in entry.nodes
+        if is_topic is ("service" in entry.nodes):
+            raise InputError("expected either a topic or a service", entry.start)
+        key = "topic" if is_topic else "service"
+        entry.only(key, *_OWN, *(() if is_topic else ("request", "every", "limit")))
+        variables = self._variables()
+        way = Topic() if is_topic else self._polled(variables)
+        sensor = Sensor(
+            self._name(key, variables, way),
+            self._type("msg" if is_topic else "srv"),
+            variables,
+            (*self._facts(variables), *self._stored(variables)),
+            way,
+            _seconds(entry, "stale", self.stale),
+            entry.number("lag", None if isinstance(way, Topic) else way.every + way.limit),
+            entry.start,
+        )
+        if not sensor.statements:
+            raise InputError("the sensor says nothing; expected facts or variables", entry.start)
+        return sensor
+
+    # --- where it is heard ---
+
+    def _variables(self) -> tuple[Variable, ...]:
+        node = self.entry.node("for")
+        if node is None or node.is_null:
+            return ()
+        found = []
+        for name, where, kind in node.mapped().entries():
+            if not _VARIABLE.fullmatch(name) or f"?{name}" == VALUE:
+                raise InputError(f"{name!r} cannot name an object here; expected something like r", where)
+            if kind.text is None:
+                raise kind.wrong(f"expected the type of {name}")
+            if self.known is not None:
+                self.known.check_type(kind.text, kind.position)
+            found.append(Variable(f"?{name}", (kind.text,)))
+        return tuple(found)
+
+    def _name(self, key: str, variables: tuple[Variable, ...], way: Topic | Polled) -> str:
+        name, where = _text(self.entry, key, "/{robot}/battery"), self.entry.position(key)
+        if not _NAME.fullmatch(name):
+            raise InputError(f"not a name in ROS: {name!r}; expected something like /{{robot}}/battery", where)
+        self._placeholders(name, variables, where)
+        told = {*placeholders(name), *(_terms(way.request) if isinstance(way, Polled) else ())}
+        for variable in variables:
+            if variable.name[1:] not in told:
+                also = "" if isinstance(way, Topic) else ", nor the request"
+                raise InputError(f"{name!r} does not name {{{variable.name[1:]}}}{also}, so all would be told the same", where)
+        return name
+
+    def _placeholders(self, pattern: str, variables: tuple[Variable, ...], where: Position) -> None:
+        if "{" in re.sub(r"\{[^{}]*\}", "", pattern) or "}" in re.sub(r"\{[^{}]*\}", "", pattern):
+            raise InputError(f"the braces in {pattern!r} do not match", where)
+        for name in placeholders(pattern):
+            self._variable(f"?{name}", variables, where)
+
+    def _variable(self, name: str, variables: Iterable[Variable], where: Position) -> Variable:
+        own = {variable.name: variable for variable in variables}
+        if name not in own:
+            raise InputError(f"{name} is not in 'for'; {meant(name, own) or _expected(own)}", where)
+        return own[name]
+
+    def _type(self, kind: str) -> str | None:
+        found = self.entry.string("type")
+        if found is not None and not ((match := _TYPE.fullmatch(found)) and match[1] == kind):
+            example = "sensor_msgs/msg/BatteryState" if kind == "msg" else "std_srvs/srv/Trigger"
+            raise InputError(f"not such a type: {found!r}; expected something like {example}", self.entry.position("type"))
+        return found
+
+    def _polled(self, variables: tuple[Variable, ...]) -> Polled:
+        request = self.entry.plain("request")
+        if request is not None and not isinstance(request, dict):
+            raise InputError("expected the fields of the request and their values", self.entry.position("request"))
+        for name in _terms(request or {}):
+            self._variable(f"?{name}", variables, self.entry.position("request"))
+        every, limit = _seconds(self.entry, "every", EVERY), _seconds(self.entry, "limit", LIMIT)
+        return Polled(request or {}, every or EVERY, limit or LIMIT)
+
+    # --- what it says ---
+
+    def _facts(self, variables: tuple[Variable, ...]) -> Iterable[Statement]:
+        for entry in self.entry.sequence("facts"):
+            kinds = [key for key in ("fact", "number", "object") if key in entry.nodes]
+            if len(kinds) != 1:
+                raise InputError("expected one of fact, number and object", entry.start)
+            yield self._statement(kinds[0], entry, variables)
+
+    def _statement(self, kind: str, entry: Mapped, variables: tuple[Variable, ...]) -> Statement:
+        where = entry.position(kind)
+        fluent = self._fluent(_text(entry, kind, "(battery ?r)"), where)
+        is_choice = kind == "fact" and VALUE in fluent
+        if kind == "fact" and not is_choice:
+            entry.only("fact", "field", "when")
+            self._typed(fluent, Kind.FACT, variables, where)
+            return Fact(fluent, self._test(entry), where)
+        entry.only(kind, "field", "table")
+        if kind == "number":
+            self._typed(fluent, Kind.NUMBER, variables, where)
+            return Number(fluent, self._source(entry, None), where)
+        signature = self._typed(fluent, Kind.FACT if is_choice else Kind.OBJECT, variables, where)
+        if not is_choice:
+            types = signature.values if signature else ("object",)
+            return Object(fluent, self._source(entry, types), types, where)
+        if fluent.count(VALUE) > 1:
+            raise InputError(f"{VALUE} is there twice; expected it once", where)
+        types = signature.parameters[fluent.index(VALUE) - 1] if signature else ("object",)
+        return Choice(fluent, self._source(entry, types), types, where)
+
+    def _stored(self, variables: tuple[Variable, ...]) -> Iterable[Statement]:
+        for entry in self.entry.sequence("variables"):
+            entry.only("name", "field", "table")
+            name, where = _text(entry, "name", "{r}_zone"), entry.position("name")
+            self._placeholders(name, variables, where)
+            for variable in variables:
+                if variable.name[1:] not in placeholders(name):
+                    raise InputError(f"{name!r} does not name {{{variable.name[1:]}}}, so all would be one variable", where)
+            table = entry.plain("table")
+            yield Stored(name, Source(self._field(entry), self._table(entry) if table is not None else None), where)
+
+    def _fluent(self, text: str, where: Position) -> Fluent:
+        try:
+            return parse_fluent(text)
+        except InputError as error:
+            raise InputError(error.message, where) from error
+
+    def _typed(self, fluent: Fluent, kind: Kind, variables: tuple[Variable, ...], where: Position) -> Signature | None:
+        """Check the names of a fluent and return its signature, if that is known."""
+        own = [self._variable(term, variables, where) for term in fluent[1:] if term[0] == "?" and (term != VALUE or kind is not Kind.FACT)]
+        if self.known is None:
+            return None
+        signature = self.known.check_kind(fluent[0], kind, where)
+        if len(signature.parameters) != len(fluent) - 1:
+            raise InputError(f"{fluent[0]} takes {len(signature.parameters)} arguments, found {len(fluent) - 1}", where)
+        types = {variable.name: variable.types[0] for variable in own}
+        for term, needed in zip(fluent[1:], signature.parameters, strict=True):
+            if term in types and self.known.types[types[term]].isdisjoint(needed):
+                raise InputError(f"{term} is a {types[term]}; {fluent[0]} takes a {' or '.join(needed)}", where)
+            if term[0] != "?":
+                self.known.check_object(term, needed, where)
+        return signature
+
+    # --- fields, tables and tests ---
+
+    def _field(self, entry: Mapped) -> Field:
+        node = entry.node("field")
+        if node is None:
+            raise InputError("expected a field, such as pose.position.x", entry.start)
+        try:
+            return parse_field(node.written)  # and not as YAML understands it, for which `on` and `y` are true
+        except InputError as error:
+            raise node.wrong(error.message) from error
+
+    def _source(self, entry: Mapped, types: tuple[str, ...] | None) -> Source:
+        """Read where a number, or the name of an object of these types, comes from."""
+        if "table" not in entry.nodes:
+            return Source(self._field(entry))
+        table = self._table(entry)
+        for name, _, node in _mapping(entry, "table").entries():
+            value = table[name]
+            if types is None:
+                if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                    raise node.wrong(f"expected a number for {name!r}")
+            elif not isinstance(value, str):
+                raise node.wrong(f"expected the name of an object for {name!r}, or {UNDEFINED}")
+            elif self.known is not None and value != UNDEFINED:
+                self.known.check_object(value, types, node.position)
+        return Source(self._field(entry), table)
+
+    def _table(self, entry: Mapped) -> dict[str, object]:
+        found = {name: node.plain() for name, _, node in _mapping(entry, "table").entries()}
+        if not found:
+            raise InputError("expected values of the field and what they mean", entry.position("table"))
+        return found
+
+    def _test(self, entry: Mapped) -> Test:
+        if "when" not in entry.nodes:
+            return Flag(self._field(entry)) if "field" in entry.nodes else Every()
+        if "field" in entry.nodes:
+            raise InputError("expected either 'field', which is true or false, or 'when'", entry.position("field"))
+        return self._tested(entry.node("when"))
+
+    def _tested(self, node: Node | None) -> Test:
+        if node is None or not node.is_mapping or not node.mapped().nodes:
+            where = self.entry.start if node is None else node.position
+            raise InputError("expected a test such as {field: percentage, ge: 0.8}", where)
+        entry = node.mapped()
+        entry.only("field", *COMPARISONS, *_TESTS)
+        if "field" in entry.nodes:
+            return self._compared(entry)
+        if len(entry.nodes) > 1:
+            raise InputError(f"expected one of {', '.join(_TESTS)}, or a field and how it compares", entry.start)
+        (key, _, inner) = entry.entries()[0]
+        if key not in _TESTS:
+            raise InputError(f"expected the field that is compared by {key!r}", entry.start)
+        if key == "not":
+            return Negation(self._tested(inner))
+        if inner.items is None:
+            raise inner.wrong(f"expected a list of tests under {key!r}")
+        tests = tuple([self._tested(item) for item in inner.items])
+        return Every(tests) if key == "all" else Some(tests)
+
+    def _compared(self, entry: Mapped) -> Test:
+        entry.only("field", *COMPARISONS)
+        where = self._field(entry)
+        found = []
+        for key, _, node in entry.entries():
+            if key != "field":
+                constant = node.plain()
+                if constant is None or (isinstance(constant, float) and math.isnan(constant)):
+                    raise node.wrong(f"expected what {where} is compared with")
+                found.append(Comparison(where, key, constant))
+        return Every(tuple(found)) if len(found) > 1 else found[0] if found else Flag(where)
+
+
+def _mapping(entry: Mapped, key: str) -> Mapped:
+    node = entry.node(key)
+    if node is None or not node.is_mapping:
+        raise InputError("expected values of the field and what they mean", entry.position(key))
+    return node.mapped()
+
+
+def _terms(source: object) -> Iterable[str]:
+    """Yield the variables, without ``?``, that fields of a request are filled from."""
+    if isinstance(source, Mapping):
+        source = list(source.values())
+    if isinstance(source, list):
+        for part in source:
+            yield from _terms(part)
+    elif isinstance(source, str) and source.startswith("?"):
+        yield source[1:]
+
+
+def _expected(known: Iterable[str]) -> str:
+    return f"expected one of {', '.join(known)}" if known else "expected {name: type} there"

@@ -1,0 +1,79 @@
+"""Global knowledge in the memory of this process: shared by its runs, gone with it.
+
+Values on their way out of the process and back: JSON, bounded.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Final
+
+from pnm.core.logic.computed_values import MISSING, Question
+from pnm.core.logic.operators import MAX_SIZE
+from pnm.knowledge.sources.source import Asker, SourceError
+
+_SHOWN: Final = 60
+
+
+def write_value(value: object) -> str:
+    """Return the value as JSON text, all of it ASCII.
+
+    Raises:
+        SourceError: JSON cannot say it (there is no NaN), or it is too large.
+    """
+    try:
+        text = json.dumps(value, allow_nan=False)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise SourceError(f"JSON cannot say {_short(repr(value))}: {error}") from error
+    if len(text) > MAX_SIZE:
+        raise SourceError(f"{_short(text)} has {len(text)} characters as JSON; at most {MAX_SIZE} can be stored")
+    return text
+
+
+def read_value(text: str) -> object:
+    """Return the value that a JSON text says.
+
+    Raises:
+        SourceError: it is not JSON, or too large.
+    """
+    if len(text) > MAX_SIZE:
+        raise SourceError(f"{_short(text)} has {len(text)} characters; expected at most {MAX_SIZE}")
+    try:
+        return json.loads(text, parse_constant=_refuse)
+    except (ValueError, RecursionError) as error:
+        raise SourceError(f"{_short(text)!r} is not JSON: {error}") from error
+
+
+def _refuse(name: str) -> object:
+    raise ValueError(f"JSON has no {name}")
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 1]}…"
+
+
+class MemoryKnowledge:
+    """Variables by name, each kept as JSON so that nobody changes another's value.
+
+    The mutable state is the variables.
+    """
+
+    def __init__(self) -> None:
+        self._variables: dict[str, str] = {}
+
+    def __repr__(self) -> str:
+        return "<MemoryKnowledge>"
+
+    async def query(self, question: Question, asker: Asker, /) -> object:
+        """Return the value, or `MISSING`."""
+        found = self._variables.get(question.name)
+        return MISSING if found is None else read_value(found)
+
+    async def update(self, question: Question, value: object, asker: Asker, /) -> None:
+        """Store the value; one that is set to None is forgotten."""
+        self._variables[question.name] = write_value(value)
+        if value is None:
+            del self._variables[question.name]
+
+    async def close(self) -> None:
+        """Keep everything: there is nothing to let go of."""

@@ -1,0 +1,52 @@
+"""What a run asks of anything that has answers, or takes values, outside of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+from uuid import UUID
+
+from pnm.core.knowledge_base import Layered
+from pnm.core.logic.computed_values import Question
+from pnm.errors import PnmError
+
+
+class SourceError(PnmError):
+    """A source could not be reached, has refused, or did not answer in time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asker:
+    """Who asks or tells."""
+
+    run: UUID
+    plan: str = ""
+    """What a person may know the run by."""
+
+
+class Source(Protocol):
+    """A knowledge base outside of runs, or a person. Every method is called on the event loop, by many runs at once."""
+
+    async def query(self, question: Question, asker: Asker, /) -> object:
+        """Return what the question is answered with, or `MISSING`; cancelled when the answer is no longer needed.
+
+        Raises:
+            SourceError: it could not be asked.
+        """
+
+    async def update(self, question: Question, value: object, asker: Asker, /) -> None:
+        """Store the value, or forget it if it is None; when this returns, every later query finds it so.
+
+        A person is told, and stores nothing.
+
+        Raises:
+            SourceError: it could not be stored; a value that JSON cannot say never is.
+        """
+
+    async def close(self) -> None:
+        """Let go of files and connections; open questions end with a `SourceError`."""
+
+
+FindKnowledge: TypeAlias = Callable[[UUID], tuple[Layered, Asker] | None]
+"""Returns the knowledge of the run that sent the request, and the asker for it; None if there is no such request, or no longer."""

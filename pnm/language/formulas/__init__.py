@@ -1,0 +1,1 @@
+"""Formulas of the YAML language: words, scopes, conditions, values, effects."""

@@ -1,0 +1,193 @@
+"""Conditions and expressions: from YAML to `pnm.core.logic.conditions`, every shape of them.
+
+What speaks of facts, functions and objects alone becomes PDDL's own kinds of conditions; what speaks of
+variables is `Computed`.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from typing import Final
+
+from pnm.core.logic.computed_values import Parameter
+from pnm.core.logic.conditions import TRUE, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
+from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, ValueOf, Variable
+from pnm.files.yaml_nodes import Node
+from pnm.language.formulas.scope import ANYTHING, Scope, fluent_in, is_variable, read_fluent, read_typed, shown
+from pnm.language.formulas.values import comparison_parts, operation_parts, read_form
+from pnm.language.formulas.words import ARITHMETIC, COMPARISONS, QUERIES, TESTS, Form, form, needed_form, read_operator
+
+FALSE: Final = Any(())
+_NAME: Final = re.compile(r"\??[^\s()?]+\Z")
+_NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\Z")
+_OPERANDS: Final = {"-": range(1, 3), "/": range(2, 3)}
+"""How many operands arithmetic takes; the others take any number from 2."""
+
+
+def read_condition(node: Node, scope: Scope = ANYTHING) -> Condition:
+    """Read a condition.
+
+    Raises:
+        InputError: it is something else, malformed, or has names that are not there.
+    """
+    if node.items is not None:
+        return conjunction(read_condition(item, scope) for item in node.items)
+    if node.is_mapping:
+        return TRUE if not node.mapped().nodes else _condition(needed_form(node, TESTS, "a condition"), scope)
+    if node.text is not None and is_variable(node.text):
+        scope.check_variable(node.text, node.position)
+        return Computed(Parameter(node.text))
+    if node.text is None and isinstance(node.plain(), bool):
+        return TRUE if node.plain() else FALSE
+    if node.text is None or fluent_in(node.text) is None:
+        raise node.wrong(f"expected a condition, such as (at ?r kitchen) or {{Exists: [Query: name]}}, found {shown(node)}")
+    return Holds(read_fluent(node, scope))
+
+
+def _condition(found: Form, scope: Scope) -> Condition:
+    match found.word:
+        case "and":
+            return conjunction(read_condition(one, scope) for one in found.operands())
+        case "or":
+            return Any(tuple(read_condition(one, scope) for one in found.operands()))
+        case "not":
+            return Not(read_condition(found.items(1)[0], scope))
+        case "imply":
+            left, right = found.items(2)
+            return Implies(read_condition(left, scope), read_condition(right, scope))
+        case "holds":
+            return Holds(read_fluent(found.items(1)[0], scope))
+        case "forall":
+            variables, body = read_quantified(found, "condition", scope)
+            return ForAll(variables, read_condition(body, scope.inside(variables)))
+        case "exists" if found.argument.is_mapping and form(found.argument, QUERIES) is None:
+            variables, body = read_quantified(found, "condition", scope)
+            return Exists(variables, read_condition(body, scope.inside(variables)))
+        case "comparison":
+            return _comparison(found, *comparison_parts(found), scope)
+        case "operation" if len(operation_parts(found)[1]) == 2:
+            operator, (left, right) = operation_parts(found)
+            return _comparison(found, operator, left, right, scope)
+        case _:
+            return Computed(read_form(found, scope))
+
+
+def read_quantified(found: Form, inner: str, scope: Scope) -> tuple[tuple[Variable, ...], Node]:
+    """Return the variables of a quantifier, and what is said of them under the key."""
+    entry = found.argument.mapped()
+    entry.only("variables", inner)
+    return read_typed(entry.needed("variables"), scope), entry.needed(inner)
+
+
+# --- comparisons ---------------------------------------------------------------------------
+
+
+def _comparison(found: Form, operator: Node, left: Node, right: Node, scope: Scope) -> Condition:
+    """Compare numbers or objects as PDDL does if both sides are of its kinds, and any values else."""
+    name = read_operator(operator)
+    first, second = _expression(left), _expression(right)
+    if isinstance(first, ValueOf) or isinstance(second, ValueOf):
+        _check_truth(left)
+        _check_truth(right)
+    if name not in COMPARISONS or first is None or second is None or not _comparable(name, (first, second)):
+        return Computed(read_form(found, scope))
+    for side, expression in ((left, first), (right, second)):
+        _check(side, expression, scope, objects=isinstance(first, ValueOf) or isinstance(second, ValueOf))
+    return Not(Compare("=", first, second)) if name == "ne" else Compare(COMPARISONS[name], first, second)
+
+
+def _check_truth(node: Node) -> None:
+    """Refuse an ``on`` without quotes beside a function: an object is meant, and YAML takes it for a truth value."""
+    written = node.written.lower()
+    if node.text is None and written and isinstance(node.plain(), bool) and written not in ("true", "false"):
+        raise node.wrong(f"{node.written} is a truth value; write {node.written!r} with quotes, or true or false")
+
+
+def _comparable(name: str, sides: tuple[Expression, Expression]) -> bool:
+    """Whether PDDL compares the two: numbers, or objects for equality. It does not count with parameters."""
+    if any(_counts_with_names(side) for side in sides):
+        return False
+    objects = any(isinstance(side, Constant) and isinstance(side.value, str) for side in sides)
+    numbers = any(not isinstance(side, ValueOf) and not (isinstance(side, Constant) and isinstance(side.value, str)) for side in sides)
+    return not objects or (name in ("eq", "ne") and not numbers)
+
+
+def _counts_with_names(expression: Expression) -> bool:
+    match expression:
+        case Arithmetic(_, operands):
+            return any(_counts_with_names(one) or (isinstance(one, Constant) and isinstance(one.value, str)) for one in operands)
+        case _:
+            return False
+
+
+def _check(node: Node, expression: Expression, scope: Scope, *, objects: bool = True) -> None:
+    """Refuse names that are not there."""
+    match expression:
+        case ValueOf(fluent) if fluent != DURATION:
+            scope.check_fluent(fluent, node.position)
+        case Constant(str() as name) if objects or name.startswith("?"):
+            scope.check_object(name, node.position)
+        case Arithmetic(_, operands):
+            for operand in operands:
+                _check(node, operand, scope)
+        case _:
+            pass
+
+
+def read_expression(node: Node, scope: Scope = ANYTHING) -> Expression:
+    """Read a number, an object, a parameter, ``?duration``, the value of a function, or arithmetic over these.
+
+    Raises:
+        InputError: it is something else, malformed, or has names that are not there.
+    """
+    found = _expression(node)
+    if found is None:
+        hint = f"; write {node.written!r} with quotes" if node.written and isinstance(node.plain(), bool) else ""
+        raise node.wrong(f"expected a number, a name or something like (battery ?r), found {shown(node)}{hint}")
+    _check(node, found, scope)
+    return found
+
+
+def _expression(node: Node) -> Expression | None:
+    """Return None for what PDDL does not have."""
+    if node.is_mapping:
+        found = form(node, ("value", "operation"))
+        if found is None:
+            return None
+        return ValueOf(read_fluent(found.items(1)[0])) if found.word == "value" else _arithmetic(found)
+    if node.text is not None:
+        return _named(node.text)
+    value = None if node.items is not None else node.plain()
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    if not abs(value) <= sys.float_info.max:
+        raise node.wrong(f"expected a finite number, found {shown(node)}")
+    return Constant(float(value))
+
+
+def _named(text: str) -> Expression | None:
+    fluent = fluent_in(text)
+    if fluent is not None:
+        return ValueOf(fluent)
+    if text == DURATION[0]:
+        return ValueOf(DURATION)
+    if _NUMBER.match(text):  # YAML 1.1 takes 1e5 for a text
+        return Constant(float(text)) if abs(float(text)) <= sys.float_info.max else None
+    return Constant(text) if _NAME.match(text) else None
+
+
+def _arithmetic(found: Form) -> Expression | None:
+    operator, operands = operation_parts(found)
+    symbol = ARITHMETIC.get(read_operator(operator))
+    parts = [_expression(operand) for operand in operands]
+    known = [part for part in parts if part is not None and not _is_name(part)]
+    if symbol is None or len(known) < len(parts):
+        return None
+    if len(known) not in _OPERANDS.get(symbol, range(2, sys.maxsize)):
+        raise found.argument.wrong(f"{symbol} does not take {len(known)} operands")
+    return Arithmetic(symbol, tuple(known))
+
+
+def _is_name(expression: Expression) -> bool:
+    return isinstance(expression, Constant) and isinstance(expression.value, str) and not is_variable(expression.value)

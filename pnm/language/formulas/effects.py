@@ -1,0 +1,175 @@
+"""What actions do: from YAML to `pnm.core.logic.effects`, and what is tested rather than done; durations and moments.
+
+An effect on facts and functions is done. A test of variables, which action servers write, is expected to hold
+once the action is done.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from pnm.core.logic.computed_values import Layer, Query, parts
+from pnm.core.logic.conditions import TRUE, Condition, conjunction, data_in
+from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, Set, When
+from pnm.core.logic.expressions import Constant, Expression
+from pnm.errors import InputError
+from pnm.files.yaml_nodes import Node
+from pnm.language.formulas.conditions import read_condition, read_expression, read_quantified
+from pnm.language.formulas.scope import ANYTHING, Scope, fluent_in, read_fluent, shown
+from pnm.language.formulas.words import TESTS, Form, form, needed_form
+
+_CHANGES: Final = dict(zip((*OPERATIONS, "scale_up", "scale_down"), (*OPERATIONS, *OPERATIONS[-2:]), strict=True))
+_WORDS: Final = (*TESTS, *_CHANGES, "when")
+MOMENTS: Final = ("at_start", "over_all", "at_end")
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What an action does, and what is expected besides."""
+
+    effects: Effects = ()
+    expected: Condition = TRUE
+
+
+def read_effects(node: Node, scope: Scope = ANYTHING) -> Written:
+    """Read effects: a list, or one of them.
+
+    Raises:
+        InputError: it is something else, malformed, or has names that are not there.
+    """
+    found = _parts(node, scope)
+    effects = tuple(one for one in found if isinstance(one, Set | When | ForEach))
+    tests = [one for one in found if not isinstance(one, Set | When | ForEach)]
+    return Written(effects, conjunction(tests))
+
+
+def _parts(node: Node, scope: Scope) -> tuple[Effect | Condition, ...]:
+    if node.items is not None:
+        return tuple(part for item in node.items for part in _parts(item, scope))
+    if node.is_mapping and not node.mapped().nodes:
+        return ()
+    if not node.is_mapping:
+        return (_becomes(node, True, scope),)
+    found = needed_form(node, _WORDS, "an effect")
+    match found.word:
+        case "and":
+            return tuple(part for item in found.operands() for part in _parts(item, scope))
+        case "holds":
+            return (_becomes(found.items(1)[0], True, scope),)
+        case "not" if _is_fact(found.items(1)[0]):
+            (fact,) = found.items(1)
+            inner = form(fact, ("holds",))
+            return (_becomes(inner.items(1)[0] if inner else fact, False, scope),)
+        case "when":
+            return (_when(found, scope),)
+        case "forall" if "effects" in found.argument.mapped().nodes:
+            variables, body = read_quantified(found, "effects", scope)
+            return (ForEach(variables, _only_effects(body, scope.inside(variables))),)
+        case word if word in _CHANGES:
+            return (_change(found, scope),)
+        case _:
+            return (read_condition(node, scope),)
+
+
+def _becomes(node: Node, truth: bool, scope: Scope) -> Set:
+    if node.text is None:
+        hint = f"; write {node.written!r} with quotes" if node.written else ""
+        raise node.wrong(f"expected an effect, such as (at ?r kitchen), found {shown(node)}{hint}")
+    return Set(read_fluent(node, scope), Constant(truth))
+
+
+def _is_fact(node: Node) -> bool:
+    return form(node, ("holds",)) is not None or (node.text is not None and fluent_in(node.text) is not None)
+
+
+def _change(found: Form, scope: Scope) -> Set:
+    target, value = found.items(2)
+    return Set(read_fluent(target, scope), read_expression(value, scope), _CHANGES[found.word])
+
+
+def _when(found: Form, scope: Scope) -> When:
+    entry = found.argument.mapped()
+    entry.only("condition", "at_start", "effects")
+    late, early, body = entry.node("condition"), entry.node("at_start"), entry.node("effects")
+    condition = late or early
+    if condition is None or body is None or (late and early):
+        raise found.argument.wrong("'when' takes effects, and either a condition or, for one that is tested early, at_start")
+    return When(read_condition(condition, scope), _only_effects(body, scope), early=late is None)
+
+
+def _only_effects(node: Node, scope: Scope) -> Effects:
+    found = read_effects(node, scope)
+    if found.expected != TRUE:
+        raise node.wrong("expected effects on facts and functions alone; tests of variables stand at the top of the effects")
+    return found.effects
+
+
+# --- moments and durations -----------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Timed:
+    """Conditions of an action by the moment they must hold."""
+
+    start: Condition = TRUE
+    always: Condition = TRUE
+    end: Condition = TRUE
+
+
+def read_conditions(node: Node | None, scope: Scope = ANYTHING) -> Timed:
+    """Read preconditions: a condition, or conditions by moment: ``{at_start: c, over_all: c, at_end: c}``.
+
+    Raises:
+        InputError: they are something else, malformed, or have names that are not there.
+    """
+    if node is None or node.is_null:
+        return Timed()
+    if not _has_moments(node):
+        return Timed(read_condition(node, scope))
+    entry = node.mapped()
+    entry.only(*MOMENTS)
+    found = [entry.node(moment) for moment in MOMENTS]
+    start, always, end = (TRUE if one is None or one.is_null else read_condition(one, scope) for one in found)
+    if any(isinstance(part, Query) and part.layer is not Layer.LOCAL for data in data_in(always) for part in parts(data)):
+        message = "what must hold over all is watched, and nobody is asked all the time; expected LocalQuery, facts or functions"
+        raise InputError(message, entry.position("over_all"))
+    return Timed(start, always, end)
+
+
+def read_timed_effects(node: Node | None, scope: Scope = ANYTHING) -> tuple[Effects, Written]:
+    """Read effects: at the end, or by moment: ``{at_start: [...], at_end: [...]}``; return those at the start and the others.
+
+    Raises:
+        InputError: they are something else, malformed, or have names that are not there.
+    """
+    if node is None or node.is_null:
+        return (), Written()
+    if not _has_moments(node):
+        return (), read_effects(node, scope)
+    entry = node.mapped()
+    entry.only("at_start", "at_end")
+    start, end = entry.node("at_start"), entry.node("at_end")
+    return (
+        () if start is None or start.is_null else _only_effects(start, scope),
+        Written() if end is None or end.is_null else read_effects(end, scope),
+    )
+
+
+def _has_moments(node: Node) -> bool:
+    return node.is_mapping and not node.mapped().nodes.keys().isdisjoint(MOMENTS)
+
+
+_BOUNDS: Final = ("=", "<=", ">=")
+
+
+def read_duration(node: Node, scope: Scope = ANYTHING) -> tuple[tuple[str, Expression], ...]:
+    """Read a duration: an expression, or a list of bounds ``{"<=": expression}``; an empty list for any duration.
+
+    Raises:
+        InputError: it is something else, malformed, or has names that are not there.
+    """
+    if node.items is None and form(node, _BOUNDS) is None:
+        return (("=", read_expression(node, scope)),)
+    found = [needed_form(one, _BOUNDS, "a bound") for one in ((node,) if node.items is None else node.items)]
+    return tuple((one.word, read_expression(one.argument, scope)) for one in found)

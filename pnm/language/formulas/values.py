@@ -1,0 +1,204 @@
+"""Values that are computed from what a run knows, and what a step does to knowledge: from YAML to `pnm.core.logic.computed_values`.
+
+A text that begins with ``?`` is a parameter of the action, and ``(battery r1)`` the value of a function or the
+truth of a fact; any other text, number, list or mapping stands for itself, and ``{Literal: x}`` does whatever x is.
+"""
+
+from __future__ import annotations
+
+import json
+from functools import reduce
+
+from pnm.core.logic.computed_values import Compound, Data, KnowledgeOperation, Literal, Operation, Parameter, Query, Update
+from pnm.core.logic.expressions import ValueOf
+from pnm.files.yaml_nodes import Node
+from pnm.language.formulas.scope import ANYTHING, Scope, fluent_in, is_variable, read_fluent, shown
+from pnm.language.formulas.words import ARITHMETIC, QUERIES, UPDATES, VALUES, Form, form, needed_form, read_operator
+
+
+def read_data(node: Node, scope: Scope = ANYTHING) -> Data:
+    """Read a value.
+
+    Raises:
+        InputError: it is malformed, or has names that are not there.
+    """
+    found = form(node, (*VALUES, *UPDATES), in_value=True)
+    if found is not None:
+        return read_form(found, scope)
+    if node.items is not None:
+        return _whole(tuple(read_data(item, scope) for item in node.items), None)
+    if node.is_mapping:
+        entries = node.mapped().entries()
+        return _whole(tuple(read_data(value, scope) for _, _, value in entries), tuple(key for key, _, _ in entries))
+    return _scalar(node, scope)
+
+
+def _whole(items: tuple[Data, ...], keys: tuple[str, ...] | None) -> Data:
+    """Return a literal if all parts are."""
+    values = [item.value for item in items if isinstance(item, Literal)]
+    if len(values) < len(items):
+        return Compound(items, keys)
+    return Literal.of(values if keys is None else dict(zip(keys, values, strict=True)))
+
+
+def _scalar(node: Node, scope: Scope) -> Data:
+    text = node.text
+    if text is None:
+        return read_literal(node)
+    if is_variable(text):
+        scope.check_variable(text, node.position)
+        return Parameter(text)
+    fluent = fluent_in(text)
+    if fluent is not None:
+        scope.check_fluent(fluent, node.position)
+        return _truth(ValueOf(fluent)) if fluent[0] in scope.predicates else ValueOf(fluent)
+    return Literal.of(text)
+
+
+def read_literal(node: Node) -> Literal:
+    """Read a value as it stands.
+
+    Raises:
+        InputError: it has a number that is not finite.
+    """
+    value = node.plain()
+    try:
+        json.dumps(value, allow_nan=False)
+    except ValueError as error:
+        raise node.wrong(f"expected finite numbers, found {shown(node)}") from error
+    return Literal.of(value)
+
+
+def read_form(found: Form, scope: Scope) -> Data:
+    """Read a value that is computed."""
+    word = found.word
+    if word in QUERIES:
+        return _query(found, scope)
+    match word:
+        case "and" | "or":
+            return Operation(word, tuple(read_data(one, scope) for one in found.operands()))
+        case "not":
+            return Operation("not", (read_data(found.items(1)[0], scope),))
+        case "imply":
+            left, right = (read_data(one, scope) for one in found.items(2))
+            return Operation("or", (Operation("not", (left,)), right))
+        case "exists":
+            return _exists(found, scope)
+        case "comparison":
+            return _compared(found, scope)
+        case "operation":
+            return _operation(found, scope)
+        case "booleanAssertion":
+            return _assertion(found, scope)
+        case "holds":
+            return _truth(ValueOf(read_fluent(found.items(1)[0], scope)))
+        case "value":
+            return ValueOf(read_fluent(found.items(1)[0], scope))
+        case "literal":
+            return read_literal(found.argument)
+        case _:
+            raise found.argument.wrong(f"{found.written} changes knowledge; it is a step of its own, not a value")
+
+
+def _query(found: Form, scope: Scope) -> Query:
+    name, *meta = found.items(1, 2)
+    return Query(_name(name, scope), QUERIES[found.word], *(read_data(one, scope) for one in meta))
+
+
+def _name(node: Node, scope: Scope) -> Data:
+    """Read the name of a variable, which may be computed."""
+    found = read_data(node, scope)
+    if isinstance(found, Compound) or (isinstance(found, Literal) and not isinstance(found.value, str)):
+        hint = f"; write {node.written!r} with quotes" if node.written else ""
+        raise node.wrong(f"expected the name of a variable{hint}")
+    return found
+
+
+def _exists(found: Form, scope: Scope) -> Operation:
+    """Read whether a variable has a value: ``Exists: [Query: v]`` or ``Exists: {Query: v}``."""
+    (inner,) = found.items(1)
+    return Operation("exists", (_query(needed_form(inner, QUERIES, "a query"), scope),))
+
+
+def _compared(found: Form, scope: Scope) -> Operation:
+    """Read ``Comparison: [operator, [a, b]]``."""
+    name, left, right = comparison_parts(found)
+    return Operation(read_operator(name), _compared_values(read_data(left, scope), read_data(right, scope)))
+
+
+def _compared_values(left: Data, right: Data) -> tuple[Data, Data]:
+    """Return both values; where one is true or false, so is the other."""
+    return (_truth(left) if _is_flag(right) else left), (_truth(right) if _is_flag(left) else right)
+
+
+def _is_flag(data: Data) -> bool:
+    return isinstance(data, Literal) and isinstance(data.value, bool)
+
+
+def _truth(data: Data) -> Data:
+    """Return the truth of a fact, which is false when nobody has recorded it; anything else as it is."""
+    return Operation("truth", (data,)) if isinstance(data, ValueOf) else data
+
+
+def comparison_parts(found: Form) -> tuple[Node, Node, Node]:
+    """Return the operator and both sides of ``Comparison: [operator, [a, b]]``."""
+    operator, pair = found.items(2)
+    if pair.items is None or len(pair.items) != 2:
+        raise pair.wrong(f"{found.written} takes a list of the two values it compares")
+    return operator, *pair.items
+
+
+def operation_parts(found: Form) -> tuple[Node, tuple[Node, ...]]:
+    """Return the operator and the operands of ``Operation: [operator, [a, b, ...]]``, or ``[operator, a]``."""
+    operator, rest = found.items(2)
+    return operator, (rest,) if rest.items is None else rest.items
+
+
+def _operation(found: Form, scope: Scope, *, changing: bool = False) -> Operation:
+    operator, rest = operation_parts(found)
+    name = read_operator(operator, changing=changing)
+    if not rest:
+        raise operator.wrong(f"{name} has no operands")
+    operands = tuple(read_data(one, scope) for one in rest)
+    if name == "sub" and len(operands) == 1 and operator.text == ARITHMETIC["sub"]:
+        return Operation("neg", operands)
+    if name in ARITHMETIC and len(operands) > 2:
+        first = Operation(name, operands[:2])
+        return reduce(lambda left, right: Operation(name, (left, right)), operands[2:], first)
+    return Operation(name, operands)
+
+
+def _assertion(found: Form, scope: Scope) -> Operation:
+    """Read ``BooleanAssertion: [e, true]``: e is true; with false, that it is false."""
+    inner, wanted = found.items(2)
+    value = wanted.plain()
+    if not isinstance(value, bool):
+        raise wanted.wrong("expected true or false")
+    return Operation("eq", _compared_values(read_data(inner, scope), Literal.of(value)))
+
+
+def read_operation(node: Node, scope: Scope = ANYTHING) -> KnowledgeOperation:
+    """Read what a step does to knowledge: an update, a query, or an operation.
+
+    Raises:
+        InputError: it is something else, malformed, or has names that are not there.
+    """
+    found = needed_form(node, (*UPDATES, *QUERIES, "operation"), "an update, a query or an operation")
+    if found.word in UPDATES:
+        name, value, *meta = found.items(2, 3)
+        return Update(_name(name, scope), read_data(value, scope), UPDATES[found.word], *(read_data(one, scope) for one in meta))
+    if found.word in QUERIES:
+        return _query(found, scope)
+    return _changing(found, scope)
+
+
+def _changing(found: Form, scope: Scope) -> Operation:
+    operation = _operation(found, scope, changing=True)
+    sizes = {"setitem": 3, "delitem": 2}
+    if operation.operator in sizes:
+        first = operation_parts(found)[1][0]
+        if len(operation.operands) != sizes[operation.operator]:
+            raise first.wrong(f"{operation.operator} takes {sizes[operation.operator]} operands, found {len(operation.operands)}")
+        if not isinstance(operation.operands[0], Query):
+            raise first.wrong(f"{operation.operator} changes what a query finds; expected a query as its first operand")
+    return operation

@@ -1,0 +1,275 @@
+"""From a step that calls an action to the ground action: what the step gives, and what is found when the call starts.
+
+Putting what a step gives in the place of the parameters of its action.
+
+Names go in by `pnm.core.logic.conditions.ground`; this file adds numbers, which PDDL's parameters never are, and computed values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, TypeAlias, assert_never
+
+from pnm.core.logic.computed_values import Data, KnowledgeOperation, Layer, Literal, Operation, Query, Update, filled, parameters_in, parts
+from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, ground
+from pnm.core.logic.effects import Effect, Effects, ForEach, Set, When, ground_effects
+from pnm.core.logic.expressions import (
+    DURATION,
+    Arithmetic,
+    Constant,
+    Environment,
+    Expression,
+    Fluent,
+    Value,
+    ValueOf,
+    Variable,
+    bind,
+    ground_expression,
+    value_of,
+)
+from pnm.core.machine.plan_graph import EMPTY, Cause, GroundAction, Recovery, Then
+from pnm.errors import InputError
+from pnm.language.actions import OPERATION, ActionKind, LanguageAction
+from pnm.language.plan_tree import CallStep
+
+Numbers: TypeAlias = Mapping[str, float]
+"""Parameters, with ``?``, that are given as numbers."""
+
+
+def names_of(numbers: Numbers) -> dict[str, str]:
+    """Return how the numbers are written as arguments of facts."""
+    return {name: f"{number:.12g}" for name, number in numbers.items()}
+
+
+def number_expression(expression: Expression, numbers: Numbers) -> Expression:
+    """Put numbers in the place of parameters."""
+    match expression:
+        case Constant(str() as name) if name in numbers:
+            return Constant(numbers[name])
+        case Constant():
+            return expression
+        case ValueOf(fluent):
+            return ValueOf(bind(fluent, names_of(numbers)))
+        case Arithmetic(operation, operands):
+            return Arithmetic(operation, tuple(number_expression(one, numbers) for one in operands))
+        case _:
+            assert_never(expression)
+
+
+def number_condition(condition: Condition, numbers: Numbers) -> Condition:
+    """Put numbers in the place of parameters; what is computed finds them when it is."""
+    match condition:
+        case Holds(fluent):
+            return Holds(bind(fluent, names_of(numbers)))
+        case Compare(operation, left, right):
+            return Compare(operation, number_expression(left, numbers), number_expression(right, numbers))
+        case Not(operand):
+            return Not(number_condition(operand, numbers))
+        case All(operands):
+            return All(tuple(number_condition(operand, numbers) for operand in operands))
+        case Any(operands):
+            return Any(tuple(number_condition(operand, numbers) for operand in operands))
+        case Implies(before, after):
+            return Implies(number_condition(before, numbers), number_condition(after, numbers))
+        case ForAll(variables, body):
+            return ForAll(variables, number_condition(body, _hidden(numbers, variables)))
+        case Exists(variables, body):
+            return Exists(variables, number_condition(body, _hidden(numbers, variables)))
+        case Computed():
+            return condition
+        case _:
+            assert_never(condition)
+
+
+def number_effects(effects: Effects, numbers: Numbers) -> Effects:
+    """Put numbers in the place of parameters."""
+    return tuple(_effect(effect, numbers) for effect in effects)
+
+
+def _effect(effect: Effect, numbers: Numbers) -> Effect:
+    match effect:
+        case Set(fluent, value, operation):
+            return Set(bind(fluent, names_of(numbers)), number_expression(value, numbers), operation)
+        case When(condition, inner, early):
+            return When(number_condition(condition, numbers), number_effects(inner, numbers), early)
+        case ForEach(variables, inner):
+            return ForEach(variables, number_effects(inner, _hidden(numbers, variables)))
+        case _:
+            assert_never(effect)
+
+
+def _hidden(numbers: Numbers, variables: tuple[Variable, ...]) -> Numbers:
+    names = {variable.name for variable in variables}
+    return {name: number for name, number in numbers.items() if name not in names}
+
+
+def filled_data(data: Data, values: Mapping[str, Data]) -> Data:
+    """Put computed values in the place of parameters; in fluents only texts fit."""
+    return filled(data, values, _texts(values))
+
+
+def filled_operation(operation: KnowledgeOperation, values: Mapping[str, Data]) -> KnowledgeOperation:
+    """Put computed values in the place of parameters."""
+    if isinstance(operation, Update):
+        name, value, meta = (filled_data(one, values) for one in (operation.name, operation.value, operation.meta))
+        return Update(name, value, operation.layer, meta)
+    found = filled_data(operation, values)
+    assert isinstance(found, Query | Operation)
+    return found
+
+
+def _texts(values: Mapping[str, Data]) -> Environment:
+    return {name: data.value for name, data in values.items() if isinstance(data, Literal) and isinstance(data.value, str)}
+
+
+EFFECT_RETRIES: Final = 3
+"""How often a call is repeated because its effects are missing, when nobody says."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What durations are computed from: the facts at the beginning."""
+
+    facts: Mapping[Fluent, Value]
+
+    def value(self, fluent: Fluent, /) -> Value | None:
+        """Return the value of a fluent."""
+        return self.facts.get(fluent)
+
+    def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
+        """Return nothing: durations do not speak of all objects."""
+        return ()
+
+
+@dataclass(frozen=True)
+class Substitution:
+    """What one call gives the parameters of its action, with ``?``."""
+
+    values: Mapping[str, Data]
+    """Whatever the step gives."""
+    texts: Environment
+    numbers: Mapping[str, float]
+
+    @staticmethod
+    def of(given: Mapping[str, Data]) -> Substitution:
+        """Sort what is given, by parameter without ``?``."""
+        plain = {f"?{name}": data.value for name, data in given.items() if isinstance(data, Literal)}
+        return Substitution(
+            {f"?{name}": data for name, data in given.items()},
+            {name: value for name, value in plain.items() if isinstance(value, str) and not value.startswith("?")},
+            {name: value for name, value in plain.items() if isinstance(value, int | float) and not isinstance(value, bool)},
+        )
+
+    def condition(self, condition: Condition) -> Condition:
+        """Return the condition as it is for this call."""
+        return ground(number_condition(condition, self.numbers) if self.numbers else condition, self.texts)
+
+    def effects(self, effects: Effects, duration: float | None) -> Effects:
+        """Return the effects as they are for this call."""
+        lasting = {} if duration is None else {DURATION[0]: str(duration)}
+        return ground_effects(number_effects(effects, self.numbers) if self.numbers else effects, {**self.texts, **lasting})
+
+    def argument(self, name: str) -> str:
+        """Return the argument for a parameter without ``?``: the text or number it is given, or ``?name``."""
+        return {**self.texts, **names_of(self.numbers)}.get(f"?{name}", f"?{name}")
+
+
+def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tuple[GroundAction, Substitution]:
+    """Return what the step does, and what it gives the parameters.
+
+    Args:
+        step: the call.
+        outer: in a chain of recovery, what the call that recovers gives its parameters, with ``?``.
+        facts: what is so at the beginning.
+
+    Raises:
+        InputError: a fact is computed from a parameter that is not known in the plan.
+    """
+    action = step.action
+    given = {name: filled_data(one.data, outer) for name, one in step.given.items()}
+    for name, data in given.items():
+        if left := _unfilled(data):
+            raise InputError(
+                f"{min(left)} is not known in the plan; a fact in a value needs the name of an object", step.given[name].position
+            )
+    own = Substitution.of(given)
+    operation = _operation(step, outer)
+    names = _parameters(step, operation)
+    duration = _duration(action, own, facts) if step.duration is None else step.duration
+    return (
+        GroundAction(
+            action.name,
+            tuple(own.argument(name) for name in names),
+            names,
+            precondition=own.condition(action.precondition),
+            invariant=own.condition(action.invariant),
+            end_condition=own.condition(action.end_condition),
+            start_effects=own.effects(action.start_effects, duration),
+            end_effects=own.effects(action.end_effects, duration),
+            duration=duration,
+            expected=own.condition(action.expected),
+            given=tuple(given.items()),
+            operation=operation,
+            resources=tuple(dict.fromkeys((*action.resources, *step.resources))),
+            returns=action.returns,
+        ),
+        own,
+    )
+
+
+def outer_values(action: LanguageAction, own: Substitution) -> dict[str, Data]:
+    """Return what parameters stand for in the chains of a call: what it is given, or what it will find."""
+    names = (variable.name for variable in action.parameters or ())
+    found: dict[str, Data] = {name: Query(Literal.of(name[1:]), Layer.ALL) for name in names}
+    return {**found, **own.values}
+
+
+def _unfilled(data: Data) -> frozenset[str]:
+    return frozenset(name for part in parts(data) if isinstance(part, ValueOf) for name in parameters_in(part))
+
+
+def _parameters(step: CallStep, operation: KnowledgeOperation | None) -> tuple[str, ...]:
+    """Return the names of the parameters: of an action on knowledge, those that are used or given."""
+    if step.action.parameters is None:
+        return tuple(step.given)
+    names = tuple(variable.name[1:] for variable in step.action.parameters)
+    if operation is None:
+        return names
+    used = step.action.mentioned | _mentioned(operation)
+    return tuple(name for name in names if name != OPERATION and (name in step.given or f"?{name}" in used))
+
+
+def _mentioned(operation: KnowledgeOperation) -> frozenset[str]:
+    if isinstance(operation, Update):
+        return parameters_in(operation.name) | parameters_in(operation.value) | parameters_in(operation.meta)
+    return parameters_in(operation)
+
+
+def _operation(step: CallStep, outer: Mapping[str, Data]) -> KnowledgeOperation | None:
+    own = {variable.name for variable in step.action.parameters or ()}
+    values = {name: data for name, data in outer.items() if name not in own}
+    return None if step.operation is None else filled_operation(step.operation, values)
+
+
+def _duration(action: LanguageAction, own: Substitution, facts: Facts) -> float | None:
+    """Return how long the call takes, if the domain fixes it by numbers that do not change or hold at the beginning."""
+    for operation, bound in action.duration or ():
+        if operation == "=":
+            found = value_of(ground_expression(number_expression(bound, own.numbers), own.texts), facts)
+            return float(found) if isinstance(found, int | float) and not isinstance(found, bool) else None
+    return None
+
+
+def usual_recoveries(action: LanguageAction) -> tuple[Recovery, ...]:
+    """Return what is done when neither the step nor the action says it.
+
+    A call that was preempted counts as done, unless it would be believed to have effects that it may not have had; one whose
+    effects are missing is repeated.
+    """
+    found: list[Recovery] = []
+    if action.kind is not ActionKind.KB and not (action.start_effects or action.end_effects):
+        found.append(Recovery(frozenset({Cause.CANCELED}), Then.CONTINUE, EMPTY))
+    if action.expected != TRUE or action.end_condition != TRUE or action.start_effects or action.end_effects:
+        found.append(Recovery(frozenset({Cause.EFFECTS_MISSING}), Then.RETRY, EMPTY, EFFECT_RETRIES))
+    return tuple(found)

@@ -1,0 +1,221 @@
+"""Plans as they are written: a tree of steps that says the same as the file.
+
+What is done when a call fails, as it is written: ``before``, ``during`` and ``after``, each with chains of steps.
+
+A chain is a list of steps that ends in a command. In its long form, ``{when: condition, do: chain, times: n}``, it has
+a condition of its own and says how often it may be used; there may be a list of these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from math import inf
+from typing import Final, TypeAlias
+
+from pnm.core.logic.computed_values import Data, KnowledgeOperation
+from pnm.core.logic.conditions import Condition
+from pnm.core.machine.plan_graph import Cause, Moment, Then
+from pnm.errors import InputError, Position
+from pnm.files.yaml_nodes import Node
+from pnm.language.actions import LanguageAction
+from pnm.language.formulas.conditions import read_condition
+from pnm.language.formulas.scope import Scope, unknown
+
+
+@dataclass(frozen=True, slots=True)
+class Wait:
+    """What a step waits for: the end, or the start, of another step of the same list."""
+
+    id: str
+    position: Position
+    moment: Moment = Moment.END
+    delay: float = 0.0
+    """Seconds that must pass besides."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a step stands."""
+
+    position: Position
+    id: str | None = None
+    after: tuple[Wait, ...] | None = None
+    """What its start waits for; None for the step before it."""
+    end_after: tuple[Wait, ...] = ()
+    """What its end waits for: only a call has one that can wait."""
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """What a step says about a parameter."""
+
+    data: Data
+    position: Position
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenRecovery:
+    """What is done about some causes of failure."""
+
+    position: Position
+    causes: frozenset[Cause]
+    chain: SequenceStep
+    then: Then
+    times: int | None = None
+    """None if the file does not say."""
+    when: Condition | None = None
+    """For checks of its own, before or after."""
+
+
+@dataclass(frozen=True)
+class CallStep:
+    """An action is called."""
+
+    place: Place
+    action: LanguageAction
+    given: Mapping[str, Given] = field(default_factory=dict)
+    """By parameter, without ``?``."""
+    operation: KnowledgeOperation | None = None
+    recoveries: tuple[WrittenRecovery, ...] | None = None
+    """In place of what the action says; None if the step says nothing."""
+    retries: int | None = None
+    timeout: float | None = None
+    duration: float | None = None
+    """Chosen within the bounds that the action gives."""
+    release: float = 0.0
+    """Seconds after the beginning of the plan before which it must not start."""
+    deadline: float = inf
+    """Seconds after the beginning of the plan by which it must have ended."""
+    resources: tuple[str, ...] = ()
+    """Besides those of the action."""
+    store: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceStep:
+    """Steps one after the other, or in the order that their ``after`` says."""
+
+    place: Place
+    steps: tuple[WrittenStep, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ConcurrentStep:
+    """Steps at the same time."""
+
+    place: Place
+    branches: tuple[WrittenStep, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LoopStep:
+    """Steps that are repeated as long as a condition holds."""
+
+    place: Place
+    condition: Condition
+    body: SequenceStep
+    limit: int
+
+
+@dataclass(frozen=True, slots=True)
+class ChoiceStep:
+    """Steps that are done if a condition holds, and others that are done if not."""
+
+    place: Place
+    condition: Condition
+    then: SequenceStep
+    otherwise: SequenceStep
+
+
+WrittenStep: TypeAlias = CallStep | SequenceStep | ConcurrentStep | LoopStep | ChoiceStep
+
+
+COMMANDS: Final = {**{then.value: then for then in Then}, "restart_action": Then.RETRY}
+"""How a chain ends."""
+_DURING: Final = {
+    "aborted": Cause.ABORTED,
+    "preempted": Cause.CANCELED,
+    "rejected": Cause.REJECTED,
+    "unavailable": Cause.UNAVAILABLE,
+    "timed_out": Cause.TIMED_OUT,
+    "lost": Cause.LOST,
+}
+_BEFORE: Final = frozenset({Cause.PRECONDITION_FALSE, Cause.DATA_MISSING})
+_AFTER: Final = frozenset({Cause.EFFECTS_MISSING})
+_SENT: Final = frozenset(_DURING.values())
+MAX_TIMES: Final = 10_000
+
+ReadSteps: TypeAlias = Callable[[tuple[Node, ...], Position], SequenceStep]
+"""Reads steps that follow each other."""
+
+
+def read_recoveries(node: Node, scope: Scope, read_steps: ReadSteps) -> tuple[WrittenRecovery, ...]:
+    """Read what is done when a call fails.
+
+    Args:
+        node: a mapping with the keys ``before``, ``during`` and ``after``.
+        scope: what conditions may use: the parameters of the call.
+        read_steps: reads the chains.
+
+    Raises:
+        InputError: it is something else, or a part is malformed or has names that are not there.
+    """
+    if node.is_null:
+        return ()
+    entry = node.mapped()
+    entry.only("before", "during", "after")
+    found = [_recovery(long, _BEFORE, Cause.BEFORE, scope, read_steps) for long in _each(entry.node("before"))]
+    during = entry.node("during")
+    if during is not None and not during.is_null:
+        outcomes = during.mapped()
+        outcomes.only(*_DURING)
+        for outcome, _, chains in outcomes.entries():
+            found += [_recovery(long, frozenset({_DURING[outcome]}), None, scope, read_steps) for long in _each(chains)]
+    return (*found, *(_recovery(long, _AFTER, Cause.AFTER, scope, read_steps) for long in _each(entry.node("after"))))
+
+
+def _each(node: Node | None) -> tuple[Node, ...]:
+    """Return the recoveries of a list of long forms, or the only one."""
+    if node is None or node.is_null:
+        return ()
+    if node.items and all(_is_long(item) for item in node.items):
+        return node.items
+    return (node,)
+
+
+def _is_long(node: Node) -> bool:
+    return node.is_mapping and "do" in node.mapped().nodes
+
+
+def _recovery(node: Node, usual: frozenset[Cause], own: Cause | None, scope: Scope, read_steps: ReadSteps) -> WrittenRecovery:
+    entry = node.mapped() if _is_long(node) else None
+    when: Condition | None = None
+    times: int | None = None
+    if entry is not None:
+        entry.only(*(("when",) if own is not None else ()), "do", "times")
+        condition = entry.node("when")
+        when = None if condition is None else read_condition(condition, scope)
+        times = entry.whole("times", None)
+        if times is not None and not 1 <= times <= MAX_TIMES:
+            raise InputError(f"expected a number of times from 1 to {MAX_TIMES}, found {times}", entry.position("times"))
+    causes = usual if when is None or own is None else frozenset({own})
+    chain, then = _chain(node if entry is None else entry.needed("do"), read_steps)
+    if then is Then.CONTINUE and not causes <= _SENT:
+        raise node.wrong("only a call whose request has ended can continue; expected another command, such as skip_action")
+    return WrittenRecovery(node.position, causes, chain, then, times, when)
+
+
+def _chain(node: Node, read_steps: ReadSteps) -> tuple[SequenceStep, Then]:
+    """Read steps and the command that they end in."""
+    items = (node,) if node.items is None else node.items
+    if not items or items[-1].text is None:
+        last = items[-1] if items else node
+        raise last.wrong(f"expected a command at the end of the chain: {', '.join(COMMANDS)}")
+    *steps, command = items
+    if command.text not in COMMANDS:
+        raise unknown("command", command.text or "", COMMANDS, command.position)
+    for step in steps:
+        if step.text in COMMANDS:
+            raise step.wrong(f"{step.text} ends the chain; nothing may come after it")
+    return read_steps(tuple(steps), node.position), COMMANDS[command.text]

@@ -1,0 +1,358 @@
+"""Carries out hand-written plans: as many at the same time as are asked for, each with local knowledge of its own.
+
+A plan that calls another has it carried out here as well, as a run of its own: what it is given are its parameters,
+what it gives back are its results.
+
+What whoever starts a hand-written plan gives it: no other parameters than it has, and a value for each.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from math import inf
+from uuid import UUID, uuid4
+
+from pnm.actions.backend import Site
+from pnm.clock import TimeLimit
+from pnm.core.execution.call_results import RunResult
+from pnm.core.execution.events import Observer
+from pnm.core.execution.resources import Resources
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.computed_values import MISSING, Layer, Literal, Query, Question, parts
+from pnm.core.machine.bindings import ABOUT_THE_CALL
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Report, Reporter, Request
+from pnm.core.machine.verification.verify import Proof, verify
+from pnm.errors import InputError, meant
+from pnm.executor import Executor
+from pnm.knowledge.sources.source import Asker, Source
+from pnm.language.plan import HandWrittenPlan
+
+
+def check_names(plan: HandWrittenPlan, given: Mapping[str, object]) -> None:
+    """Refuse parameters that the plan does not have.
+
+    Raises:
+        InputError: there is one.
+    """
+    known = plan.parameters
+    for name in given:
+        if known is not None and name not in known:
+            hint = meant(name, known) or f"expected {', '.join(known) or 'none'}"
+            raise InputError(f"{plan.name} has no parameter {name!r}; {hint}")
+
+
+async def check_values(plan: HandWrittenPlan, knowledge: Layered, source: Source | None, asker: Asker) -> None:
+    """See to it that every parameter has a value, or that a person may be asked for it when it is needed.
+
+    Args:
+        plan: which says what its parameters are; if it does not, nothing is expected.
+        knowledge: of the run, before it begins; what is null in it need not have a value.
+        source: has the global knowledge, in which there may be a value as well.
+        asker: who asks.
+
+    Raises:
+        InputError: one has none.
+    """
+    nameless = [name for name in plan.parameters or () if knowledge.variable(name) is MISSING]
+    askable = _askable(plan) if nameless else frozenset()
+    for name in nameless:
+        if name not in askable and not await _is_known(name, source, asker):
+            where = f"such as {{{name}: …}} among the parameters, under initial_knowledge, or in the global knowledge"
+            raise InputError(f"{plan.name} needs a value for its parameter {name!r}; expected one {where}")
+
+
+def _askable(plan: HandWrittenPlan) -> frozenset[str]:
+    """Return the variables in whose place a person may be asked."""
+    found: set[str] = set()
+    for call in plan.graph.calls:
+        given = dict(call.action.given)
+        for asked in plan.bindings.of(call.action.name).ask:
+            read = parts(given[asked]) if asked in given else ()
+            found |= {asked, *(str(one.name.value) for one in read if isinstance(one, Query) and isinstance(one.name, Literal))}
+    return frozenset(found)
+
+
+async def _is_known(name: str, source: Source | None, asker: Asker) -> bool:
+    try:
+        return source is not None and await source.query(Question(name, Layer.GLOBAL, "null"), asker) not in (MISSING, None)
+    except Exception:  # a knowledge base that cannot be asked: the run tells of it if it needs the value
+        return True
+
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Program:
+    """A plan and its machine, proved sound."""
+
+    plan: HandWrittenPlan
+    machine: PetriNetMachine
+    proof: Proof
+
+    @staticmethod
+    def of(plan: HandWrittenPlan) -> Program:
+        """Generate the machine and prove it.
+
+        Raises:
+            InputError: it is said that a call of another plan has resources.
+        """
+        for call in plan.graph.calls:
+            if call.action.name in plan.calls and (names := plan.bindings.resources(call.action)):
+                raise InputError(f"{call.action.name} is a plan and has no resources ({', '.join(names)}): its calls take what they need")
+        machine = generate(plan.graph, plan.bindings, on_failure=plan.on_failure)
+        return Program(plan, machine, verify(machine))
+
+
+@dataclass
+class Performance:
+    """One run of a plan. The mutable state is `result`."""
+
+    program: Program
+    executor: Executor
+    client: PlansClient
+    result: RunResult | None = None
+    limit: TimeLimit = field(init=False)
+    """The time that the plan has."""
+
+    def __post_init__(self) -> None:
+        seconds = self.program.plan.timeout
+        self.limit = TimeLimit(inf if seconds is None else seconds, self._exceeded)
+
+    def _exceeded(self, seconds: float) -> None:
+        self.executor.stop(reason=f"the plan's limit of {seconds:g} s is reached")
+
+    @property
+    def running(self) -> tuple[str, ...]:
+        """The calls that are under way, those in a plan that this one calls behind the name of the call."""
+        found: list[str] = []
+        for request, call in self.executor.run.open_calls.items():
+            called = self.client.performance(request)
+            found += [f"{call.action}: {inner}" for inner in called.running] if called and called.running else [str(call.action)]
+        return tuple(found)
+
+    @property
+    def awaits_answers(self) -> bool:
+        """Whether nothing goes on before a person has answered, neither here nor in plans that this one calls."""
+        run = self.executor.run
+        called = [self.client.performance(request) for request in run.open_requests]
+        return run.awaits_answers or (bool(called) and all(one is not None and one.awaits_answers for one in called))
+
+    @property
+    def variables(self) -> dict[str, object]:
+        """What the run knows by itself."""
+        return self.executor.run.knowledge.local.variables()
+
+    @property
+    def results(self) -> dict[str, object]:
+        """The variables that whoever started the plan is told; those that nobody has stored are left out."""
+        found = {name: self.executor.run.knowledge.local.variable(name) for name in self.program.plan.results}
+        return {name: value for name, value in found.items() if value is not MISSING}
+
+
+@dataclass
+class Performer:
+    """Carries out the plans of a world at a site.
+
+    The mutable state is the performances that go on.
+
+    Args:
+        programs: by the name of the plan.
+        site: where actions are carried out.
+        world: what all runs share.
+        source: who is asked and told what runs do not know.
+    """
+
+    programs: Mapping[str, Program]
+    site: Site
+    world: KnowledgeBase
+    source: Source | None = None
+    resources: Resources = field(init=False)
+    """Shared by all runs, those of plans that are called included."""
+    prefix: bytes = field(default_factory=partial(os.urandom, 4))
+    """The first four bytes of the identities of all runs and requests: action servers find this process by them."""
+    going_on: list[Performance] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.resources = Resources(_capacities(program.plan for program in self.programs.values()))
+
+    async def prepare(self) -> tuple[str, ...]:
+        """Get ready to carry out everything that is in the plans, as far as the plans tell who does it.
+
+        Returns the names of servers that are not there yet.
+        """
+        needed = [
+            call.action
+            for program in self.programs.values()
+            for call in program.plan.graph.calls
+            if call.action.operation is None and call.action.name not in self.programs and program.plan.bindings.names_server(call.action)
+        ]
+        return await self.site.prepare(dict.fromkeys(needed))
+
+    def perform(
+        self,
+        name: str,
+        parameters: Mapping[str, object] | None = None,
+        observer: Observer | None = None,
+        *,
+        task: UUID | None = None,
+        priority: int = 0,
+    ) -> Performance:
+        """Get a run of the plan ready; `execute` carries it out.
+
+        Args:
+            name: of the plan.
+            parameters: what the run knows at first.
+            observer: is told what happens.
+            task: on whose behalf resources are claimed, those of plans that it calls included; the run's own if None.
+            priority: how these claims stand among others.
+
+        Raises:
+            InputError: there is no such plan, or it has no such parameter.
+        """
+        if name not in self.programs:
+            hint = meant(name, self.programs) or f"expected one of {', '.join(self.programs) or 'none, for none is loaded'}"
+            raise InputError(f"there is no plan {name!r}; {hint}")
+        program, given = self.programs[name], dict(parameters or {})
+        check_names(program.plan, given)
+        knowledge = Layered(self.world, KnowledgeBase(variables={**program.plan.variables, **given}))
+        identity = UUID(bytes=self.prefix + uuid4().bytes[4:])
+        client = PlansClient(self, observer, task or identity, priority)
+        run = Run(
+            program.machine,
+            knowledge,
+            id=identity,
+            bindings=program.plan.bindings,
+            goal_fields=client.goal_fields,
+            asks=self.source is not None,
+            observer=observer,
+            resources=self.resources,
+            task=task or identity,
+            priority=priority,
+        )
+        return Performance(program, Executor(run, client, self.source, name), client)
+
+    async def check(self, performance: Performance) -> None:
+        """See to it that every parameter of the plan has a value, before it is carried out; see `check_values`.
+
+        Raises:
+            InputError: one has none.
+        """
+        run, plan = performance.executor.run, performance.program.plan
+        await check_values(plan, run.knowledge, self.source, Asker(run.id, plan.name))
+
+    async def execute(self, performance: Performance) -> RunResult:
+        """Carry the plan out, within its time."""
+        self.going_on.append(performance)
+        performance.limit.begin()
+        try:
+            performance.result = await performance.executor.execute()
+            return performance.result
+        finally:
+            self.going_on.remove(performance)
+            performance.limit.close()
+
+    def knowledge_of(self, request: UUID) -> tuple[Layered, Asker] | None:
+        """Return what the run knows whose request this is, and whom it asks as; None when it is not, or no longer, open."""
+        for performance in self.going_on:
+            run = performance.executor.run
+            if request in run.open_requests:
+                return run.knowledge, Asker(run.id, performance.program.plan.name)
+        return None
+
+
+def _capacities(plans: Iterable[HandWrittenPlan]) -> dict[str, int]:
+    """Return how many calls may have each resource at the same time: what the most careful of the plans says."""
+    found: dict[str, int] = {}
+    for plan in plans:
+        for name, capacity in plan.graph.capacities.items():
+            found[name] = min(capacity, found.get(name, capacity))
+    return found
+
+
+class PlansClient:
+    """Carries out calls of plans as runs of their own, and passes all others on to the site.
+
+    Args:
+        performer: carries out the plans.
+        observer: is told what happens in them as well.
+        task: on whose behalf they are carried out.
+        priority: of their claims to resources.
+
+    The mutable state is the performances by request, the requests that were cancelled, and the tasks that carry them out.
+    """
+
+    def __init__(self, performer: Performer, observer: Observer | None, task: UUID, priority: int) -> None:
+        self._performer = performer
+        self._observer = observer
+        self._task = task
+        self._priority = priority
+        self._performances: dict[UUID, Performance] = {}
+        self._cancelled: set[UUID] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    @property
+    def _client(self) -> ActionClient:
+        return self._performer.site.client
+
+    def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
+        """Return the parameters of the plan, or the fields that the server's goal has."""
+        program = self._performer.programs.get(action.name)
+        return self._client.goal_fields(action) if program is None else program.plan.parameters
+
+    def send(self, request: Request, report: Reporter, /) -> None:
+        """Begin to carry the plan out, or send the goal."""
+        if request.action.name not in self._performer.programs:
+            self._client.send(request, partial(self._reported, report))
+            return
+        task = asyncio.get_running_loop().create_task(self._perform(request, report))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    def cancel(self, request: UUID, /) -> None:
+        """Have the plan, or the action, cancelled."""
+        if request in self._performances:
+            self._cancelled.add(request)
+            self._performances[request].executor.stop()
+        else:
+            self._client.cancel(request)
+
+    def performance(self, request: UUID) -> Performance | None:
+        """Return what goes on for a request that calls a plan."""
+        return self._performances.get(request)
+
+    def _reported(self, report: Reporter, what: Report) -> None:
+        if isinstance(what, Ended):
+            self._performer.site.over(what.request)
+        report(what)
+
+    async def _perform(self, request: Request, report: Callable[[Accepted | Ended], None]) -> None:
+        given = {name: value for name, value in request.goal.items() if name not in ABOUT_THE_CALL}
+        try:
+            performance = self._performer.perform(request.action.name, given, self._observer, task=self._task, priority=self._priority)
+        except InputError as error:
+            report(Ended(request.id, Outcome(OutcomeKind.REJECTED, message=str(error))))
+            return
+        self._performances[request.id] = performance
+        report(Accepted(request.id))
+        try:
+            result = await self._performer.execute(performance)
+        except Exception as error:  # whoever calls the plan waits for its end
+            _log.exception("%s has come to no end", request.action)
+            report(Ended(request.id, Outcome(OutcomeKind.ABORTED, message=f"internal error: {type(error).__name__}: {error}")))
+            return
+        finally:
+            del self._performances[request.id]
+        unsuccessful = OutcomeKind.CANCELED if request.id in self._cancelled else OutcomeKind.ABORTED
+        self._cancelled.discard(request.id)
+        kind = OutcomeKind.SUCCEEDED if result.goal else unsuccessful
+        report(Ended(request.id, Outcome(kind, performance.results, "" if result.goal else result.reason)))

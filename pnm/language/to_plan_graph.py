@@ -1,0 +1,319 @@
+"""From the steps as they are written to a `PlanGraph`: which step waits for which.
+
+Every list is walked once; what is inside of blocks that are done in sequence or at the same time ends up in the same
+flow, with orderings from the steps that are last in one to those that are first in the next. Where several meet
+several others there is a junction, so that orderings do not multiply.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from graphlib import CycleError, TopologicalSorter
+from typing import Final, NamedTuple, assert_never
+
+from pnm.core.logic.computed_values import Data
+from pnm.core.logic.conditions import TRUE, Condition
+from pnm.core.logic.rules import NO_RULES, Rules
+from pnm.core.machine.plan_graph import (
+    ActionCall,
+    Choice,
+    Flow,
+    Junction,
+    Loop,
+    Moment,
+    Ordering,
+    PlanEvent,
+    PlanGraph,
+    Recovery,
+    Step,
+    Then,
+    every_step,
+)
+from pnm.errors import InputError, Position
+from pnm.language.actions import LanguageAction
+from pnm.language.ground_calls import Facts, Substitution, ground_action, outer_values, usual_recoveries
+from pnm.language.plan_tree import CallStep, ChoiceStep, ConcurrentStep, LoopStep, SequenceStep, WrittenRecovery, WrittenStep
+
+MAX_STEPS: Final = 10_000
+"""Steps of a plan, those in the chains of recoveries included."""
+MAX_NESTING: Final = 50
+
+
+class Ends(NamedTuple):
+    """The steps of a part that nothing in it comes before, and those that nothing in it comes after."""
+
+    first: tuple[int, ...]
+    last: tuple[int, ...]
+
+
+@dataclass
+class _Region:
+    """A flow that is being made. The mutable state is both lists."""
+
+    outer: Mapping[str, Data]
+    """In a chain of recovery, what the parameters of the call that recovers stand for."""
+    depth: int
+    recovering: tuple[str, ...]
+    """The actions whose chains this is in."""
+    steps: list[Step] = field(default_factory=list)
+    orderings: list[Ordering] = field(default_factory=list)
+
+    @property
+    def flow(self) -> Flow:
+        """What has been made."""
+        return Flow(tuple(self.steps), tuple(self.orderings))
+
+
+class Lowering:
+    """Makes the graph of one plan. The mutable state is how many steps there are so far, where calls stand, and which say how to recover.
+
+    Args:
+        recoveries: gives what the domain says about recovering when calls of an action fail.
+        facts: what is so at the beginning.
+        restarts: how often the plan may begin anew when a recovery does not say.
+    """
+
+    def __init__(self, recoveries: Callable[[LanguageAction], tuple[WrittenRecovery, ...]], facts: Facts, restarts: int = 1) -> None:
+        self._recoveries = recoveries
+        self._facts = facts
+        self._restarts = restarts
+        self._made = 0
+        self._positions: dict[int, Position] = {}
+        self._recovering: set[int] = set()
+
+    def graph(
+        self, plan: SequenceStep, goal: Condition = TRUE, rules: Rules = NO_RULES, capacities: Mapping[str, int] | None = None
+    ) -> PlanGraph:
+        """Return the graph of a plan.
+
+        Raises:
+            InputError: it would be too large, or contradicts itself.
+        """
+        flow = _numbered(self._flow(plan, _Region({}, 0, ())))
+        return PlanGraph(flow.steps, flow.orderings, goal, rules, capacities=dict(capacities or {}))
+
+    def _flow(self, steps: SequenceStep, region: _Region) -> Flow:
+        self._sequence(steps, region)
+        return replace(region.flow, steps=tuple(self._without_usual(region)))
+
+    def _without_usual(self, region: _Region) -> Iterator[Step]:
+        """Yield the steps; a call whose start others wait for, or whose end waits itself, can only be tried again or fail."""
+        special = {one.before.call for one in region.orderings if one.before.moment is Moment.START}
+        special |= {one.after.call for one in region.orderings if one.after.moment is Moment.END}
+        for step in region.steps:
+            if step.index in special and isinstance(step, ActionCall) and step.recoveries:
+                if step.index in self._recovering:
+                    raise InputError(
+                        "a step with recoveries cannot have others wait for its start, nor its end wait for others",
+                        self._positions[step.index],
+                    )
+                yield replace(step, recoveries=())
+            else:
+                yield step
+
+    # --- blocks ---
+
+    def _place(self, step: WrittenStep, region: _Region) -> Ends:
+        """Put a step into the flow; return where it begins and ends there."""
+        position = step.place.position
+        if region.depth > MAX_NESTING:
+            raise InputError(f"steps are nested deeper than {MAX_NESTING}", position)
+        match step:
+            case CallStep():
+                return self._alone(self._call(step, region), region)
+            case SequenceStep():
+                return self._sequence(step, replace(region, depth=region.depth + 1))
+            case ConcurrentStep(_, branches):
+                return self._ordered(branches, replace(region, depth=region.depth + 1), in_sequence=False)
+            case LoopStep(_, condition, body, limit):
+                return self._alone(Loop(self._number(position), condition, self._inside(body, region), limit), region)
+            case ChoiceStep(_, condition, then, otherwise):
+                flows = self._inside(then, region), self._inside(otherwise, region)
+                return self._alone(Choice(self._number(position), condition, *flows), region)
+            case _:
+                assert_never(step)
+
+    def _inside(self, steps: SequenceStep, region: _Region) -> Flow:
+        return self._flow(steps, _Region(region.outer, region.depth + 1, region.recovering))
+
+    def _sequence(self, sequence: SequenceStep, region: _Region) -> Ends:
+        return self._ordered(sequence.steps, region, in_sequence=True)
+
+    def _ordered(self, steps: tuple[WrittenStep, ...], region: _Region, *, in_sequence: bool) -> Ends:
+        """Put the steps of a list into the flow: in the order that ``after`` says, or else in sequence or at the same time."""
+        parts = [self._place(step, region) for step in steps]
+        if any(step.place.after is not None or step.place.end_after for step in steps):
+            parts = [part if part.first else self._junction(step.place.position, region) for part, step in zip(parts, steps, strict=True)]
+            waits = _waits(steps, in_sequence=in_sequence)
+        else:
+            parts = [part for part in parts if part.first]
+            waits = [(_After(number - 1),) if number and in_sequence else () for number in range(len(parts))]
+        for part, before in zip(parts, waits, strict=True):
+            plain = [parts[one.step] for one in before if one.is_plain]
+            self._link([last for earlier in plain for last in earlier.last], part.first, region)
+            for one in before:
+                if not one.is_plain:
+                    region.orderings += _special(one, parts[one.step], part)
+        waited = {one.step for before in waits for one in before if one.moment is Moment.END}
+        return Ends(
+            tuple(first for part, before in zip(parts, waits, strict=True) if not _is_late(before) for first in part.first),
+            tuple(last for number, part in enumerate(parts) if number not in waited for last in part.last),
+        )
+
+    def _link(self, before: Sequence[int], after: Sequence[int], region: _Region) -> None:
+        """Let all of the later steps wait for all of the earlier ones."""
+        if len(before) > 1 and len(after) > 1:
+            meeting = self._junction(None, region).first
+            self._link(before, meeting, region)
+            self._link(meeting, after, region)
+        else:
+            region.orderings += [Ordering(PlanEvent(one, Moment.END), PlanEvent(two, Moment.START)) for one in before for two in after]
+
+    def _junction(self, position: Position | None, region: _Region) -> Ends:
+        return self._alone(Junction(self._number(position)), region)
+
+    def _alone(self, step: Step, region: _Region) -> Ends:
+        region.steps.append(step)
+        return Ends((step.index,), (step.index,))
+
+    def _number(self, position: Position | None) -> int:
+        self._made += 1
+        if self._made > MAX_STEPS:
+            raise InputError(f"the plan has more than {MAX_STEPS} steps, those of recoveries included", position)
+        return self._made
+
+    # --- calls ---
+
+    def _call(self, step: CallStep, region: _Region) -> ActionCall:
+        number = self._number(step.place.position)
+        action, own = ground_action(step, region.outer, self._facts)
+        written, recovering = step.recoveries, region.recovering
+        if written is None:
+            written = self._recoveries(step.action)
+            if written and step.action.name in recovering:
+                chain = ", which uses ".join((*recovering[recovering.index(step.action.name) :], step.action.name))
+                message = f"to recover would never end: {chain}; give this step recoveries of its own, or none: 'recoveries: {{}}'"
+                raise InputError(message, step.place.position)
+            recovering = (*recovering, step.action.name)
+        self._positions[number] = step.place.position
+        if written:
+            self._recovering.add(number)
+        inner = _Region(outer_values(step.action, own), region.depth + 1, recovering)
+        return ActionCall(
+            number,
+            action,
+            recoveries=(*(self._recovery(one, own, inner) for one in written), *usual_recoveries(step.action)),
+            release=step.release,
+            deadline=step.deadline,
+            timeout=step.timeout,
+            retries=step.action.binding.retries if step.retries is None else step.retries,
+            store=tuple(step.store.items()),
+        )
+
+    def _recovery(self, written: WrittenRecovery, own: Substitution, around: _Region) -> Recovery:
+        chain = self._flow(written.chain, _Region(around.outer, around.depth, around.recovering))
+        usual = self._restarts if written.then is Then.RESTART_PLAN else 1
+        times = usual if written.times is None else written.times
+        return Recovery(written.causes, written.then, chain, times, TRUE if written.when is None else own.condition(written.when))
+
+
+@dataclass(frozen=True, slots=True)
+class _After:
+    """That a step waits for another of its list."""
+
+    step: int
+    moment: Moment = Moment.END
+    """Of the other one."""
+    delay: float = 0.0
+    own: Moment = Moment.START
+    """What waits for it."""
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether its start waits for the end of the other, and for nothing more."""
+        return self == _After(self.step)
+
+
+def _is_late(waits: tuple[_After, ...]) -> bool:
+    return any(one.own is Moment.START for one in waits)
+
+
+def _special(after: _After, earlier: Ends, part: Ends) -> list[Ordering]:
+    before = earlier.last if after.moment is Moment.END else earlier.first
+    own = part.first if after.own is Moment.START else part.last
+    return [Ordering(PlanEvent(one, after.moment), PlanEvent(two, after.own), delay=after.delay) for one in before for two in own]
+
+
+def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[_After, ...]]:
+    """Return for every step of a list what it waits for.
+
+    Raises:
+        InputError: steps wait for each other, or for the start of what is no call.
+    """
+    numbers = {step.place.id: number for number, step in enumerate(steps) if step.place.id is not None}
+    found: list[tuple[_After, ...]] = []
+    for number, step in enumerate(steps):
+        waits = [_After(numbers[one.id], one.moment, one.delay) for one in step.place.after or ()]
+        if step.place.after is None and number and in_sequence:
+            waits = [_After(number - 1)]
+        waits += [_After(numbers[one.id], one.moment, one.delay, Moment.END) for one in step.place.end_after]
+        for one in step.place.end_after:
+            if one.delay:
+                raise InputError("an end cannot be delayed: it comes when the action's time is up", one.position)
+        for one in (*(step.place.after or ()), *step.place.end_after):
+            if one.moment is Moment.START and not isinstance(steps[numbers[one.id]], CallStep):
+                raise InputError(f"{one.id!r} is no call; only the end of such a step can be waited for", one.position)
+        found.append(tuple(dict.fromkeys(waits)))
+    _check_cycles(steps, found)
+    return found
+
+
+def _check_cycles(steps: tuple[WrittenStep, ...], waits: list[tuple[_After, ...]]) -> None:
+    graph: dict[tuple[int, Moment], set[tuple[int, Moment]]] = {}
+    for number, before in enumerate(waits):
+        graph.setdefault((number, Moment.START), set())
+        graph.setdefault((number, Moment.END), set()).add((number, Moment.START))
+        for one in before:
+            graph.setdefault((number, one.own), set()).add((one.step, one.moment))
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        cycle = list(dict.fromkeys(step for step, _ in error.args[1]))
+        names = " < ".join(steps[one].place.id or f"the step in line {steps[one].place.position.line}" for one in (*cycle, cycle[0]))
+        raise InputError(f"steps wait for each other: {names}", steps[cycle[0]].place.position) from error
+
+
+# --- numbers -------------------------------------------------------------------------------
+
+
+def _numbered(flow: Flow) -> Flow:
+    """Number the calls in the order in which they stand, then all other steps."""
+    found = list(every_step(flow.steps))
+    calls = [step.index for step in found if isinstance(step, ActionCall)]
+    others = [step.index for step in found if not isinstance(step, ActionCall)]
+    return _renumbered(flow, {old: new for new, old in enumerate((*calls, *others))})
+
+
+def _renumbered(flow: Flow, numbers: Mapping[int, int]) -> Flow:
+    def moved(event: PlanEvent) -> PlanEvent:
+        return PlanEvent(numbers[event.call], event.moment)
+
+    orderings = tuple(replace(one, before=moved(one.before), after=moved(one.after)) for one in flow.orderings)
+    return Flow(tuple(_renumbered_step(step, numbers) for step in flow.steps), orderings)
+
+
+def _renumbered_step(step: Step, numbers: Mapping[int, int]) -> Step:
+    index = numbers[step.index]
+    match step:
+        case ActionCall(recoveries=recoveries):
+            chains = tuple(replace(one, chain=_renumbered(one.chain, numbers)) for one in recoveries)
+            return replace(step, index=index, recoveries=chains)
+        case Loop(body=body):
+            return replace(step, index=index, body=_renumbered(body, numbers))
+        case Choice(then=then, otherwise=otherwise):
+            return replace(step, index=index, then=_renumbered(then, numbers), otherwise=_renumbered(otherwise, numbers))
+        case Junction():
+            return Junction(index)
+        case _:
+            assert_never(step)

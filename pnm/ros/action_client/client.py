@@ -1,0 +1,156 @@
+"""Carries out actions on the action servers of a ROS 2 system, whatever their type."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Iterable
+from functools import partial
+from time import monotonic
+from typing import Any, Final
+from uuid import UUID
+
+from pnm.core.machine.bindings import ABOUT_THE_CALL, Bindings
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Reporter, Request
+from pnm.errors import PnmError
+from pnm.ros.action_client.goal import Goal
+from pnm.ros.action_client.server_link import ServerLink
+from pnm.ros.node.messages import fields
+from pnm.ros.node.ros_thread import RosThread
+
+LOOK: Final = 0.25
+"""Seconds between two looks at the goals that are under way."""
+
+_log = logging.getLogger(__name__)
+
+_CLOSED: Final = "the ROS 2 node was closed"
+
+_Key = tuple[str, str | None]
+
+
+class Ros2ActionClient:
+    """An `ActionClient` for action servers of any type.
+
+    A server that has not been reached yet is waited for, for a few seconds; a goal whose values do not fit
+    its fields counts as rejected. Every request that was sent is answered by exactly one `Ended` until `close`,
+    even when the ROS thread is closed before.
+
+    The mutable state is on the ROS thread (the links and the open goals), except `_closed`.
+    """
+
+    def __init__(self, ros: RosThread, bindings: Bindings, loop: asyncio.AbstractEventLoop) -> None:
+        self._ros = ros
+        self._bindings = bindings
+        self._loop = loop
+        self._links: dict[_Key, ServerLink] = {}
+        self._goals: dict[UUID, tuple[Goal, ServerLink]] = {}
+        self._closed = False
+        self._timer: Any = None
+        ros.on_close(self._lose_all)
+
+    def __repr__(self) -> str:
+        return f"<Ros2ActionClient {len(self._links)} servers, {len(self._goals)} goals>"
+
+    # on the event loop's thread
+
+    async def prepare(self, actions: Iterable[GroundAction], limit: float = 5.0) -> tuple[str, ...]:
+        """Connect to the servers of the actions; return the names of those not there within `limit` seconds.
+
+        It is no error when a server is missing: it is looked for again when a goal is sent to it.
+
+        Raises:
+            InputError: a binding names a type that is not installed, or a server by what cannot be a name.
+        """
+        keys = dict.fromkeys(map(self._key, actions))
+        links = await self._ros.ask(lambda: [self._link(key) for key in keys])
+        self._ros.call(self._keep_looking)
+        until = monotonic() + limit
+        while True:
+            missing = await self._ros.ask(lambda: tuple(link.name for link in links if not link.ready()))
+            if not missing or monotonic() >= until:
+                return missing
+            await asyncio.sleep(0.1)
+
+    def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
+        """Return the names of the fields of the action's goal once its type is known."""
+        link = self._links.get(self._key(action))
+        return fields(link.type.Goal) if link is not None and link.type is not None else None
+
+    def send(self, request: Request, report: Reporter, /) -> None:
+        """Send the goal; `report` is called later, on the event loop's thread."""
+        is_blind = request.goal.keys() >= ABOUT_THE_CALL and self.goal_fields(request.action) is None
+        if not self._ros.call(partial(self._send, request, report, is_blind)):
+            self._loop.call_soon(report, Ended(request.id, Outcome(OutcomeKind.UNAVAILABLE, message=_CLOSED)))
+
+    def cancel(self, request: UUID, /) -> None:
+        """Ask for the request to be cancelled; it ends when the server says so, or not at all if it refuses."""
+        self._ros.call(partial(self._cancel, request))
+
+    def close(self) -> None:
+        """Let go of all servers; goals still open are left to them, and nothing more is reported."""
+        if not self._closed:
+            self._closed = True
+            self._ros.call(self._end)
+
+    def _key(self, action: GroundAction) -> _Key:
+        return self._bindings.server(action), self._bindings.of(action.name).type
+
+    # on the ROS thread
+
+    def _link(self, key: _Key) -> ServerLink:
+        if key not in self._links:
+            self._links[key] = ServerLink(self._ros.node, *key, self._ros.joined)
+        return self._links[key]
+
+    def _send(self, request: Request, report: Reporter, is_blind: bool) -> None:
+        binding = self._bindings.of(request.action.name)
+        goal = Goal(request, binding.accept, partial(self._tell, report), binding.goal, is_blind)
+        try:
+            link = self._link(self._key(request.action))
+            self._goals[request.id] = goal, link
+            link.send(goal)
+        except PnmError as error:
+            goal.end(OutcomeKind.UNAVAILABLE, str(error))
+        except Exception as error:
+            _log.exception("cannot send %s", request.action)
+            goal.end(OutcomeKind.UNAVAILABLE, f"cannot be sent: {error}")
+        self._keep_looking()
+
+    def _cancel(self, request: UUID) -> None:
+        if request in self._goals:
+            goal, link = self._goals[request]
+            link.cancel(goal)
+
+    def _tell(self, report: Reporter, what: Report) -> None:
+        if isinstance(what, Ended):
+            self._goals.pop(what.request, None)
+        if not self._closed:
+            try:
+                self._loop.call_soon_threadsafe(report, what)
+            except RuntimeError:
+                _log.debug("the event loop is closed; nobody hears of %s", what)
+
+    def _keep_looking(self) -> None:
+        """Have the timer run while, and only while, a goal is under way or a link has something to look after."""
+        if self._timer is None:
+            self._timer = self._ros.timer(LOOK, self._look)
+        elif self._timer.is_canceled():
+            self._timer.reset()
+
+    def _look(self) -> None:
+        for link in self._links.values():
+            link.look()
+        if not self._goals and not any(link.is_busy for link in self._links.values()):
+            self._timer.cancel()
+
+    def _lose_all(self) -> None:
+        for goal, _ in tuple(self._goals.values()):
+            goal.end(OutcomeKind.LOST if goal.handle else OutcomeKind.UNAVAILABLE, _CLOSED)
+
+    def _end(self) -> None:
+        if self._timer is not None:
+            self._timer.destroy()
+        for link in self._links.values():
+            link.close()
+        self._goals.clear()

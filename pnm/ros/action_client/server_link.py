@@ -1,0 +1,290 @@
+"""Our end of one action server: which goals wait, which are out, and when to worry about them.
+
+Everything here runs on the ROS thread. A goal moves *queued* → *unanswered* → *accepted* → ended. At
+most `IN_FLIGHT` goals are unanswered at a time: a server keeps the last 10 requests it has not yet
+read and silently drops older ones, for which no answer ever comes.
+
+No goal is sent to a strange process, nor to one that may be at work on a goal that was given up: see `pnm.ros.action_client.handshake`.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import deque
+from functools import partial
+from time import monotonic
+from typing import Any, Final
+
+from pnm.core.machine.requests import Accepted, OutcomeKind
+from pnm.errors import InputError, PnmError
+from pnm.ros.action_client.goal import OVER, UNKNOWN, Goal, message_in
+from pnm.ros.action_client.handshake import Acquaintance, ros_uuid
+from pnm.ros.action_client.liveness import AGAIN, ASKS, Verdict, Watch
+from pnm.ros.node.graph import absence, processes, server_name, types
+from pnm.ros.node.messages import fields, import_type, to_data, to_message
+
+IN_FLIGHT: Final = 8
+RETURN: Final = 5.0
+"""Seconds for which a server that went away is expected back: how long a restart may take."""
+DISCOVERY: Final = 5.0
+"""Seconds after which a server that is there must have been discovered."""
+RESENSED: Final = 1.0
+"""Seconds after a restart until a goal counts as lost: what is sensed anew should be known before it is tried again."""
+START: Final = 10.0
+"""The same, while the node itself is new: for servers that are being started together with it."""
+_DEPTH: Final = 1000
+"""How many answers we keep unread; they come in bursts when many goals end together."""
+
+_log = logging.getLogger(__name__)
+
+
+class ServerLink:
+    """The connection to one action server, of a type that is given or found in the graph.
+
+    Args:
+        joined: when the node joined the ROS graph, on the monotonic clock.
+    """
+
+    def __init__(self, node: Any, server: str, type_name: str | None, joined: float) -> None:
+        self._node = node
+        self.name = server_name(node, server)
+        self.wanted_type = type_name
+        self.type: Any = import_type(type_name) if type_name else None
+        self._client: Any = None
+        self._expected_until = max(joined + START, monotonic() + DISCOVERY)
+        self._queued: deque[Goal] = deque()
+        self._unanswered: set[Goal] = set()
+        self._accepted: set[Goal] = set()
+        self._acquaintance: Any = None
+        if self.type is not None:
+            self._connect()
+
+    def __repr__(self) -> str:
+        return f"<ServerLink {self.name} {len(self._queued)} queued, {len(self._unanswered)} unanswered, {len(self._accepted)} accepted>"
+
+    def ready(self) -> bool:
+        """Tell whether the server is there; connects to it when its type has become known."""
+        there = self._reached()
+        if there:
+            self._expected_until = math.inf
+            self._acquaintance.approach(processes(self._node, self.name), monotonic())
+        elif self._expected_until == math.inf:
+            self._expected_until = monotonic() + RETURN
+        return there
+
+    def _reached(self) -> bool:
+        if self._client is None and (found := types(self._node, self.name)):
+            try:
+                self.type = import_type(found[0])
+            except InputError as error:
+                _log.debug("%s: %s", self.name, error)
+                return False
+            self._connect()
+            self._expected_until = max(self._expected_until, monotonic() + DISCOVERY)  # it is there: the new client has yet to meet it
+        return self._client is not None and bool(self._client.server_is_ready())
+
+    def _connect(self) -> None:
+        from rclpy.action import ActionClient
+        from rclpy.qos import QoSProfile
+
+        deep = QoSProfile(depth=_DEPTH)
+        self._client = ActionClient(
+            self._node,
+            self.type,
+            self.name,
+            goal_service_qos_profile=deep,
+            result_service_qos_profile=deep,
+            cancel_service_qos_profile=deep,
+        )
+        self._acquaintance = Acquaintance(self._client, self._pump)
+
+    def _may_send(self) -> bool:
+        """Tell whether the server, which is ready, knows us and is done with what was given up."""
+        return bool(self._acquaintance.look(processes(self._node, self.name), monotonic()))
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether something is to be looked after, goals apart: the type is not known yet, or the server shall end what was given up."""
+        return self.type is None or bool(self._acquaintance and self._acquaintance.strays)
+
+    def close(self) -> None:
+        """Forget all goals, without a word, and let go of the server."""
+        for goal in (*self._queued, *self._unanswered, *self._accepted):
+            goal.ended = True
+        self._queued.clear()
+        self._unanswered.clear()
+        self._accepted.clear()
+        if self._client is not None:
+            self._client.destroy()
+
+    # sending
+
+    def send(self, goal: Goal) -> None:
+        """Send the goal as soon as the server is there and has answered enough of the others."""
+        self._queued.append(goal)
+        self._pump()
+
+    def _pump(self) -> None:
+        while self._queued and len(self._unanswered) < IN_FLIGHT and self.ready() and self._may_send():
+            self._dispatch(self._queued.popleft())
+
+    def _dispatch(self, goal: Goal) -> None:
+        known = fields(self.type.Goal)
+        if unfilled := goal.unfilled(known):
+            reason = f"{self.name} came when the goal had been filled; nobody has looked for values for {', '.join(unfilled)}"
+            goal.end(OutcomeKind.UNAVAILABLE, reason)
+            return
+        try:
+            message = to_message(self.type.Goal, goal.data(known))
+            future = self._client.send_goal_async(message, goal_uuid=ros_uuid(goal.request.id))
+        except PnmError as error:
+            goal.end(OutcomeKind.REJECTED, f"goal for {self.name}: {error}")
+            return
+        except Exception as error:
+            _log.exception("cannot send a goal to %s", self.name)
+            goal.end(OutcomeKind.REJECTED, f"goal for {self.name} cannot be sent: {error}")
+            return
+        goal.sent = monotonic()
+        goal.watch = Watch(processes(self._node, self.name))
+        self._unanswered.add(goal)
+        future.add_done_callback(partial(self._answered, goal))
+
+    def _answered(self, goal: Goal, future: Any) -> None:
+        self._unanswered.discard(goal)
+        handle = future.result()
+        if not handle.accepted:
+            goal.end(OutcomeKind.REJECTED, f"{self.name} rejected the goal")
+        elif goal.ended:
+            # Too late: the run has long gone another way, so nobody wants this goal carried out.
+            handle.cancel_goal_async()
+        else:
+            self._begin(goal, handle)
+        self._pump()
+
+    def _begin(self, goal: Goal, handle: Any) -> None:
+        goal.handle = handle  # `rclpy` itself keeps handles only weakly
+        goal.watch = Watch(processes(self._node, self.name), asked=monotonic())
+        self._accepted.add(goal)
+        goal.tell(Accepted(goal.request.id))
+        self._ask_result(goal)
+        if goal.cancel_asked:
+            self._send_cancel(goal)
+
+    # the end
+
+    def _ask_result(self, goal: Goal) -> None:
+        future = goal.handle.get_result_async()
+        goal.results.append(future)
+        future.add_done_callback(partial(self._result, goal))
+
+    def _result(self, goal: Goal, future: Any) -> None:
+        if goal.ended or future.cancelled():
+            return
+        answer = future.result()
+        if answer.status == UNKNOWN:
+            goal.restarted = goal.restarted or monotonic()
+        elif answer.status in OVER:
+            self._accepted.discard(goal)
+            result = to_data(answer.result)
+            goal.end(OVER[answer.status], message_in(result), result)
+
+    def _lose(self, goal: Goal, message: str) -> None:
+        self._accepted.discard(goal)
+        if not goal.restarted:
+            self._acquaintance.give_up(goal.request.id, goal.handle)
+        goal.end(OutcomeKind.LOST, message)
+        for future in goal.results:
+            future.cancel()
+
+    # cancelling
+
+    def cancel(self, goal: Goal) -> None:
+        """Ask the server to cancel the goal, now or as soon as it has accepted it."""
+        goal.cancel_asked = True
+        if goal in self._queued:
+            self._queued.remove(goal)
+            goal.end(OutcomeKind.CANCELED, "cancelled before it was sent")
+        elif goal in self._accepted:
+            goal.cancel_answered = False  # a person may ask again after a refusal
+            self._send_cancel(goal)
+
+    def _send_cancel(self, goal: Goal) -> None:
+        goal.cancel_sent = monotonic()
+        goal.handle.cancel_goal_async().add_done_callback(partial(self._cancel_answered, goal))
+
+    def _cancel_answered(self, goal: Goal, future: Any) -> None:
+        goal.cancel_answered = True
+        if not future.result().goals_canceling and not goal.ended:
+            _log.info("%s does not cancel %s", self.name, goal.request.action)
+
+    # watching
+
+    def look(self) -> None:
+        """Look after the server and every goal that is under way; called a few times a second."""
+        now = monotonic()
+        self._look_at_queue(now)
+        if self._unanswered or self._accepted:
+            present = processes(self._node, self.name)
+            for goal in tuple(self._unanswered):
+                self._look_at_unanswered(goal, present, now)
+            self._look_at_accepted(present, now)
+        self._pump()
+
+    def _look_at_queue(self, now: float) -> None:
+        if not self.ready():
+            if self._queued and now >= self._expected_until:
+                reason = absence(self._node, self.name, self.wanted_type)
+                while self._queued:
+                    self._queued.popleft().end(OutcomeKind.UNAVAILABLE, reason)
+        elif self._queued and not self._may_send():
+            for goal in tuple(self._queued):
+                goal.sent = goal.sent or now
+                if now - goal.sent >= goal.accept:
+                    self._queued.remove(goal)
+                    goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {self._reserve(goal)}")
+
+    def _reserve(self, goal: Goal) -> str:
+        if strays := self._acquaintance.strays:
+            return f"did not end within {goal.accept:g} s what was given up: {strays} goal{'s' * (strays > 1)}"
+        return _silence(goal)
+
+    def _look_at_unanswered(self, goal: Goal, present: frozenset[bytes], now: float) -> None:
+        verdict = goal.watch.look(present, False, now)
+        if verdict is Verdict.LOST:
+            reason = "went away before it answered"
+        elif verdict is Verdict.ASK and goal.watch.asks == ASKS:
+            reason = "was restarted before it answered"
+        elif now - goal.sent >= goal.accept:
+            reason = _silence(goal)
+        else:
+            return
+        self._unanswered.discard(goal)
+        if verdict is Verdict.LOST:
+            self._acquaintance.give_up(goal.request.id, None)
+        goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {reason}")
+
+    def _look_at_accepted(self, present: frozenset[bytes], now: float) -> None:
+        asking = 0
+        for goal in tuple(self._accepted):
+            if asking == IN_FLIGHT:
+                return  # the others' turn comes with the next look
+            match goal.watch.look(present, goal.over, now):
+                case Verdict.ASK:
+                    asking += 1
+                    self._ask_result(goal)
+                case Verdict.LOST:
+                    self._lose(goal, f"{self.name} went away")
+                case Verdict.SILENT:
+                    self._accepted.discard(goal)
+                    goal.end(OVER[goal.handle.status], "its result never came")
+                case Verdict.FINE:
+                    pass
+            if goal.restarted and now - goal.restarted >= RESENSED:
+                self._lose(goal, f"{self.name} no longer knows the goal; it was restarted")
+            if not goal.ended and goal.wants_cancel and goal.cancel_sent is not None and now - goal.cancel_sent >= AGAIN:
+                self._send_cancel(goal)
+
+
+def _silence(goal: Goal) -> str:
+    return f"did not answer within {goal.accept:g} s"

@@ -1,0 +1,114 @@
+"""The ROS 2 execution backend: the action servers, state reports and sensors of the ROS graph."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable
+from time import monotonic
+from typing import Any, Final
+from uuid import UUID
+
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import ActionClient
+from pnm.errors import InputError
+from pnm.knowledge.sensor_model import NO_SENSING, Sensing
+from pnm.knowledge.sources.source import FindKnowledge, Source
+from pnm.knowledge.state_reports import Reports
+from pnm.ros.action_client.client import Ros2ActionClient
+from pnm.ros.knowledge.goal_ids import service_prefix
+from pnm.ros.knowledge.knowledge_services import KnowledgeServices
+from pnm.ros.node.ros_thread import RosThread
+from pnm.ros.sensors.sensors import Sensors
+from pnm.ros.sensors.state_topic import SensedReports
+
+DISCOVERY: Final = 10.0
+"""Seconds that robots may take to appear which are started together with us; later, who is missing fails by name."""
+
+
+class Ros2Site:
+    """The action servers found in the ROS 2 graph, the facts published on `knowledge/sensed`, and sensors.
+
+    Args:
+        bindings: how actions are bound to servers.
+        sensing: which topics and services speak of what.
+        ros: the thread of a node that goes on when the site is closed; by default the site has one of its own.
+
+    The mutable state is what `open` and `share` make.
+
+    Raises:
+        InputError: something is sensed of which the bindings say that it is assumed.
+    """
+
+    def __init__(self, bindings: Bindings, sensing: Sensing = NO_SENSING, ros: RosThread | None = None) -> None:
+        for one in sorted(sensing.names & bindings.assumed):
+            raise InputError(f"there is a sensor for {one}, which is among the 'assumed' of the bindings; expected one of the two")
+        self._bindings = bindings
+        self._shared = ros
+        self._sensing = sensing
+        self._sensed: SensedReports | None = None
+        self._reports: Reports | None = None
+        self._sensors: Sensors | None = None
+        self._client: Any = None
+        self._services: list[KnowledgeServices] = []
+        self.ros: Any = ros
+        """The thread of the node, once the site is open."""
+
+    @property
+    def client(self) -> ActionClient:
+        """The client of every action server, once the site is open."""
+        return self._client  # type: ignore[no-any-return]
+
+    async def open(self, knowledge: KnowledgeBase) -> None:
+        """Join the ROS 2 graph and wait for the first report about the world, if anybody publishes one.
+
+        Raises:
+            InputError: a sensor cannot be used.
+        """
+
+        loop = asyncio.get_running_loop()
+        self.ros = self._shared or RosThread("pnm_run")  # `pnm` is the one that serves
+        self._client = Ros2ActionClient(self.ros, self._bindings, loop)
+        lag, sensing = self._bindings.lag, self._sensing
+        self._sensors = Sensors(self.ros, sensing, knowledge, lag)
+        ignored = {
+            **dict.fromkeys(knowledge.rules.derived, "its facts follow from rules"),
+            **dict.fromkeys(sensing.names, "there is a sensor for it"),
+            **dict.fromkeys(self._bindings.assumed, ""),
+        }
+        self._reports = Reports(knowledge, ignored, lag, sensing.stale, sensing.signatures)
+        self._sensed = SensedReports(self.ros, loop, self._reports.tell)
+        await self._sensors.open()
+        await self._sensed.first(DISCOVERY)
+
+    async def share(self, mark: bytes, find: FindKnowledge, source: Source) -> None:
+        """Offer the two services that action servers find by the identity of their goal."""
+
+        self._services.append(KnowledgeServices(self.ros, asyncio.get_running_loop(), service_prefix(mark), find, source))
+        await self._services[-1].open()
+
+    def over(self, request: UUID, /) -> None:
+        """Withdraw what a server is still asking for the request."""
+        for services in self._services:
+            services.end(request)
+
+    async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
+        """Look for the servers of these actions; wait for them only while this node itself is new."""
+        missing: tuple[str, ...] = await self._client.prepare(actions, self.ros.joined + DISCOVERY - monotonic())
+        return missing
+
+    async def close(self) -> None:
+        """Leave the ROS 2 graph."""
+        if self._reports is not None:
+            self._reports.close()
+        if self._sensors is not None:
+            await self._sensors.close()
+        for services in self._services:
+            await services.close()
+        if self._client is not None:
+            self._client.close()
+        if self._sensed is not None:
+            self._sensed.close()
+        if self.ros is not None and self._shared is None:
+            await asyncio.to_thread(self.ros.close)  # what still happens on its thread may need this loop

@@ -1,0 +1,167 @@
+"""A person who is asked on one topic and answers on another: a screen, a dialogue system, an operator far away."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Mapping
+from functools import partial
+from typing import Any, Final
+from uuid import uuid4
+
+from pnm.core.logic.computed_values import MISSING, Question
+from pnm.knowledge.sources.memory import write_value
+from pnm.knowledge.sources.person_text import LIMIT, message_text, printable, question_text, read_answer
+from pnm.knowledge.sources.registry import Surroundings, only, seconds, text
+from pnm.knowledge.sources.source import Asker, Source, SourceError
+from pnm.ros.knowledge.knowledge_source import NAME, thread, uuid_field
+from pnm.ros.node.messages import import_type, to_message
+from pnm.ros.node.ros_thread import RosThread
+from pnm.ros.node.service_client import until_true
+
+LISTENER: Final = 5.0
+"""Seconds in which somebody has to listen to a message."""
+DEPTH: Final = 100
+"""Messages that somebody who comes later still gets, the withdrawals of older questions among them."""
+_LAST_WORDS: Final = 1.0
+"""Seconds in which the last withdrawals should be heard."""
+
+_log = logging.getLogger(__name__)
+
+
+class Ros2Person:
+    """Publishes questions on ``<name>/questions`` and waits for answers of the same id on ``<name>/answers``.
+
+    Any number of questions are open at once, and whoever starts to listen later hears of them. A question is withdrawn
+    as soon as its answer is no longer needed: because it is there, too.
+
+    The mutable state is the open questions by id, on the event loop's thread, and the two ends of the topics.
+
+    Raises:
+        InputError: the package pnm_interfaces is not installed.
+    """
+
+    def __init__(self, ros: RosThread, name: str = NAME, *, limit: float = LIMIT) -> None:
+        self._ros = ros
+        self._name = name
+        self._limit = limit
+        self._types = (import_type("pnm_interfaces/msg/Question"), import_type("pnm_interfaces/msg/Answer"))
+        self._open: dict[str, asyncio.Future[object]] = {}
+        self._publisher: Any = None
+        self._subscription: Any = None
+        self._closed = False
+
+    def __repr__(self) -> str:
+        return f"<Ros2Person {self._name}, {len(self._open)} questions open>"
+
+    # on the event loop's thread
+
+    async def query(self, question: Question, asker: Asker, /) -> object:
+        """Ask, and return the answer; `MISSING` from somebody who does not know.
+
+        Raises:
+            SourceError: nobody has answered in time.
+        """
+        loop = asyncio.get_running_loop()
+        await self._connect(loop)
+        words, own = question_text(question), uuid4().hex
+        answer: asyncio.Future[object] = loop.create_future()
+        self._open[own] = answer
+        try:
+            self._publish(self._types[0].ASK, own, question, asker, text=words, timeout=self._limit)
+            async with asyncio.timeout(self._limit):
+                return await answer
+        except TimeoutError as error:
+            deaf = "" if await self._ros.ask(self._listeners) else f"; nobody listens on {self._name}/questions"
+            raise SourceError(f"nobody has answered {words!r} within {self._limit:g} s{deaf}") from error
+        finally:
+            del self._open[own]
+            self._send({"kind": self._types[0].WITHDRAW, "id": own})
+
+    async def update(self, question: Question, value: object, asker: Asker, /) -> None:
+        """Tell whoever listens.
+
+        Raises:
+            SourceError: nobody does.
+        """
+        await self._connect(asyncio.get_running_loop())
+        written = write_value(value)
+        try:
+            async with asyncio.timeout(LISTENER):
+                await until_true(self._ros, self._listeners)
+        except TimeoutError as error:
+            raise SourceError(f"nobody listens on {self._name}/questions to be told {message_text(question, value)!r}") from error
+        self._publish(self._types[0].TELL, uuid4().hex, question, asker, text=message_text(question, value), value=written)
+
+    async def close(self) -> None:
+        """Withdraw the open questions, and let go of the topics."""
+        self._closed = True
+        for answer in self._open.values():
+            if not answer.done():
+                answer.set_exception(SourceError("the question was not answered before the end"))
+        await asyncio.sleep(0)  # those who wait withdraw their questions
+        await self._ros.ask(self._disconnect)
+
+    async def _connect(self, loop: asyncio.AbstractEventLoop) -> None:
+        if self._closed:
+            raise SourceError("nobody can be asked or told anything any more")
+        await self._ros.ask(partial(self._subscribe, loop))
+
+    def _publish(self, kind: int, own: str, question: Question, asker: Asker, **fields: object) -> None:
+        about = {"run": uuid_field(asker.run), "plan": printable(asker.plan), "name": question.name, "meta": question.meta}
+        self._send({"kind": kind, "id": own, **about, **fields})
+
+    def _send(self, fields: Mapping[str, object]) -> None:
+        message = to_message(self._types[0], fields)
+        self._ros.call(partial(self._say, message))
+
+    def _answered(self, own: str, value: object) -> None:
+        answer = self._open.get(own)
+        if answer is None:
+            _log.info("an answer to %s comes too late, or is for others", own)
+        elif not answer.done():
+            answer.set_result(value)
+
+    # on the ROS thread
+
+    def _subscribe(self, loop: asyncio.AbstractEventLoop) -> None:
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+
+        if self._publisher is None:
+            latched = QoSProfile(depth=DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            self._publisher = self._ros.node.create_publisher(self._types[0], f"{self._name}/questions", latched)
+            receive = partial(self._receive, loop)
+            self._subscription = self._ros.node.create_subscription(
+                self._types[1], f"{self._name}/answers", receive, QoSProfile(depth=DEPTH)
+            )
+
+    def _receive(self, loop: asyncio.AbstractEventLoop, message: Any) -> None:
+        try:
+            value = MISSING if message.unknown else read_answer(message.value)
+            loop.call_soon_threadsafe(self._answered, message.id, value)
+        except SourceError as error:
+            _log.warning("ignored an answer on %s/answers: %s", self._name, error)
+        except RuntimeError:
+            _log.debug("the event loop is closed; nobody hears of the answer")
+
+    def _say(self, message: Any) -> None:
+        if self._publisher is not None:  # otherwise it is closed, and nothing can be withdrawn any more
+            self._publisher.publish(message)
+
+    def _listeners(self) -> int:
+        return int(self._publisher.get_subscription_count()) if self._publisher is not None else 0
+
+    def _disconnect(self) -> None:
+        from rclpy.duration import Duration
+
+        if self._publisher is not None:
+            self._publisher.wait_for_all_acked(Duration(seconds=_LAST_WORDS))
+            self._ros.node.destroy_publisher(self._publisher)
+            self._ros.node.destroy_subscription(self._subscription)
+            self._publisher = None
+
+
+def topics(options: Mapping[str, object], surroundings: Surroundings) -> Source:
+    """Make the source ``topics``: ``name`` is what the names of the topics begin with, ``limit`` the seconds for an answer."""
+    only(options, "name", "limit")
+    return Ros2Person(thread(surroundings), text(options, "name", NAME), limit=seconds(options, "limit", LIMIT))

@@ -1,0 +1,1 @@
+"""The ROS 2 node: its thread, messages, publishers, services, parameters, life cycle."""

@@ -1,0 +1,69 @@
+"""A ROS 2 node with a managed life cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+from lifecycle_msgs.msg import Transition
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.lifecycle import LifecycleNodeMixin
+from rclpy.node import Node
+
+from pnm.errors import RosError
+
+
+class ManagedNode(LifecycleNodeMixin, Node):  # type: ignore[misc]
+    """A node with the services and the topic of the life cycle; belongs to the ROS thread."""
+
+    def __init__(self, name: str, *, namespace: str, context: Any) -> None:
+        Node.__init__(self, name, namespace=namespace, context=context)
+        # reentrant: others are served while a transition takes its time
+        LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
+        self.answer(_refuse)
+
+    def answer(self, callback: Callable[[Any, Any], Any]) -> None:
+        """Have somebody answer who is asked for transitions, in place of rclpy, which has no other way in."""
+        self._service_change_state.callback = callback
+
+    @property
+    def state(self) -> str:
+        """The state, such as ``inactive``."""
+        return str(self._state_machine.current_state[1])
+
+    def begin(self, wanted: int | str) -> str:
+        """Begin a transition, given by its number or its label; return the label.
+
+        Raises:
+            RosError: it is none that can be made now.
+        """
+        possible = {number: label for number, label, *_ in self._state_machine.available_transitions if number in _ASKED}
+        for number, label in possible.items():
+            if wanted in (number, label):
+                self._state_machine.trigger_transition_by_id(number, True)
+                return str(label)
+        now = f"expected one of {', '.join(possible.values())}" if possible else "wait until that is over"
+        raise RosError(f"the transition {wanted!r} cannot be made: the node is {self.state}; {now}")
+
+    def end(self, how: str) -> None:
+        """End the transition that has begun: ``success``, ``failure`` or ``error``."""
+        self._state_machine.trigger_transition_by_label(f"transition_{how}", True)
+
+
+def _refuse(_request: Any, response: Any) -> Any:
+    response.success = False
+    return response
+
+
+_ASKED: Final = frozenset(
+    {
+        Transition.TRANSITION_CONFIGURE,
+        Transition.TRANSITION_CLEANUP,
+        Transition.TRANSITION_ACTIVATE,
+        Transition.TRANSITION_DEACTIVATE,
+        Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
+        Transition.TRANSITION_INACTIVE_SHUTDOWN,
+        Transition.TRANSITION_ACTIVE_SHUTDOWN,
+    }
+)
+"""The transitions that others may ask for; how one ends is for the node to say."""

@@ -1,0 +1,209 @@
+"""The one thread on which every call of `rclpy` is made.
+
+`rclpy` may lose an answer that arrives while another thread is still sending the request
+(ros2/rclpy#1123), so nothing is sent from anywhere else. Functions cross to the thread through a
+queue and a guard condition; nothing polls, so an idle thread costs nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import atexit
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from time import monotonic
+from typing import Any, Final, TypeVar
+
+from pnm.errors import RosError
+
+try:
+    import rclpy
+    from rclpy.clock import Clock, ClockType
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+except ImportError as error:
+    _missing: ImportError | None = error
+else:
+    _missing = None
+
+T = TypeVar("T")
+
+_DISCOVERY: Final = 3.0
+"""Seconds after which a new participant has heard of the others; they announce themselves that often."""
+_STILL: Final = 0.5
+"""Seconds without change after which the graph is taken as settled."""
+
+_log = logging.getLogger(__name__)
+
+
+class RosThread:
+    """A ROS 2 node and the daemon thread that spins it.
+
+    The mutable state is the queue of functions, those for the end, and `_closing`. The node belongs to the thread: use
+    `node` only in functions given to `call`, `wait` or `ask`.
+
+    Args:
+        name: the node's name.
+        namespace: the node's namespace; relative names are relative to it.
+        args: arguments as a launch file gives them, such as ``["--ros-args", "-r", "__ns:=/r1"]``.
+        managed: make a node whose life cycle is managed, see `pnm.ros.node.lifecycle`.
+
+    Raises:
+        RosError: ROS 2 is not installed, or the node cannot be made.
+    """
+
+    def __init__(
+        self, name: str = "pnm", *, namespace: str = "", args: Sequence[str] = (), managed: bool = False, limit: float = 20.0
+    ) -> None:
+        if _missing is not None:
+            advice = "`pip install 'petri-net-machines[ros2]'`, or source a ROS 2 installation"
+            raise RosError(f"ROS 2 is not there ({_missing}); {advice}") from _missing
+        self.node: Any = None
+        self._functions: deque[Callable[[], object]] = deque()
+        self._last: list[Callable[[], object]] = []
+        self._lock = threading.Lock()
+        self._closing = False
+        self._guard: Any = None
+        self._managed = managed
+        started: Future[None] = Future()
+        self._thread = threading.Thread(target=self._run, args=(name, namespace, list(args), started), name="ros", daemon=True)
+        self._thread.start()
+        try:
+            started.result(limit)
+        except Exception as error:
+            self._closing = True
+            raise RosError(f"the ROS 2 node {name!r} cannot be made: {str(error) or type(error).__name__}") from error
+        self.joined = monotonic()
+        """When the node joined the ROS graph, on the monotonic clock."""
+        # A daemon thread that is inside the middleware while the interpreter goes away may crash the process.
+        atexit.register(self.close)
+
+    def __repr__(self) -> str:
+        return f"<RosThread {'closed' if self._closing else 'spinning'}, {len(self._functions)} functions waiting>"
+
+    def call(self, function: Callable[[], object]) -> bool:
+        """Run the function on the thread, some time soon; does nothing, and tells so, once the thread is closed."""
+        with self._lock:
+            if not self._closing:
+                self._functions.append(function)
+                self._guard.trigger()
+            return not self._closing
+
+    def submit(self, function: Callable[[], T]) -> Future[T]:
+        """Run the function on the thread and return the future of its result."""
+        future: Future[T] = Future()
+
+        def run() -> None:
+            if future.set_running_or_notify_cancel():
+                try:
+                    future.set_result(function())
+                except Exception as error:
+                    future.set_exception(error)
+
+        if not self.call(run):
+            raise RosError("the ROS 2 node is closed")
+        return future
+
+    def wait(self, function: Callable[[], T], limit: float = 10.0) -> T:
+        """Run the function on the thread and return its result; blocks for `limit` seconds at most."""
+        if threading.current_thread() is self._thread:
+            return function()
+        try:
+            return self.submit(function).result(limit)
+        except TimeoutError as error:
+            raise RosError(f"the ROS 2 thread did not answer within {limit:g} s") from error
+
+    async def ask(self, function: Callable[[], T]) -> T:
+        """Run the function on the thread and await its result."""
+        return await asyncio.wrap_future(self.submit(function))
+
+    def timer(self, period: float, function: Callable[[], object]) -> Any:
+        """Make a timer that runs on real time, whatever ``use_sim_time`` says; only from the thread itself."""
+        return self.node.create_timer(period, function, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def on_close(self, function: Callable[[], object]) -> None:
+        """Run the function on the thread when that is about to end, for whatever reason."""
+        self._last.append(function)
+
+    async def settled(self) -> None:
+        """Wait until the node has had the time to hear of the others and the graph stopped changing."""
+        seen: object = None
+        still_since = monotonic()
+        while True:
+            now = monotonic()
+            graph = await self.ask(lambda: (self.node.get_topic_names_and_types(), self.node.get_node_names()))
+            if graph != seen:
+                seen, still_since = graph, now
+            if now - self.joined >= _DISCOVERY and now - still_since >= _STILL:
+                return
+            await asyncio.sleep(0.1)
+
+    def close(self, limit: float = 5.0) -> bool:
+        """End the thread after the functions that are waiting; tell whether it ended within `limit` seconds."""
+        with self._lock:
+            if not self._closing:
+                self._closing = True
+                atexit.unregister(self.close)
+                if self._guard is not None:
+                    self._guard.trigger()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(limit)
+        return not self._thread.is_alive()
+
+    # on the thread
+
+    def _run(self, name: str, namespace: str, args: list[str], started: Future[None]) -> None:
+        context = rclpy.Context()
+        try:
+            # Signals belong to the program, which ends its runs before it closes the node.
+            rclpy.init(args=args, context=context, signal_handler_options=rclpy.SignalHandlerOptions.NO)
+            self.node = self._make(name, namespace, context)
+            self._guard = self.node.create_guard_condition(self._drain)
+            executor = SingleThreadedExecutor(context=context)
+            executor.add_node(self.node)
+        except BaseException as error:
+            started.set_exception(error)
+            rclpy.try_shutdown(context=context)
+            return
+        started.set_result(None)
+        self._spin(executor, context)
+        self._end(executor, context)
+
+    def _make(self, name: str, namespace: str, context: Any) -> Any:
+        if self._managed:
+            from pnm.ros.node.managed_node import ManagedNode
+
+            return ManagedNode(name, namespace=namespace, context=context)
+        return rclpy.create_node(name, namespace=namespace, context=context)
+
+    def _spin(self, executor: Any, context: Any) -> None:
+        while not self._closing and context.ok():
+            try:
+                executor.spin_once()
+            except ExternalShutdownException:
+                break
+            except Exception:
+                # One callback that fails must not take all the others with it.
+                _log.exception("a ROS 2 callback failed")
+
+    def _drain(self) -> None:
+        while self._functions:
+            function = self._functions.popleft()
+            try:
+                function()
+            except Exception:
+                _log.exception("a function on the ROS 2 thread failed")
+
+    def _end(self, executor: Any, context: Any) -> None:
+        with self._lock:
+            self._closing = True
+        self._functions.extend(self._last)
+        self._drain()
+        try:
+            executor.shutdown(0.0)
+            self.node.destroy_node()
+            rclpy.try_shutdown(context=context)
+        except Exception:
+            _log.exception("the ROS 2 node did not shut down properly")

@@ -1,0 +1,137 @@
+"""A client of a service that may be missing, slow or dead: every call has a limit.
+
+At a first contact an answer may get lost: a service hears of us, and answers, before it knows where answers to us go. So
+as long as a service has never answered, a request is sent again and again, and the first answer counts.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterable, Mapping
+from difflib import get_close_matches
+from functools import partial
+from typing import Any, Final
+
+from pnm.knowledge.sources.source import SourceError
+from pnm.ros.node.messages import FieldError, import_type, to_message
+from pnm.ros.node.ros_thread import RosThread
+
+IN_FLIGHT: Final = 8
+"""Requests that are unanswered at a time; services keep 10 by default and lose others without a word."""
+AGAIN: Final = 1.0
+"""Seconds after which a service that has never answered is asked again."""
+_LOOK: Final = 0.1
+"""Seconds between two looks for something that is not there."""
+
+
+async def until_true(ros: RosThread, check: Callable[[], object]) -> None:
+    """Wait until the function says so, asked again and again on the ROS thread; the limit is the caller's."""
+    while True:
+        if await ros.ask(check):
+            return
+        await asyncio.sleep(_LOOK)
+
+
+class ServiceClient:
+    """A client of one service, connected when it is first needed.
+
+    The mutable state is the client, on the ROS thread, whether the service that is there has ever answered, and how many
+    requests may still be sent. Of a service that has not, a request may arrive more than once.
+
+    Args:
+        type_name: such as ``std_srvs/srv/Trigger``.
+        name: relative to the node's namespace.
+
+    Raises:
+        InputError: the type is not installed.
+    """
+
+    def __init__(self, ros: RosThread, type_name: str, name: str) -> None:
+        self._ros = ros
+        self._type = import_type(type_name)
+        self._name = name
+        self._client: Any = None
+        self._met = False
+        self._free = asyncio.Semaphore(IN_FLIGHT)
+
+    def __repr__(self) -> str:
+        return f"<ServiceClient {self._name}>"
+
+    async def call(self, request: Mapping[str, object], limit: float) -> Any:
+        """Send the request as soon as the service is there, and return the response.
+
+        Raises:
+            SourceError: there is no such service, it does not answer in time, or the request does not fit it.
+        """
+        there = False
+        try:
+            async with asyncio.timeout(limit), self._free:
+                message = to_message(self._type.Request, request)
+                await until_true(self._ros, self._ready)
+                there = True
+                return await self._answer(message)
+        except FieldError as error:
+            raise SourceError(f"{self._name}: {error}") from error
+        except TimeoutError as error:
+            if there:
+                raise SourceError(f"the service {self._name} did not answer within {limit:g} s") from error
+            raise SourceError(await self._ros.ask(self._absence)) from error
+
+    async def close(self) -> None:
+        """Let go of the service."""
+        await self._ros.ask(self._destroy)
+
+    async def _answer(self, message: Any) -> Any:
+        loop = asyncio.get_running_loop()
+        answered: asyncio.Future[Any] = loop.create_future()
+
+        def take(future: Any) -> None:
+            self._met = True
+            if not answered.done():
+                answered.set_result(future.result())
+
+        def hand_over(future: Any) -> None:
+            loop.call_soon_threadsafe(take, future)
+
+        sent: list[Any] = []
+        try:
+            while not answered.done():
+                met = self._met
+                sent.append(await self._ros.ask(partial(self._send, message, hand_over)))
+                await asyncio.wait((answered,), timeout=None if met else AGAIN)
+            return answered.result()
+        finally:
+            self._ros.call(partial(self._forget, sent))
+
+    # on the ROS thread
+
+    def _ready(self) -> bool:
+        from rclpy.qos import QoSProfile
+
+        if self._client is None:
+            self._client = self._ros.node.create_client(self._type, self._name, qos_profile=QoSProfile(depth=100))
+        ready = bool(self._client.service_is_ready())
+        self._met &= ready  # the next service of the name is another one
+        return ready
+
+    def _send(self, message: Any, hand_over: Any) -> Any:
+        future = self._client.call_async(message)
+        future.add_done_callback(hand_over)
+        return future
+
+    def _forget(self, futures: Iterable[Any]) -> None:
+        if self._client is not None:
+            for future in futures:
+                self._client.remove_pending_request(future)
+
+    def _absence(self) -> str:
+        full = str(self._ros.node.resolve_service_name(self._name))
+        known = [name for name, _ in self._ros.node.get_service_names_and_types()]
+        near = [name for name in get_close_matches(full, known, 4) if name != full]
+        similar = f"; similar are {', '.join(near)}" if near else ""
+        return f"there is no service {full}{similar}"
+
+    def _destroy(self) -> None:
+        if self._client is not None:
+            self._ros.node.destroy_client(self._client)
+            self._client = None

@@ -1,0 +1,169 @@
+"""The fields of ROS 2 messages that sensors look at: whether a type has them, and what a message holds in them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from typing import Any, Final, assert_never
+
+from pnm.errors import InputError, meant
+from pnm.knowledge.message_fields import Comparison, Every, Field, Flag, Negation, Some, Source, Test, Unreadable, written
+from pnm.knowledge.sensor_model import Choice, Fact, Number, Object, Sensor, Statement, Stored
+from pnm.ros.node.messages import import_type, plain
+
+_LIST: Final = re.compile(r"(.+)\[(\d+)\]|sequence<(.+?)(?:, \d+)?>")
+_NUMBER: Final = re.compile(r"u?int\d+|float|double|octet")
+_WRITTEN: Final = re.compile(r"-?\d.*")
+_ANY: Final = re.compile(r".*")
+_TEXT: Final = re.compile(r"w?string(<\d+>)?")
+
+
+def fitted(sensor: Sensor, message_type: Any) -> Sensor:
+    """Return a sensor with the values of the type's constants in the place of their names.
+
+    Raises:
+        InputError: messages of this type do not have a field, or it is of another kind than what it is used for.
+    """
+    return replace(sensor, statements=tuple([_fitted(statement, message_type) for statement in sensor.statements]))
+
+
+def _fitted(statement: Statement, message_type: Any) -> Statement:
+    try:
+        match statement:
+            case Fact(_, test):
+                return replace(statement, test=_test(test, message_type))
+            case Number(_, source):
+                return replace(statement, source=_source(source, message_type, _NUMBER, "a number"))
+            case Choice(_, source) | Object(_, source):
+                return replace(statement, source=_source(source, message_type, _TEXT, "a text"))
+            case Stored(_, source):
+                return replace(statement, source=_source(source, message_type, _ANY, "a value"))
+            case _:
+                assert_never(statement)
+    except InputError as error:
+        raise InputError(error.message, statement.position) from error
+
+
+def _test(test: Test, message_type: Any) -> Test:
+    match test:
+        case Flag(where):
+            kind = found_at(message_type, where).kind
+            if kind != "boolean":
+                raise InputError(f"{where} is a {kind}; expected a boolean, or 'when' and how it compares")
+            return test
+        case Comparison(where):
+            return _comparison(test, found_at(message_type, where))
+        case Negation(inner):
+            return Negation(_test(inner, message_type))
+        case Every(tests):
+            return Every(tuple([_test(one, message_type) for one in tests]))
+        case Some(tests):
+            return Some(tuple([_test(one, message_type) for one in tests]))
+        case _:
+            assert_never(test)
+
+
+def _comparison(test: Comparison, found: Found) -> Comparison:
+    kind, constant = found.kind, test.constant
+    if test.operation == "contains" and not (_TEXT.fullmatch(kind) and isinstance(constant, str)):
+        inner = _item(kind)
+        if inner is None:
+            raise InputError(f"{test.field} is a {kind}, which contains nothing")
+        kind = inner
+    match constant:
+        case bool():
+            fits = kind == "boolean"
+        case int() | float():
+            fits = bool(_NUMBER.fullmatch(kind))
+        case str() if _NUMBER.fullmatch(kind):
+            return replace(test, constant=found.constant(constant))
+        case str():
+            fits = bool(_TEXT.fullmatch(kind))
+        case _:
+            fits = True
+    if not fits:
+        raise InputError(f"{test.field} is a {found.kind}, which cannot be compared with {constant!r}")
+    return test
+
+
+def _source(source: Source, message_type: Any, needed: re.Pattern[str], expected: str) -> Source:
+    found = found_at(message_type, source.field)
+    if source.table is None:
+        if not needed.fullmatch(found.kind):
+            raise InputError(f"{source.field} is a {found.kind}; expected {expected}, or a table")
+        return source
+    if not _NUMBER.fullmatch(found.kind):
+        return source
+    keys = {key: key if _WRITTEN.fullmatch(key) else written(found.constant(key)) for key in source.table}
+    return replace(source, table={keys[key]: value for key, value in source.table.items()})
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A field of a type of messages."""
+
+    where: Field
+    kind: str
+    """As ``get_fields_and_field_types`` writes it."""
+    owner: Any
+    """The class of the messages that have it, which may be inside others."""
+
+    def constant(self, name: str) -> object:
+        """Return the value of the constant.
+
+        Raises:
+            InputError: the class has no such constant.
+        """
+        names = [one for one in dir(type(self.owner)) if one.isupper() and one[0] != "_"]
+        if name not in names:
+            hint = meant(name, names) or (f"expected a number, or one of {', '.join(names)}" if names else "expected a number")
+            raise InputError(f"{self.where} is a {self.kind}, which cannot be compared with {name!r}; {hint}")
+        return plain(getattr(self.owner, name))
+
+
+def found_at(message_type: Any, where: Field) -> Found:
+    """Return what is known of a field.
+
+    Raises:
+        InputError: messages of this type have no such field.
+    """
+    kind, so_far = "", ""
+    owner, inside = message_type, message_type
+    for step in where.steps:
+        if isinstance(step, int):
+            inner = _item(kind)
+            if inner is None:
+                raise InputError(f"{so_far} is a {kind}; only a list has an item {step}")
+            kind, so_far = inner, f"{so_far}[{step}]"
+        else:
+            kinds = {} if inside is None else inside.get_fields_and_field_types()
+            if step not in kinds:
+                has = f"it has {', '.join(kinds)}" if kinds else "it has none"
+                raise InputError(f"{kind or message_type.__name__} has no field {step!r}; {f'{meant(step, kinds)} {has}'.strip()}")
+            kind, so_far, owner = kinds[step], f"{so_far}.{step}".lstrip("."), inside
+        package, slash, name = kind.rpartition("/")
+        inside = import_type(f"{package}/msg/{name}") if slash and _item(kind) is None else None
+    return Found(where, kind, owner)
+
+
+def _item(kind: str) -> str | None:
+    """Return the kind of a list's items; None if it is no list."""
+    found = _LIST.fullmatch(kind)
+    return found and (found[1] or found[3])
+
+
+def value_at(message: Any, where: Field) -> object:
+    """Return what a message holds in a field, as plain data.
+
+    Raises:
+        Unreadable: a list has no such item.
+    """
+    value = message
+    for step in where.steps:
+        if not isinstance(step, int):
+            value = getattr(value, step)
+        elif -len(value) <= step < len(value):
+            value = value[step]
+        else:
+            raise Unreadable(f"there is no {where}: the list has {len(value)} items")
+    return plain(value)

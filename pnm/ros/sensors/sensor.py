@@ -1,0 +1,108 @@
+"""What one sensor says, checked, understood and recorded; and forgotten when it falls silent."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.computed_values import MISSING
+from pnm.core.logic.expressions import show
+from pnm.errors import InputError
+from pnm.knowledge.message_fields import Look
+from pnm.knowledge.sensor_model import Instance, Polled, Reading, read, unknown
+from pnm.knowledge.state_reports import Silence
+from pnm.ros.node.messages import FieldError, import_type, to_message
+from pnm.ros.sensors.fields import fitted
+
+_log = logging.getLogger(__name__)
+
+
+class Sense:
+    """One sensor for one choice of objects, and what is made of what it says.
+
+    The mutable state is its silence, what of it could not be understood the last time, why it cannot be used, and whether
+    it is over.
+    """
+
+    def __init__(self, instance: Instance, knowledge: KnowledgeBase) -> None:
+        self.instance = instance
+        self.heard = asyncio.Event()
+        self.refused: InputError | None = None
+        self.loop = asyncio.get_running_loop()
+        self._knowledge = knowledge
+        self._unread: frozenset[int] = frozenset()
+        self._closed = False
+        self._silence = Silence(instance.sensor.stale, self._fall_silent)
+
+    def hear(self, look: Look) -> None:
+        """Record what a message says."""
+        if self._closed:
+            return
+        reading = read(self.instance, look, self._knowledge.objects)
+        for number, reason in reading.unread.items():
+            if number not in self._unread:
+                _log.warning("%s: %s; %s is unknown", self.instance.name, reason, self._about(number))
+        self._unread = frozenset(reading.unread)
+        self._record(reading)
+        self._silence.heard()
+        self.heard.set()
+
+    def refuse(self, error: InputError) -> None:
+        """Note that the sensor cannot be used."""
+        if self.refused is None:
+            _log.error("%s", error)
+            self.refused = error
+            self.heard.set()
+
+    def close(self) -> None:
+        """Hear nothing more, and fall silent no more."""
+        self._closed = True
+        self._silence.close()
+
+    def _fall_silent(self) -> None:
+        _log.warning("nothing was heard on %s for %g s; what it tells is unknown", self.instance.name, self.instance.sensor.stale)
+        self._record(unknown(self.instance, self._knowledge.objects))
+
+    def _record(self, reading: Reading) -> None:
+        self._knowledge.update(reading.facts)
+        known = {name: self._knowledge.variable(name) for name in reading.variables}
+        changed = {name: value for name, value in reading.variables.items() if value != (None if known[name] is MISSING else known[name])}
+        if changed:
+            self._knowledge.store(changed)
+
+    def _about(self, number: int) -> str:
+        statement = self.instance.sensor.statements[number]
+        return statement.name if hasattr(statement, "name") else show(statement.fluent)
+
+
+def checked(instance: Instance, name: str) -> tuple[Any, Instance]:
+    """Return the type, which must have what the sensor looks for, and the sensor with what constants of the type mean.
+
+    Raises:
+        InputError: it does not, or is not installed.
+    """
+    sensor = instance.sensor
+    try:
+        kind = import_type(name)
+        if isinstance(sensor.way, Polled):
+            to_message(kind.Request, instance.request(sensor.way))
+    except (InputError, FieldError) as error:
+        raise InputError(str(error), sensor.position) from error
+    return kind, replace(instance, sensor=fitted(sensor, kind.Response if isinstance(sensor.way, Polled) else kind))
+
+
+def resolved(resolve: Callable[[str], object], instance: Instance, what: str) -> str:
+    """Return the full name of its topic or service.
+
+    Raises:
+        InputError: it cannot be a name in ROS.
+    """
+    try:
+        return str(resolve(instance.name))
+    except Exception as error:
+        reason = (str(error).strip().splitlines() or [repr(error)])[0]
+        raise InputError(f"not a name for a {what}: {instance.name!r} ({reason})", instance.sensor.position) from error

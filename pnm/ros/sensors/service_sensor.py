@@ -1,0 +1,77 @@
+"""A sensor that asks a service again and again."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Iterator
+from functools import partial
+
+from pnm.errors import InputError
+from pnm.knowledge.sensor_model import Polled
+from pnm.knowledge.sources.source import SourceError
+from pnm.ros.node.ros_thread import RosThread
+from pnm.ros.node.service_client import ServiceClient
+from pnm.ros.sensors.fields import value_at
+from pnm.ros.sensors.sensor import Sense, checked, resolved
+
+_log = logging.getLogger(__name__)
+
+
+class PolledSensor:
+    """Asks one service again and again. The mutable state is its client, once its type is known."""
+
+    def __init__(self, ros: RosThread, sense: Sense, way: Polled) -> None:
+        self.sense = sense
+        self._ros = ros
+        self._way = way
+        self._client: ServiceClient | None = None
+
+    async def is_there(self) -> bool:
+        """Tell whether there is such a service."""
+        return bool(await self._ros.ask(lambda: [*self._types()]))
+
+    async def ask_on(self) -> None:
+        """Ask until the task is cancelled, or the service turns out to be of no use."""
+        request, trouble = self.sense.instance.request(self._way), ""
+        try:
+            while True:
+                try:
+                    answer = await (await self._connected()).call(request, self._way.limit)
+                    self.sense.hear(partial(value_at, answer))
+                    trouble = ""
+                except SourceError as error:
+                    if str(error) != trouble:
+                        trouble = str(error)
+                        _log.warning("%s", error)
+                await asyncio.sleep(self._way.every)
+        except InputError as error:
+            self.sense.refuse(error)
+        finally:
+            if self._client is not None:
+                await self._client.close()
+
+    async def _connected(self) -> ServiceClient:
+        if self._client is None:
+            instance = self.sense.instance
+            name = instance.sensor.type or next(iter(await self._ros.ask(lambda: [*self._types()])), None)
+            if name is None:
+                raise SourceError(f"there is no service {instance.name} yet")
+            _, self.sense.instance = checked(instance, name)
+            self._client = ServiceClient(self._ros, name, instance.name)
+        return self._client
+
+    # on the ROS thread
+
+    def resolve(self) -> None:
+        """Find out the full name.
+
+        Raises:
+            InputError: it cannot be a name in ROS.
+        """
+        self._full_name = resolved(self._ros.node.resolve_service_name, self.sense.instance, "service")
+
+    def _types(self) -> Iterator[str]:
+        for name, types in self._ros.node.get_service_names_and_types():
+            if name == self._full_name:
+                yield from types

@@ -1,0 +1,136 @@
+"""Listens to those who sense the world and report facts about it.
+
+Publishes what sensors see of a simulated world, whenever it changes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+from pnm.core.knowledge_base import parse_fluent, parse_statement, show_statement
+from pnm.core.logic.expressions import UNKNOWN, Fluent, Unknown, Value, show
+from pnm.errors import InputError
+from pnm.ros.node.messages import import_type
+from pnm.ros.node.ros_thread import RosThread
+
+TOPIC = "knowledge/sensed"
+
+Facts = dict[Fluent, Value | Unknown]
+Listener = Callable[[frozenset[str], Facts, int], None]
+
+_log = logging.getLogger(__name__)
+
+
+class SensedReports:
+    """Hands every report on ``knowledge/sensed`` to a listener, on the event loop's thread.
+
+    A report is complete about the predicates and functions it names: it replaces all that was reported about
+    them, whoever reported it. So of several senders each needs names of its own.
+
+    Args:
+        listener: called with the names, the facts and numbers that are so, and the report's sequence number.
+
+    Raises:
+        InputError: the package pnm_interfaces is not installed.
+    """
+
+    def __init__(self, ros: RosThread, loop: asyncio.AbstractEventLoop, listener: Listener, topic: str = TOPIC) -> None:
+        self._ros = ros
+        self._loop = loop
+        self._listener = listener
+        self._topic = topic
+        self._heard = asyncio.Event()
+        self._closed = False
+        self._subscription: Any = None
+        ros.call(partial(self._subscribe, import_type("pnm_interfaces/msg/State")))
+
+    async def first(self, limit: float) -> bool:
+        """Wait until the first report has been handed on; tell whether there was one.
+
+        Gives up after `limit` seconds, and as soon as the ROS graph is known to hold nobody who reports.
+        """
+        try:
+            async with asyncio.timeout(limit):
+                while not self._heard.is_set():
+                    if not await self._anybody():
+                        return False
+                    await asyncio.wait_for(self._heard.wait(), limit)
+        except TimeoutError:
+            _log.warning("nothing was reported on %s within %g s", self._topic, limit)
+        return self._heard.is_set()
+
+    def close(self) -> None:
+        """Stop listening."""
+        if not self._closed:
+            self._closed = True
+            self._ros.call(self._unsubscribe)
+
+    async def _anybody(self) -> bool:
+        """Tell whether anybody reports, once that is known; a report that arrives meanwhile is an answer too."""
+        settled = asyncio.ensure_future(self._ros.settled())
+        heard = asyncio.ensure_future(self._heard.wait())
+        try:
+            await asyncio.wait((settled, heard), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            settled.cancel()
+            heard.cancel()
+        return self._heard.is_set() or bool(await self._ros.ask(lambda: self._subscription.get_publisher_count()))
+
+    def _hand_on(self, names: frozenset[str], facts: Facts, sequence: int) -> None:
+        if not self._closed:
+            self._listener(names, facts, sequence)
+            self._heard.set()
+
+    # on the ROS thread
+
+    def _subscribe(self, state: Any) -> None:
+
+        from rclpy.qos import DurabilityPolicy, QoSProfile  # here, because rclpy is an extra
+
+        latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._subscription = self._ros.node.create_subscription(state, self._topic, self._receive, latched)
+
+    def _unsubscribe(self) -> None:
+        if self._subscription is not None:
+            self._ros.node.destroy_subscription(self._subscription)
+
+    def _receive(self, message: Any) -> None:
+        try:
+            report = frozenset(message.names), read_state(message), int(message.sequence)
+        except InputError as error:
+            _log.warning("ignored a report on %s: %s", self._topic, error)
+            return
+        try:
+            self._loop.call_soon_threadsafe(self._hand_on, *report)
+        except RuntimeError:
+            _log.debug("the event loop is closed; nobody hears of the report")
+
+
+def read_state(message: Any) -> Facts:
+    """Return the facts, objects and numbers of a ``pnm_interfaces/msg/State``; a NaN is unknown.
+
+    Raises:
+        InputError: a fact is not written as one, or there are not as many values as fluents.
+    """
+    if len(message.fluents) != len(message.values):
+        raise InputError(f"{len(message.fluents)} fluents, but {len(message.values)} values")
+    facts: Facts = dict(map(parse_statement, message.facts))
+    for text, value in zip(message.fluents, message.values, strict=True):
+        facts[parse_fluent(text)] = UNKNOWN if math.isnan(value) else float(value)
+    return facts
+
+
+def write_state(names: frozenset[str], facts: Mapping[Fluent, Value | Unknown], sequence: int) -> dict[str, object]:
+    """Return the fields of a ``pnm_interfaces/msg/State`` that reports these facts, objects and numbers."""
+    stated = [show_statement(fluent, value) for fluent, value in facts.items() if value is True or isinstance(value, str)]
+    numbers = {
+        show(fluent): math.nan if isinstance(value, Unknown) else value
+        for fluent, value in facts.items()
+        if not isinstance(value, bool | str)
+    }
+    return {"names": sorted(names), "facts": stated, "fluents": list(numbers), "values": list(numbers.values()), "sequence": sequence}

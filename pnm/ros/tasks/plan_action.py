@@ -1,0 +1,88 @@
+"""The action ``plan``: a plan is looked for from the world as it is, and nobody carries it out."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Final
+from uuid import UUID
+
+from pnm.errors import InputError
+from pnm.ros.action_server.goal_server import Answer, GoalCalls, GoalServer
+from pnm.ros.node.ros_thread import RosThread
+from pnm.ros.tasks.goal_actions import status_of
+from pnm.ros.tasks.task_messages import made_fields, seconds
+from pnm.tasks import Code, MadePlan, Make
+
+NAME: Final = "plan"
+SECOND: Final = 1.0
+"""Seconds between two messages about a search."""
+
+_log = logging.getLogger(__name__)
+
+
+class PlanningServer:
+    """The action server. The mutable state is the searches by goal, and which of them their clients want given up.
+
+    Args:
+        make: looks for a plan.
+        closed: says why no goals are taken; empty while they are.
+    """
+
+    def __init__(self, ros: RosThread, make: Make, closed: Callable[[], str]) -> None:
+        self._make = make
+        self._loop = asyncio.get_running_loop()
+        self._searches: dict[UUID, asyncio.Task[MadePlan]] = {}
+        self._asked: set[UUID] = set()
+        self._server = GoalServer(ros, "pnm_interfaces/action/MakePlan", NAME, GoalCalls(self._begin, self._give_up, closed))
+
+    def __repr__(self) -> str:
+        return f"<PlanningServer {len(self._searches)} searches>"
+
+    async def open(self) -> None:
+        """Bring the server up."""
+        await self._server.open()
+
+    async def close(self) -> None:
+        """Give up all searches, and take the server down."""
+        for search in self._searches.values():
+            search.cancel()
+        if self._searches:
+            await asyncio.wait(self._searches.values())
+        await self._server.close()
+
+    def _begin(self, goal: UUID, request: Any) -> None:
+        search = self._loop.create_task(self._search(request))
+        telling = self._loop.create_task(self._tell(goal))
+        self._searches[goal] = search
+        search.add_done_callback(partial(self._end, goal, telling))
+
+    def _give_up(self, goal: UUID) -> None:
+        if goal in self._searches:
+            self._asked.add(goal)
+            self._searches[goal].cancel()
+
+    async def _search(self, request: Any) -> MadePlan:
+        try:
+            return await self._make(request.goal.strip(), request.planner.strip(), seconds("timeout", request.timeout))
+        except InputError as error:
+            return MadePlan(Code.INVALID_GOAL, str(error))
+        except Exception as error:
+            _log.exception("a plan cannot be looked for")
+            return MadePlan(Code.ERROR, f"{type(error).__name__}: {error}")
+
+    def _end(self, goal: UUID, telling: asyncio.Task[None], search: asyncio.Task[MadePlan]) -> None:
+        telling.cancel()
+        del self._searches[goal]
+        made = MadePlan(Code.CANCELLED, "the search was given up") if search.cancelled() else search.result()
+        status = status_of(made.code, goal in self._asked)
+        self._asked.discard(goal)
+        self._server.answer(goal, lambda: Answer(status, made_fields(made)))
+
+    async def _tell(self, goal: UUID) -> None:
+        began = self._loop.time()
+        while True:
+            await asyncio.sleep(SECOND)
+            self._server.feed(goal, {"seconds": self._loop.time() - began})

@@ -1,0 +1,277 @@
+"""Tasks, as whoever wants them done and whoever does them speak of them; knows nothing of planners or of ROS 2.
+
+A *task* is a goal that is pursued with as many plans as it takes, or one plan that is carried out. All tasks of a
+process share the knowledge of the world and the resources of its robots.
+
+What others may ask of, and tell to, the world that all tasks of a process share; texts in, texts out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum, IntEnum
+from typing import Protocol, TypeAlias
+from uuid import UUID
+
+from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.net.net import Marking
+
+
+class Code(IntEnum):
+    """How a task ended; the numbers are those of ``pnm_interfaces/action/AchieveGoal``."""
+
+    GOAL_REACHED = 0
+    INVALID_GOAL = 1
+    NO_PLAN = 2
+    PLANNER_TIMEOUT = 3
+    PLANNER_ERROR = 4
+    ACTION_FAILED = 5
+    CONDITION_LOST = 6
+    TIMED_OUT = 7
+    SERVER_UNAVAILABLE = 8
+    REPLAN_LIMIT = 9
+    CANCELLED = 10
+    DEADLINE_MISSED = 11
+    CONFLICT = 12
+    QUEUE_FULL = 13
+    CONSTRAINT_VIOLATED = 14
+    ERROR = 15
+
+    @property
+    def word(self) -> str:
+        """The code in one word for programs."""
+        return self.name.lower()
+
+
+class TaskState(IntEnum):
+    """How a task is doing; the numbers are those of ``pnm_interfaces/msg/TaskStatus``."""
+
+    QUEUED = 0
+    PLANNING = 1
+    RUNNING = 2
+    REPLANNING = 3
+    PAUSING = 4
+    PAUSED = 5
+    CANCELLING = 6
+    OVER = 7
+
+
+class StepState(IntEnum):
+    """How far a call of a plan has come; the numbers are those of ``pnm_interfaces/msg/PlanStep``."""
+
+    WAITING = 0
+    RUNNING = 1
+    DONE = 2
+    FAILED = 3
+    SKIPPED = 4
+
+
+class OnConflict(Enum):
+    """What to do about a goal that cannot be pursued beside others."""
+
+    PLAN_AROUND = "plan_around"
+    """Look for a plan that leaves the others alone; wait if there is none."""
+    QUEUE = "queue"
+    REFUSE = "refuse"
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What somebody wants done.
+
+    Args:
+        id: of the task; chosen by whoever wants it.
+        text: a condition in PDDL or the name of a goal; or the name or the text of a plan.
+        priority: higher ones come first.
+        deadline: seconds from the beginning of the task, None for none.
+        on_conflict: None for what is usual.
+        parameters: of a plan that is loaded.
+        is_plan: whether `text` is a plan, which is carried out as it is.
+    """
+
+    id: UUID
+    text: str
+    priority: int = 0
+    deadline: float | None = None
+    on_conflict: OnConflict | None = None
+    parameters: Mapping[str, object] = field(default_factory=dict)
+    is_plan: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """How a task is doing now."""
+
+    id: UUID
+    goal: str
+    priority: int
+    state: TaskState
+    reason: str = ""
+    running: tuple[str, ...] = ()
+    ended: int = 0
+    replans: int = 0
+    restarts: int = 0
+    """How often a plan that is loaded was begun anew."""
+    parameters: Mapping[str, object] = field(default_factory=dict)
+    """What a plan that is loaded was given."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One call of a plan and how far it has come."""
+
+    action: str
+    arguments: tuple[str, ...]
+    start: float
+    duration: float
+    state: StepState
+    after: tuple[int, ...] = ()
+    """The positions of the calls that must have started or ended before."""
+
+    def __str__(self) -> str:
+        return f"{self.action}({', '.join(self.arguments)})"
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """One thing that has happened to a task.
+
+    Args:
+        task: its id.
+        time: on the clock of the event loop.
+        kind: one of the words that ``pnm_interfaces/msg/TraceEvent`` lists.
+        subject: the call or transition that it is about.
+        text: what is to be said about it.
+    """
+
+    task: UUID
+    time: float
+    kind: str
+    subject: str = ""
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class TaskEnding:
+    """How a task ended."""
+
+    code: Code
+    message: str
+    replans: int = 0
+    trace: tuple[Moment, ...] = ()
+    results: Mapping[str, object] = field(default_factory=dict)
+    """The variables that a plan gives back."""
+    cause: str = ""
+    """Of a plan that is loaded: why it has failed, in one word, such as ``aborted`` or ``goal_false``."""
+
+
+@dataclass(frozen=True, slots=True)
+class MadePlan:
+    """What became of the search for a plan that nobody carries out."""
+
+    code: Code
+    """`GOAL_REACHED` when there is a plan."""
+    message: str
+    goal: str = ""
+    """What was pursued, in PDDL."""
+    steps: tuple[Step, ...] = ()
+
+
+Make: TypeAlias = Callable[[str, str, float | None], Awaitable[MadePlan]]
+"""Finds a plan for a goal from the world as it is, with a planner ("" for what is usual) in so many seconds (None likewise).
+
+What is wrong with the goal is in the result; a search that is cancelled ends the planner.
+"""
+
+
+class TaskListener:
+    """Is told what happens to tasks, on the event loop's thread: one empty method per moment. Must not raise, and must not block."""
+
+    def changed(self, task: UUID) -> None:
+        """Note that the status of a task is another one, or that it is there now."""
+
+    def planned(self, task: UUID) -> None:
+        """Note that a task has another plan and another net."""
+
+    def happened(self, moment: Moment) -> None:
+        """Note an event."""
+
+    def moved(self, task: UUID) -> None:
+        """Note that tokens of its net have moved."""
+
+    def ended(self, task: UUID, ending: TaskEnding) -> None:
+        """Note that a task is over. Comes once for every task, and after everything else about it."""
+
+
+class TaskRefused(Exception):
+    """A task cannot be paused, resumed or cancelled: there is none of this id, or it is over."""
+
+
+class Tasks(Protocol):
+    """Does what is wanted, several tasks at once. To be used on the event loop's thread."""
+
+    def begin(self, wanted: Wanted, /) -> None:
+        """Begin a task. Whatever is wrong with it ends it, with a code and a reason."""
+
+    async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "somebody has paused it") -> None:
+        """Start nothing more of a task, or of all; return when nothing of it is under way.
+
+        Raises:
+            TaskRefused: there is no such task.
+        """
+
+    async def resume(self, task: UUID | None, /, *, but: Collection[UUID] = ()) -> None:
+        """Let a task that was paused go on, or all but these.
+
+        Raises:
+            TaskRefused: there is no such task, or it is not paused.
+        """
+
+    async def cancel(self, task: UUID | None, /, *, why: str = "somebody has cancelled it") -> None:
+        """End a task, or all; return when what was under way has confirmed it, or the limit for that has passed.
+
+        Raises:
+            TaskRefused: there is no such task.
+        """
+
+    def status(self) -> tuple[Status, ...]:
+        """Return how all tasks that are not over are doing, in the order in which they are served, and those that ended last."""
+
+    def plan(self, task: UUID, /) -> tuple[int, tuple[Step, ...]]:
+        """Return how many plans the task has had before, and how far its plan has come; nothing when it has none."""
+
+    def net(self, task: UUID, /) -> tuple[int, PetriNetMachine, Marking] | None:
+        """Return how many nets the task has had before, the net that it has now, and where its tokens are."""
+
+    def listen(self, listener: TaskListener, /) -> Callable[[], None]:
+        """Tell the listener from now on; return what stops that."""
+
+
+class ServedWorld(Protocol):
+    """Knowledge and problem of a process. To be used on the event loop's thread; what is wrong is an `InputError`."""
+
+    async def query(self, questions: Sequence[str], /) -> Sequence[tuple[str, str]]:
+        """Return what is known of each question, in order; of everything that is known, when there are none.
+
+        Args:
+            questions: conditions in PDDL, or functions.
+
+        Returns:
+            The questions with "true", "false", "unknown", a number or the name of an object.
+        """
+
+    async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
+        """Record all of it at once or nothing; return how many of the facts were not known to be so before."""
+
+    async def get(self) -> tuple[str, str]:
+        """Return domain and problem in PDDL, the problem as the world is now."""
+
+    async def save(self, file: str, /) -> str:
+        """Write the problem as the world is now to a file under the folder for problems; return its whole path."""
+
+    async def load(self, domain: str, problem: str, /) -> None:
+        """Begin anew with another domain or problem, each PDDL as a text or the path of a file; refused while there are tasks."""
+
+    def follow(self, tell: Callable[[Mapping[str, object]], None], /) -> Callable[[], None]:
+        """Tell whatever changes from now on, as fields of a ``pnm_interfaces/msg/KnowledgeChange``; return what stops that."""
