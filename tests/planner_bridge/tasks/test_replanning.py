@@ -25,7 +25,8 @@ from pnm.core.logic.conditions import Holds, Not, evaluate
 from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.plan_graph import ActionCall, GroundAction
+from pnm.core.machine.machine import CallOutcome
+from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction
 from pnm.tasks import TaskState
 from tests.support.problems import ROOMS, matches, rooms
 
@@ -187,7 +188,7 @@ def test_a_goal_that_comes_true_in_another_way_is_reached() -> None:
 def test_an_action_that_has_succeeded_since_is_not_forbidden() -> None:
     call = ForbiddenCall("move", ("r1", "a", "b"))
     action = GroundAction("move", ("r1", "a", "b"))
-    failure, success = Failure(ActionCall(0, action), "aborted"), CallResult(ActionCall(0, action), "succeeded")
+    failure, success = Failure(ActionCall(0, action), Cause.ABORTED), CallResult(ActionCall(0, action), CallOutcome.SUCCEEDED)
     history = History().after((), (failure,))
     assert history.after((), (failure,)).forbidden(Limits()) == {call}
     assert history.after((success,), ()).after((), (failure,)).forbidden(Limits()) == frozenset()
@@ -209,7 +210,7 @@ OVER_B = [("move", "r1", "a", "b"), ("move", "r1", "b", "c")]
 def decided(problem: Problem, steps: list[tuple[str, ...]], done: int = 0) -> Decision:
     """What follows a run of these steps, the first of which are done, if the world now is as the problem says."""
     graph = plan_graph(problem, Plan(tuple(PlanStep(step[0], step[1:], float(number)) for number, step in enumerate(steps))))
-    calls = tuple(CallResult(call, "succeeded" if call.index < done else "waiting") for call in graph.calls)
+    calls = tuple(CallResult(call, CallOutcome.SUCCEEDED if call.index < done else CallOutcome.WAITING) for call in graph.calls)
     return decide(problem, Progress(graph, calls), KnowledgeBase(problem.init, objects=problem.objects_by_type), History(), Limits())
 
 

@@ -15,7 +15,6 @@ from pnm.core.machine.machine import (
     Accepts,
     After,
     Always,
-    Deed,
     Denied,
     Due,
     EffectsMissing,
@@ -25,6 +24,7 @@ from pnm.core.machine.machine import (
     PauseAsked,
     PetriNetMachine,
     Rule,
+    TransitionAction,
     Withheld,
 )
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph, PlanGraphError
@@ -156,8 +156,8 @@ def test_a_wait_without_a_limit_is_refuted(name: str) -> None:
 def test_rules_that_are_not_what_they_seem_are_refuted() -> None:
     machine = generate(SHAPES["chain"])
     for broken, why in (
-        (ruled(machine, "a0()#0 start", deed=None), "does not send"),
-        (ruled(machine, "a0()#0 retry", deed=Deed.SEND), "sends one that is not"),
+        (ruled(machine, "a0()#0 start", action=None), "does not send"),
+        (ruled(machine, "a0()#0 retry", action=TransitionAction.SEND), "sends one that is not"),
         (ruled(machine, "a0()#0 accepted", guard=Accepts(1)), "listens to another call"),
         (ruled(machine, "goal_holds", guard=Always()), "without asking for the goal"),
         (ruled(machine, "a0()#0 timed_out", guard=Due(1.0, (("start", 1.0),))), "counts from the marking of start"),
@@ -183,7 +183,7 @@ def test_who_waits_for_what_is_withheld_has_a_limit() -> None:
     machine = generate(graph)
     verify(machine)
     name = "act()#0 withheld before start"
-    for broken in (lost(machine, name), ruled(machine, name, guard=Withheld(0, float("inf"), Deed.SEND))):
+    for broken in (lost(machine, name), ruled(machine, name, guard=Withheld(0, float("inf"), TransitionAction.SEND))):
         with pytest.raises(Unsound, match=r"act\(\)#0 start has no way out"):
             verify(broken)
 
