@@ -9,7 +9,7 @@ import click
 
 from planner_bridge.cli.options import command, options
 from planner_bridge.node.options import PARAMETERS
-from pnm.ros.node.parameters import Parameter, ParameterValue
+from pnm.ros.node.parameters import NodeParameter, ParameterValue
 
 ROS_ARGUMENTS: Final = "--ros-args"
 
@@ -24,7 +24,7 @@ class RosCommand(click.Command):
         return super().parse_args(ctx, args[:end])
 
 
-def _option(parameter: Parameter) -> Callable[[Any], Any]:
+def _option(parameter: NodeParameter) -> Callable[[Any], Any]:
     name = (parameter.option or parameter.name).replace("_", "-")
     default = f"  [default: {parameter.default}]" if parameter.default not in ("", True) else ""
     about: dict[str, Any] = {"help": parameter.description + default, "default": None}
