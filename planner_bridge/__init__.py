@@ -11,7 +11,7 @@ from pnm.files.lazy_exports import lazily
 if TYPE_CHECKING:
     from planner_bridge.loading import load
     from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
-    from planner_bridge.model.problem import ActionSchema, Domain, Problem
+    from planner_bridge.model.problem import Domain, Problem
     from planner_bridge.ordering.plan_to_graph import plan_graph
     from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
     from planner_bridge.pddl.write.writer import write_domain, write_problem
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from planner_bridge.tasks.replanning import Limits
     from planner_bridge.tasks.result import TaskResult
     from planner_bridge.tasks.settings import Settings, TaskObserver
+    from pnm.core.logic.domain import ActionSchema
 
 __all__ = [
     "ActionSchema",
@@ -48,7 +49,7 @@ __all__ = [
 ]
 
 _WHERE = {
-    "ActionSchema": "planner_bridge.model.problem",
+    "ActionSchema": "pnm.core.logic.domain",
     "Domain": "planner_bridge.model.problem",
     "Problem": "planner_bridge.model.problem",
     "parse_domain": "planner_bridge.pddl",

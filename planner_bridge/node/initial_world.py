@@ -10,10 +10,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, TypeAlias, assert_never
 
-from planner_bridge.model.problem import Declaration, Domain, Problem
+from planner_bridge.model.problem import Domain, Problem
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.computed_values import fluents_in
 from pnm.core.logic.conditions import Compare, Computed, Condition, Holds, every_part
+from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Effects, ForEach, Set, When
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Constant, Expression, Fluent, Value, Variable, expression_fluents, show
 from pnm.core.logic.rules import Rule, Rules

@@ -16,11 +16,12 @@ from pathlib import Path
 from typing import TextIO
 
 from planner_bridge.model.grounding import ground_action, initial_knowledge, modelled_duration
-from planner_bridge.model.problem import ActionSchema, Problem
+from planner_bridge.model.problem import Problem
 from planner_bridge.simulation import robots_of
 from pnm.actions.faults import Faults
 from pnm.actions.simulated_robots import SimulatedRobots
 from pnm.core.knowledge_base import show_statement
+from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.bindings import Bindings, placeholders
 from pnm.core.machine.plan_graph import GroundAction

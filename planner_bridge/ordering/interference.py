@@ -12,9 +12,10 @@ from typing import assert_never
 
 from planner_bridge.model.forbidden_actions import changed, guarded, unused
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.problem import Declaration, Problem
+from planner_bridge.model.problem import Problem
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents
+from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Effects, ForEach, Set, When, assignments, read, unconditional
 from pnm.core.logic.expressions import NOTHING, Constant, Environment, Fluent, State, bind, choices, show
 from pnm.core.machine.plan_graph import ActionCall
