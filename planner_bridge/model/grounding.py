@@ -27,9 +27,9 @@ def ground_action(schema: ActionSchema, arguments: tuple[str, ...], duration: fl
     if len(arguments) != len(schema.parameters):
         expected = " ".join(variable.name for variable in schema.parameters) or "none"
         raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(arguments)}")
-    env: dict[str, str] = {variable.name: argument for variable, argument in zip(schema.parameters, arguments, strict=True)}
+    env: dict[str, object] = {variable.name: argument for variable, argument in zip(schema.parameters, arguments, strict=True)}
     if duration is not None:
-        env[DURATION[0]] = repr(duration)
+        env[DURATION[0]] = duration
     return GroundAction(
         name=schema.name,
         arguments=arguments,

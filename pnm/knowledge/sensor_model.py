@@ -14,7 +14,7 @@ from itertools import product
 from typing import Final, TypeAlias, assert_never
 
 from pnm.core.logic.declared_names import Signature
-from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Environment, Fluent, Unknown, Value, Variable, bind, show
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, Variable, bind, show
 from pnm.errors import InputError, Position
 from pnm.knowledge.message_fields import Look, Source, Test, Unreadable, shown, succeeds, without_nan
 
@@ -144,7 +144,7 @@ class Instance:
     """A sensor for one choice of objects."""
 
     sensor: Sensor
-    env: Environment
+    env: Mapping[str, str]
 
     @property
     def name(self) -> str:
@@ -186,13 +186,13 @@ def instances(sensing: Sensing, objects: Objects) -> tuple[Instance, ...]:
     return found
 
 
-def _choices(sensor: Sensor, objects: Objects) -> Iterator[Environment]:
+def _choices(sensor: Sensor, objects: Objects) -> Iterator[Mapping[str, str]]:
     names = [variable.name for variable in sensor.variables]
     for chosen in product(*(objects(variable.types) for variable in sensor.variables)):
         yield dict(zip(names, chosen, strict=True))
 
 
-def _subjects(statement: Statement, env: Environment, objects: Objects) -> Iterator[Fluent | str]:
+def _subjects(statement: Statement, env: Mapping[str, str], objects: Objects) -> Iterator[Fluent | str]:
     match statement:
         case Stored(name):
             yield filled(name, env)
@@ -225,7 +225,7 @@ def unknown(instance: Instance, objects: Objects) -> Reading:
     return reading
 
 
-def _doubt(statement: Statement, env: Environment, objects: Objects, reading: Reading) -> None:
+def _doubt(statement: Statement, env: Mapping[str, str], objects: Objects, reading: Reading) -> None:
     for one in _subjects(statement, env, objects):
         if isinstance(one, str):
             reading.variables[one] = None
@@ -233,7 +233,7 @@ def _doubt(statement: Statement, env: Environment, objects: Objects, reading: Re
             reading.facts[one] = UNKNOWN
 
 
-def _note(statement: Statement, env: Environment, look: Look, objects: Objects, reading: Reading) -> None:
+def _note(statement: Statement, env: Mapping[str, str], look: Look, objects: Objects, reading: Reading) -> None:
     match statement:
         case Fact(fluent, test):
             reading.facts[bind(fluent, env)] = succeeds(test, look)
@@ -275,12 +275,12 @@ def placeholders(pattern: str) -> tuple[str, ...]:
     return tuple(_PLACEHOLDER.findall(pattern))
 
 
-def filled(pattern: str, env: Environment) -> str:
+def filled(pattern: str, env: Mapping[str, str]) -> str:
     """Put the objects in the place of the variables in braces."""
     return _PLACEHOLDER.sub(lambda found: env[f"?{found[1]}"], pattern)
 
 
-def _resolved(value: object, env: Environment) -> object:
+def _resolved(value: object, env: Mapping[str, str]) -> object:
     if isinstance(value, Mapping):
         return {name: _resolved(part, env) for name, part in value.items()}
     if isinstance(value, list):

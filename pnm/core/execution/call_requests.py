@@ -20,7 +20,7 @@ from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import MISSING, KnowledgeOperation, Layer, Operation, Query, Question, Update, asked, compute, named
 from pnm.core.logic.conditions import ground
 from pnm.core.logic.effects import Changes, ground_effects, is_fixed, undo, values_before
-from pnm.core.logic.expressions import Environment
+from pnm.core.logic.expressions import Environment, bind
 from pnm.core.logic.operators import CHANGING, Uncomputable
 from pnm.core.machine.bindings import Binding, Bindings, goal_data, open_parameters, placeholders
 from pnm.core.machine.machine import Deed
@@ -88,8 +88,7 @@ class Calls:
 
     def arguments(self, call: int) -> tuple[str, ...]:
         """Return what its parameters would have for values if it were sent now, as far as nobody has to be asked; else their names."""
-        values = self.consult(call, None).environment()
-        return tuple(values.get(argument, argument) for argument in self._plan.calls[call].action.arguments)
+        return bind(self._plan.calls[call].action.arguments, self.consult(call, None).environment())
 
     def binding(self, call: int) -> Binding:
         """Return the binding of the call's action."""
@@ -307,11 +306,9 @@ def _unknown_values(operation: KnowledgeOperation, consulted: Consultation) -> t
 
 
 def _grounded(action: GroundAction, env: Environment) -> GroundAction:
-    told = dict(zip(action.parameters, action.arguments, strict=True))
-    arguments = tuple(env.get(f"?{name}", value) if value.startswith("?") else value for name, value in told.items())
     return replace(
         action,
-        arguments=arguments,
+        arguments=bind(action.arguments, env),
         precondition=ground(action.precondition, env),
         invariant=ground(action.invariant, env),
         end_condition=ground(action.end_condition, env),

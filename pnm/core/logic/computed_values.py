@@ -279,32 +279,24 @@ def parameters_in(data: Data) -> frozenset[str]:
     return own.union(*(variables_in(fluent) for fluent in fluents_in(data)))
 
 
-class JsonText(str):
-    """What stands in an environment for a value that is no text: its JSON text."""
-
-    __slots__ = ()
-
-
 def substituted(data: Data, env: Environment) -> Data:
-    """Put the environment's objects, and values, in the place of parameters and variables."""
-    if not env:
-        return data
-    return filled(data, {name: Literal(text) if isinstance(text, JsonText) else Literal.of(text) for name, text in env.items()}, env)
+    """Substitute the environment's values for parameters, and for the variables of fluents."""
+    return filled(data, {name: Literal.of(value) for name, value in env.items()}, env) if env else data
 
 
-def filled(data: Data, values: Mapping[str, Data], texts: Environment) -> Data:
-    """Put values in the place of parameters, and texts in the place of variables in fluents."""
+def filled(data: Data, values: Mapping[str, Data], env: Environment) -> Data:
+    """Substitute computed values for parameters, and the environment's values for the variables of fluents."""
     match data:
         case Parameter(name):
             return values.get(name, data)
         case ValueOf(fluent):
-            return ValueOf(bind(fluent, texts))
+            return ValueOf(bind(fluent, env))
         case Query(name, layer, meta):
-            return Query(filled(name, values, texts), layer, filled(meta, values, texts))
+            return Query(filled(name, values, env), layer, filled(meta, values, env))
         case Compound(items, keys):
-            return Compound(tuple(filled(item, values, texts) for item in items), keys)
+            return Compound(tuple(filled(item, values, env) for item in items), keys)
         case Operation(name, operands):
-            return Operation(name, tuple(filled(operand, values, texts) for operand in operands))
+            return Operation(name, tuple(filled(operand, values, env) for operand in operands))
         case Literal():
             return data
         case _:

@@ -322,7 +322,7 @@ def free_variables(condition: Condition) -> frozenset[str]:
 
 
 def ground(condition: Condition, env: Environment) -> Condition:
-    """Substitute the environment's objects for the variables; quantified variables stay."""
+    """Substitute the environment's values for the variables; quantified variables stay."""
     match condition:
         case Holds(fluent):
             return Holds(bind(fluent, env))

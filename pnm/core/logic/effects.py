@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final, TypeAlias, TypeGuard, assert_never
+from typing import Final, TypeAlias, assert_never
 
 from pnm.core.logic.conditions import Condition, evaluate, fluents, ground
 from pnm.core.logic.expressions import (
@@ -27,6 +27,7 @@ from pnm.core.logic.expressions import (
     expression_fluents,
     ground_expression,
     hidden,
+    is_number,
     nothing_like,
     same,
     show,
@@ -234,7 +235,7 @@ def unconditional(effects: Effects) -> Effects:
 
 
 def ground_effects(effects: Effects, env: Environment) -> Effects:
-    """Substitute the environment's objects for the variables; quantified variables stay."""
+    """Substitute the environment's values for the variables; quantified variables stay."""
     return tuple(_ground(effect, env) for effect in effects)
 
 
@@ -269,7 +270,7 @@ def undo(before: Changes, after: Changes, now: State) -> Changes:
         current, old = now.value(fluent), before[fluent]
         if same(current, value):
             result[fluent] = old
-        elif _is_number(current) and _is_number(old) and _is_number(value):
+        elif is_number(current) and is_number(old) and is_number(value):
             result[fluent] = current - (value - old)
     return result
 
@@ -293,11 +294,11 @@ def facts(effects: Iterable[Effect], state: State) -> Changes | None:
     if not all(map(is_fixed, flat)):
         return None
     found = changes(flat, state)
-    return None if any(map(_is_number, found.values())) else found
+    return None if any(map(is_number, found.values())) else found
 
 
 def _combine(operation: str, before: Value | Unknown | None, by: Value | Unknown) -> Value | Unknown:
-    if not _is_number(before) or not _is_number(by):
+    if not is_number(before) or not is_number(by):
         return UNKNOWN
     match operation:
         case "increase":
@@ -310,7 +311,3 @@ def _combine(operation: str, before: Value | Unknown | None, by: Value | Unknown
             return before / by
         case _:
             return UNKNOWN
-
-
-def _is_number(value: Value | Unknown | None) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool)

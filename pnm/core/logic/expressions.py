@@ -2,18 +2,19 @@
 
 A *fluent* is a tuple of names, the first of which is the predicate, function or variable:
 ``("at", "r1", "kitchen")``, written ``(at r1 kitchen)``. Terms that start with ``?`` are
-variables; an environment maps them to objects, so that one expression serves every call of an
+variables; an environment maps them to values, so that one expression serves every call of an
 action. `str` of an expression is its PDDL text.
 """
 
 from __future__ import annotations
 
+import json
 import operator
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from itertools import product
-from typing import Final, Protocol, TypeAlias, assert_never
+from typing import Final, Protocol, TypeAlias, TypeGuard, assert_never
 
 Fluent: TypeAlias = tuple[str, ...]
 
@@ -30,10 +31,11 @@ class Unknown(Enum):
 UNKNOWN: Final = Unknown.UNKNOWN
 Value: TypeAlias = bool | float | str
 Truth: TypeAlias = bool | Unknown
-Environment: TypeAlias = Mapping[str, str]
+Environment: TypeAlias = Mapping[str, object]
+"""Values of variables: names of objects; of an action's parameters also numbers, and whatever else JSON has."""
 NOTHING: Final[Environment] = {}
 DURATION: Final[Fluent] = ("?duration",)
-"""Stands for the duration of the action it is used in; an environment may give it as text, in seconds."""
+"""Stands for the duration of the action it is used in; an environment may give it a value, in seconds."""
 
 
 UNDEFINED: Final = "undefined"
@@ -110,9 +112,9 @@ def value_of(expression: Expression, state: State, env: Environment = NOTHING) -
     """Return the value of the expression; unknown as soon as one part is, or on division by zero."""
     match expression:
         case Constant(value):
-            return env.get(value, value) if isinstance(value, str) else value
+            return _plain(env[value]) if isinstance(value, str) and value in env else value
         case ValueOf(fluent) if fluent == DURATION and DURATION[0] in env:
-            return float(env[DURATION[0]])
+            return _plain(env[DURATION[0]])
         case ValueOf(fluent):
             found = state.value(bind(fluent, env))
             return UNKNOWN if found is None else found
@@ -137,6 +139,11 @@ def nothing_like(value: Value | Unknown) -> Value | Unknown:
     return False if isinstance(value, bool) else UNDEFINED if isinstance(value, str) else UNKNOWN
 
 
+def is_number(value: object) -> TypeGuard[float]:
+    """Whether the value is a number; truth values are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 def choices(variables: tuple[Variable, ...], state: State, env: Environment) -> Iterator[Environment]:
     """Yield the environment extended by every choice of objects for the variables."""
     names = [variable.name for variable in variables]
@@ -145,8 +152,21 @@ def choices(variables: tuple[Variable, ...], state: State, env: Environment) -> 
 
 
 def bind(fluent: Fluent, env: Environment) -> Fluent:
-    """Replace the variables of the fluent by the objects the environment gives them."""
-    return tuple(env.get(term, term) for term in fluent) if env else fluent
+    """Replace the variables of the fluent by what the environment has for them: names of objects, or the text of other values."""
+    if not env:
+        return fluent
+    return tuple([value if isinstance(value := env.get(term, term), str) else text_of(value) for term in fluent])
+
+
+def text_of(value: object) -> str:
+    """Write a value as the argument of a fluent: a name as it is, a number shortly, all else as JSON."""
+    if isinstance(value, str):
+        return value
+    return f"{value:.12g}" if isinstance(value, float) else json.dumps(value)
+
+
+def _plain(value: object) -> Value:
+    return value if isinstance(value, bool | int | float | str) else text_of(value)
 
 
 def show(fluent: Fluent) -> str:
@@ -188,12 +208,12 @@ def expression_variables(expression: Expression) -> frozenset[str]:
 
 
 def ground_expression(expression: Expression, env: Environment) -> Expression:
-    """Substitute the environment's objects for the variables of an expression."""
+    """Substitute the environment's values for the variables of an expression."""
     match expression:
         case Constant(value):
-            return Constant(env.get(value, value)) if isinstance(value, str) else expression
+            return Constant(_plain(env[value])) if isinstance(value, str) and value in env else expression
         case ValueOf(fluent) if fluent == DURATION and DURATION[0] in env:
-            return Constant(float(env[DURATION[0]]))
+            return Constant(_plain(env[DURATION[0]]))
         case ValueOf(fluent):
             return ValueOf(bind(fluent, env))
         case Arithmetic(operation, operands):
