@@ -8,13 +8,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final, TypeAlias, assert_never
+from typing import Final, TypeAlias
 
 from planner_bridge.model.problem import Declaration, Domain, Problem
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.computed_values import fluents_in
 from pnm.core.logic.conditions import Compare, Computed, Condition, Holds, every_part
-from pnm.core.logic.effects import Effects, ForEach, Set, When
+from pnm.core.logic.effects import Effects, Set, When, every_effect
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Constant, Expression, Fluent, Value, Variable, expression_fluents, show
 from pnm.core.logic.rules import Rule, Rules
 from pnm.core.machine.plan_graph import Choice, Loop
@@ -169,15 +169,12 @@ def _in_equation(left: Expression, right: Expression) -> Iterator[Use]:
 
 
 def _in_effects(effects: Effects) -> Iterator[Use]:
-    for effect in effects:
+    for effect in every_effect(effects):
         match effect:
             case Set(fluent, value):
                 yield fluent, value.value if isinstance(value, Constant) else 0.0
                 yield from ((one, 0.0) for one in expression_fluents(value))
-            case When(condition, inner):
+            case When(condition):
                 yield from _in_condition(condition)
-                yield from _in_effects(inner)
-            case ForEach(_, inner):
-                yield from _in_effects(inner)
             case _:
-                assert_never(effect)
+                pass

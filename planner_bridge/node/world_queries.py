@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import Final, assert_never
+from typing import Final
 
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.problem import Problem
@@ -21,7 +21,7 @@ from planner_bridge.pddl.read.terms import Scope
 from planner_bridge.pddl.syntax.expressions import Group, Node, parse, wrong
 from planner_bridge.pddl.syntax.words import number, number_text, operands
 from pnm.core.knowledge_base import KnowledgeBase, show_statement
-from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, evaluate
+from pnm.core.logic.conditions import Condition, Exists, ForAll, evaluate, operands_of
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Unknown, Value, show
 from pnm.errors import InputError, Position, meant
 from pnm.files.yaml_nodes import load_yaml
@@ -191,20 +191,12 @@ class SharedWorld:
             raise wrong(node, f"its quantifiers range over more than {MAX_CHOICES} choices of objects")
         return found
 
-    def _choices(self, found: Condition) -> int:
-        match found:
-            case Holds() | Compare() | Computed():
-                return 1
-            case Not(operand):
-                return self._choices(operand)
-            case All(operands) | Any(operands):
-                return sum(map(self._choices, operands))
-            case Implies(left, right):
-                return self._choices(left) + self._choices(right)
-            case ForAll(variables, body) | Exists(variables, body):
-                return self._choices(body) * prod(len(self._knowledge.objects(variable.types)) for variable in variables)
-            case _:
-                assert_never(found)
+    def _choices(self, condition: Condition) -> int:
+        """Return how many facts and comparisons the condition becomes without quantifiers."""
+        inner = sum(map(self._choices, operands_of(condition))) if operands_of(condition) else 1
+        if isinstance(condition, ForAll | Exists):
+            return inner * prod(len(self._knowledge.objects(variable.types)) for variable in condition.variables)
+        return inner
 
     def _answer(self, question: Condition | Function) -> Value | Unknown:
         if not isinstance(question, Function):

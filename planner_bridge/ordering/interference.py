@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import assert_never
 
 from planner_bridge.model.forbidden_actions import changed, guarded, unused
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Declaration, Problem
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents
-from pnm.core.logic.effects import Effects, ForEach, Set, When, assignments, read, unconditional
+from pnm.core.logic.conditions import Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents, operands_of
+from pnm.core.logic.effects import Effects, ForEach, Set, When, possible_assignments, read
 from pnm.core.logic.expressions import NOTHING, Constant, Environment, Fluent, State, bind, choices, show
 from pnm.core.machine.plan_graph import ActionCall
 
@@ -86,9 +85,6 @@ def _needed(condition: Condition, value: bool, state: State, env: Environment = 
             yield bind(fluent, env), value
         case Not(inner):
             yield from _needed(inner, not value, state, env)
-        case All(parts) | Any(parts):
-            for part in parts:
-                yield from _needed(part, value, state, env)
         case Implies(condition, then):
             yield from _needed(condition, not value, state, env)
             yield from _needed(then, value, state, env)
@@ -98,12 +94,13 @@ def _needed(condition: Condition, value: bool, state: State, env: Environment = 
         case Compare() | Computed():
             yield from ((fluent, None) for fluent in fluents(condition, state, env))
         case _:
-            assert_never(condition)
+            for part in operands_of(condition):
+                yield from _needed(part, value, state, env)
 
 
 def _written(effects: Effects, state: State) -> dict[Fluent, set[bool | None]]:
     found: dict[Fluent, set[bool | None]] = {}
-    for fluent, effect, _ in assignments(unconditional(effects), state):
+    for fluent, effect, _ in possible_assignments(effects, state):
         value = effect.value.value if isinstance(effect.value, Constant) else None
         found.setdefault(fluent, set()).add(value if isinstance(value, bool) else None)
     return found

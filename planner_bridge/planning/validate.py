@@ -41,7 +41,7 @@ from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.plan_text import plan_text
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TOLERANCE, evaluate
-from pnm.core.logic.effects import assignments, unconditional
+from pnm.core.logic.effects import assignments, possible_assignments
 from pnm.core.logic.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, show, value_of
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, moments, progressed, seen_of
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
@@ -244,7 +244,7 @@ def _check_interference(happening: _Happening, steps: Sequence[_Step], course: C
         effects = action.start_effects if starts else action.end_effects
         for fluent, effect, _ in assignments(effects, watched):
             writers.setdefault(fluent, []).append((event.call, _way(effect.operation, effect.value)))
-        for _, effect, env in assignments(unconditional(effects), watched):
+        for _, effect, env in possible_assignments(effects, watched):
             value_of(effect.value, watched, env)
         for fluent in watched.seen:
             readers.setdefault(fluent, []).append(event.call)

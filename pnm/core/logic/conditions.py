@@ -231,6 +231,51 @@ def _compare(operation: str, left: Value | Unknown | None, right: Value | Unknow
 # --- looking into a condition --------------------------------------------------------------
 
 
+def operands_of(condition: Condition) -> tuple[Condition, ...]:
+    """Return the conditions that this one is made of; none for facts, comparisons and computed values."""
+    match condition:
+        case All(operands) | Any(operands):
+            return operands
+        case Holds() | Compare() | Computed():
+            return ()
+        case Not(operand) | ForAll(_, operand) | Exists(_, operand):
+            return (operand,)
+        case Implies(left, right):
+            return (left, right)
+        case _:
+            assert_never(condition)
+
+
+def map_operands(condition: Condition, change: Callable[[Condition], Condition]) -> Condition:
+    """Return the condition with each of the conditions that it is made of changed."""
+    match condition:
+        case Holds() | Compare() | Computed():
+            return condition
+        case Not(operand):
+            return Not(change(operand))
+        case All(operands):
+            return All(tuple(map(change, operands)))
+        case Any(operands):
+            return Any(tuple(map(change, operands)))
+        case Implies(left, right):
+            return Implies(change(left), change(right))
+        case ForAll(variables, body):
+            return ForAll(variables, change(body))
+        case Exists(variables, body):
+            return Exists(variables, change(body))
+        case _:
+            assert_never(condition)
+
+
+def every_part(condition: Condition) -> Iterator[Condition]:
+    """Yield the condition and all conditions in it, outer ones first."""
+    waiting = [condition]
+    while waiting:
+        part = waiting.pop()
+        yield part
+        waiting += operands_of(part)[::-1]
+
+
 def fluents(condition: Condition, state: State, env: Environment = NOTHING) -> frozenset[Fluent]:
     """Return every ground fluent the truth of the condition may depend on."""
     return frozenset(_fluents(condition, state, env))
@@ -243,56 +288,45 @@ def _fluents(condition: Condition, state: State, env: Environment) -> Iterator[F
         case Compare(_, left, right):
             yield from expression_fluents(left, env)
             yield from expression_fluents(right, env)
-        case Not(operand):
-            yield from _fluents(operand, state, env)
-        case All(operands) | Any(operands):
-            for operand in operands:
-                yield from _fluents(operand, state, env)
-        case Implies(left, right):
-            yield from _fluents(left, state, env)
-            yield from _fluents(right, state, env)
+        case Computed(data):
+            yield from fluents_in(data, env)
         case ForAll(variables, body) | Exists(variables, body):
             for inner in choices(variables, state, env):
                 yield from _fluents(body, state, inner)
-        case Computed(data):
-            yield from fluents_in(data, env)
         case _:
-            assert_never(condition)
-
-
-def every_part(condition: Condition) -> Iterator[Condition]:
-    """Yield the condition and all conditions in it, outer ones first."""
-    waiting = [condition]
-    while waiting:
-        part = waiting.pop()
-        yield part
-        match part:
-            case Not(operand) | ForAll(_, operand) | Exists(_, operand):
-                waiting.append(operand)
-            case All(operands) | Any(operands):
-                waiting += reversed(operands)
-            case Implies(left, right):
-                waiting += (right, left)
-            case Holds() | Compare() | Computed():
-                pass
-            case _:
-                assert_never(part)
+            for operand in operands_of(condition):
+                yield from _fluents(operand, state, env)
 
 
 def names(condition: Condition) -> frozenset[str]:
     """Return the predicates and functions the condition mentions."""
-    found: set[str] = set()
+    mentioned: set[str] = set()
     for part in every_part(condition):
         match part:
             case Holds(fluent):
-                found.add(fluent[0])
+                mentioned.add(fluent[0])
             case Compare(_, left, right):
-                found.update(fluent[0] for side in (left, right) for fluent in expression_fluents(side))
+                mentioned.update(fluent[0] for side in (left, right) for fluent in expression_fluents(side))
             case Computed(data):
-                found.update(fluent[0] for fluent in fluents_in(data))
+                mentioned.update(fluent[0] for fluent in fluents_in(data))
             case _:
                 pass
-    return frozenset(found)
+    return frozenset(mentioned)
+
+
+def polarities(condition: Condition, positive: bool = True) -> Iterator[tuple[str, bool]]:
+    """Yield the predicate of each fact in the condition, with whether the fact stands under an even number of negations."""
+    match condition:
+        case Holds(fluent):
+            yield fluent[0], positive
+        case Not(operand):
+            yield from polarities(operand, not positive)
+        case Implies(left, right):
+            yield from polarities(left, not positive)
+            yield from polarities(right, positive)
+        case _:
+            for operand in operands_of(condition):
+                yield from polarities(operand, positive)
 
 
 def data_in(condition: Condition) -> Iterator[Data]:
@@ -307,18 +341,12 @@ def free_variables(condition: Condition) -> frozenset[str]:
             return variables_in(fluent)
         case Compare(_, left, right):
             return expression_variables(left) | expression_variables(right)
-        case Not(operand):
-            return free_variables(operand)
-        case All(operands) | Any(operands):
-            return frozenset().union(*map(free_variables, operands))
-        case Implies(left, right):
-            return free_variables(left) | free_variables(right)
-        case ForAll(variables, body) | Exists(variables, body):
-            return free_variables(body) - {variable.name for variable in variables}
         case Computed(data):
             return parameters_in(data)
+        case ForAll(variables, body) | Exists(variables, body):
+            return free_variables(body) - {variable.name for variable in variables}
         case _:
-            assert_never(condition)
+            return frozenset().union(*map(free_variables, operands_of(condition)))
 
 
 def ground(condition: Condition, env: Environment) -> Condition:
@@ -326,24 +354,17 @@ def ground(condition: Condition, env: Environment) -> Condition:
     match condition:
         case Holds(fluent):
             return Holds(bind(fluent, env))
+        case All(operands):
+            return All(tuple([ground(operand, env) for operand in operands]))
         case Compare(operation, left, right):
             return Compare(operation, ground_expression(left, env), ground_expression(right, env))
-        case Not(operand):
-            return Not(ground(operand, env))
-        case All(operands):
-            return All(tuple(ground(operand, env) for operand in operands))
-        case Any(operands):
-            return Any(tuple(ground(operand, env) for operand in operands))
-        case Implies(left, right):
-            return Implies(ground(left, env), ground(right, env))
-        case ForAll(variables, body):
-            return ForAll(variables, ground(body, hidden(env, variables)))
-        case Exists(variables, body):
-            return Exists(variables, ground(body, hidden(env, variables)))
         case Computed(data):
             return Computed(substituted(data, env))
+        case ForAll(variables) | Exists(variables):
+            env = hidden(env, variables)
         case _:
-            assert_never(condition)
+            pass
+    return map_operands(condition, lambda operand: ground(operand, env))
 
 
 def conjuncts(condition: Condition) -> tuple[Condition, ...]:

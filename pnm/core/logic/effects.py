@@ -110,6 +110,26 @@ def changes(effects: Effects, state: State, env: Environment = NOTHING) -> Chang
     return result
 
 
+def every_effect(effects: Effects) -> Iterator[Effect]:
+    """Yield the effects and all effects in them, outer ones first."""
+    for effect in effects:
+        yield effect
+        if not isinstance(effect, Set):
+            yield from every_effect(effect.effects)
+
+
+def expanded(effects: Effects, state: State, env: Environment = NOTHING) -> Iterator[tuple[Set | When, Environment]]:
+    """Yield every `Set` and `When` at any depth, whether or not it happens, once for every choice of objects, with its environment."""
+    for effect in effects:
+        if isinstance(effect, ForEach):
+            for chosen in choices(effect.variables, state, env):
+                yield from expanded(effect.effects, state, chosen)
+        else:
+            yield effect, env
+            if isinstance(effect, When):
+                yield from expanded(effect.effects, state, env)
+
+
 def decided(effects: Effects, state: State) -> Effects:
     """Return what is left of the end effects of an action that starts in the state: the early conditions are decided."""
     if not any(map(is_early, effects)):
@@ -133,8 +153,8 @@ def decided(effects: Effects, state: State) -> Effects:
 
 
 def is_early(effect: Effect) -> bool:
-    """Tell whether some condition in the effect is decided before it happens."""
-    return not isinstance(effect, Set) and ((isinstance(effect, When) and effect.early) or any(map(is_early, effect.effects)))
+    """Return whether some condition in the effect is decided before it happens."""
+    return any(isinstance(part, When) and part.early for part in every_effect((effect,)))
 
 
 def assignments(effects: Effects, state: State, env: Environment = NOTHING) -> Iterator[tuple[Fluent, Set, Environment]]:
@@ -153,85 +173,42 @@ def assignments(effects: Effects, state: State, env: Environment = NOTHING) -> I
                 assert_never(effect)
 
 
+def possible_assignments(effects: Effects, state: State) -> Iterator[tuple[Fluent, Set, Environment]]:
+    """Yield what `assignments` would if every condition of the effects held."""
+    return ((bind(effect.fluent, env), effect, env) for effect, env in expanded(effects, state) if isinstance(effect, Set))
+
+
 def written(effects: Effects, state: State) -> frozenset[Fluent]:
     """Return every fluent the effects may set, whether or not their conditions hold."""
-    return frozenset(fluent for fluent, _, _ in assignments(unconditional(effects), state))
+    return frozenset(fluent for fluent, _, _ in possible_assignments(effects, state))
 
 
 def names_written(effects: Effects) -> frozenset[str]:
     """Return the predicates and functions the effects may change."""
-    return frozenset(name for effect in effects for name in _names(effect))
-
-
-def _names(effect: Effect) -> Iterator[str]:
-    match effect:
-        case Set(fluent):
-            yield fluent[0]
-        case When(_, inner) | ForEach(_, inner):
-            for one in inner:
-                yield from _names(one)
-        case _:
-            assert_never(effect)
+    return frozenset(effect.fluent[0] for effect in every_effect(effects) if isinstance(effect, Set))
 
 
 def read(effects: Effects, state: State) -> frozenset[Fluent]:
     """Return every fluent that decides what the effects do when they happen: their conditions and right-hand sides."""
-    return frozenset(_read(effects, state, NOTHING))
-
-
-def _read(effects: Effects, state: State, env: Environment) -> Iterator[Fluent]:
-    for effect in effects:
+    reads: set[Fluent] = set()
+    for effect, env in expanded(effects, state):
         match effect:
             case Set(fluent, value, operation):
-                yield from expression_fluents(value, env)
+                reads.update(expression_fluents(value, env))
                 if operation != "assign":
-                    yield bind(fluent, env)
-            case When(condition, inner, early):
+                    reads.add(bind(fluent, env))
+            case When(condition, _, early):
                 if not early:
-                    yield from fluents(condition, state, env)
-                yield from _read(inner, state, env)
-            case ForEach(variables, inner):
-                for chosen in choices(variables, state, env):
-                    yield from _read(inner, state, chosen)
+                    reads |= fluents(condition, state, env)
             case _:
                 assert_never(effect)
+    return frozenset(reads)
 
 
 def read_early(effects: Effects, state: State) -> frozenset[Fluent]:
     """Return every fluent that decides, when the action starts, what its end effects will be."""
-    return frozenset(_read_early(effects, state, NOTHING))
-
-
-def _read_early(effects: Effects, state: State, env: Environment) -> Iterator[Fluent]:
-    for effect in effects:
-        match effect:
-            case Set():
-                pass
-            case When(condition, inner, early):
-                if early:
-                    yield from fluents(condition, state, env)
-                yield from _read_early(inner, state, env)
-            case ForEach(variables, inner):
-                for chosen in choices(variables, state, env):
-                    yield from _read_early(inner, state, chosen)
-            case _:
-                assert_never(effect)
-
-
-def unconditional(effects: Effects) -> Effects:
-    """Return the effects with every `When` replaced by what it may do."""
-    result: list[Effect] = []
-    for effect in effects:
-        match effect:
-            case Set():
-                result.append(effect)
-            case When(_, inner):
-                result.extend(unconditional(inner))
-            case ForEach(variables, inner):
-                result.append(ForEach(variables, unconditional(inner)))
-            case _:
-                assert_never(effect)
-    return tuple(result)
+    early = ((effect.condition, env) for effect, env in expanded(effects, state) if isinstance(effect, When) and effect.early)
+    return frozenset(fluent for condition, env in early for fluent in fluents(condition, state, env))
 
 
 def ground_effects(effects: Effects, env: Environment) -> Effects:
@@ -276,16 +253,10 @@ def undo(before: Changes, after: Changes, now: State) -> Changes:
 
 
 def is_fixed(effect: Effect) -> bool:
-    """Tell whether the effect gives the same values whatever the state: no condition, nothing that is read."""
-    match effect:
-        case Set(_, value, operation):
-            return operation == "assign" and isinstance(value, Constant)
-        case When():
-            return False
-        case ForEach(_, inner):
-            return all(map(is_fixed, inner))
-        case _:
-            assert_never(effect)
+    """Return whether the effect gives the same values whatever the state: no condition, nothing that is read."""
+    if isinstance(effect, ForEach):
+        return all(map(is_fixed, effect.effects))
+    return isinstance(effect, Set) and effect.operation == "assign" and isinstance(effect.value, Constant)
 
 
 def facts(effects: Iterable[Effect], state: State) -> Changes | None:

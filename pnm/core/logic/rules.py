@@ -16,23 +16,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, TypeAlias, assert_never
+from typing import Final, TypeAlias
 
-from pnm.core.logic.conditions import (
-    All,
-    Any,
-    Compare,
-    Computed,
-    Condition,
-    Exists,
-    ForAll,
-    Holds,
-    Implies,
-    Not,
-    free_variables,
-    ground,
-    names,
-)
+from pnm.core.logic.conditions import All, Any, Condition, Exists, Holds, free_variables, ground, names, polarities
 from pnm.core.logic.expressions import Variable
 from pnm.errors import PnmError
 
@@ -153,7 +139,7 @@ class Rules:
         """For every derived name, the derived names in its rules, and whether they are negated there."""
         found = {name: frozenset[tuple[str, bool]]() for name in self.derived}
         for rule in self.rules:
-            found[rule.name] |= {(name, negated) for name, negated in _signed(rule.condition, False) if name in self.derived}
+            found[rule.name] |= {(name, not positive) for name, positive in polarities(rule.condition) if name in self.derived}
         return found
 
     def _below(self, name: str) -> frozenset[str]:
@@ -172,27 +158,6 @@ class Rules:
 
 
 NO_RULES: Final = Rules()
-
-
-def _signed(condition: Condition, negated: bool) -> Iterator[tuple[str, bool]]:
-    """Yield the names of the facts in the condition, each with whether it stands under an odd number of negations."""
-    match condition:
-        case Holds(fluent):
-            yield fluent[0], negated
-        case Compare() | Computed():
-            return
-        case Not(operand):
-            yield from _signed(operand, not negated)
-        case All(operands) | Any(operands):
-            for operand in operands:
-                yield from _signed(operand, negated)
-        case Implies(left, right):
-            yield from _signed(left, not negated)
-            yield from _signed(right, negated)
-        case ForAll(_, operand) | Exists(_, operand):
-            yield from _signed(operand, negated)
-        case _:
-            assert_never(condition)
 
 
 # --- bodies --------------------------------------------------------------------------------
