@@ -11,7 +11,7 @@ from uuid import UUID, uuid4
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_problem
-from planner_bridge.simulation import SimulatedSite
+from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.scheduling.task_manager import Room, TaskMaster
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import NO_FAULTS, Faults
@@ -40,7 +40,7 @@ class Stage(TaskListener):
         source: Source | None = None,
     ) -> None:
         self.problem = problem
-        self.site = SimulatedSite(problem, chosen.bindings, faults)
+        self.site = simulated_backend(problem, chosen.bindings, faults)
         self.knowledge = initial_knowledge(problem)
         self.performer = None if programs is None else Performer(programs, self.site, self.knowledge, source)
         self.master = TaskMaster(problem, self.knowledge, self.site, chosen, self.read, source=source, room=room, performer=self.performer)

@@ -47,7 +47,7 @@ from pnm.core.logic.expressions import (
     Variable,
     choices,
     ground_expression,
-    same,
+    same_value,
     value_of,
 )
 
@@ -345,7 +345,7 @@ def test_a_quantified_variable_hides_the_one_outside() -> None:
     ],
 )
 def test_the_same_value(one: Value | Unknown | None, other: Value | Unknown | None, expected: bool) -> None:
-    assert same(one, other) is same(other, one) is expected
+    assert same_value(one, other) is same_value(other, one) is expected
 
 
 # --- text -------------------------------------------------------------------------------------

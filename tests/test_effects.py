@@ -23,6 +23,7 @@ from pnm.core.logic.effects import (
     assignments,
     changes,
     decided,
+    effects_text,
     every_effect,
     facts,
     ground_effects,
@@ -30,7 +31,6 @@ from pnm.core.logic.effects import (
     possible_assignments,
     read,
     read_early,
-    show_effects,
     undo,
     values_before,
     written,
@@ -268,7 +268,7 @@ def test_plain_facts_do_not_depend_on_the_state(effects: Effects, before: Knowle
         (When(TRUE, (add("p"),)),),
         (ForEach((Variable("?x"),), (When(Holds(("p",)), (add("at", "?x"),)),)),),
     ],
-    ids=show_effects,
+    ids=effects_text,
 )
 def test_numbers_and_conditions_are_no_plain_facts(effects: Effects) -> None:
     assert facts(effects, state({("p",): True, ("x",): 1.0})) is None
@@ -445,7 +445,7 @@ def test_a_constant_object_is_as_plain_as_a_fact() -> None:
     ],
 )
 def test_effects_are_written_as_pddl(effects: Effects, text: str) -> None:
-    assert show_effects(effects) == text
+    assert effects_text(effects) == text
 
 
 def test_names_written_look_into_every_effect() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.node.initial_world import common_knowledge
+from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.node.problem_service import NOTHING, ServedProblem
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async
@@ -63,7 +63,7 @@ plan:
 def play(text: str, scene: Callable[[ServedProblem], Awaitable[None]]) -> None:
     async def whole() -> None:
         plans = parse_plans(text).values()
-        await scene(ServedProblem(NOTHING, common_knowledge(plans), {}, Settings(), Path(), plans))
+        await scene(ServedProblem(NOTHING, initial_knowledge(*plans), {}, Settings(), Path(), plans))
 
     run_async(whole(), virtual=True)
 

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Literal
 
 from pnm.core.logic.conditions import TRUE, Condition
-from pnm.core.logic.declared_names import Kind, Signature, Vocabulary
+from pnm.core.logic.declared_names import FluentKind, Signature, Vocabulary
 from pnm.core.logic.effects import Effects, TimedChange
 from pnm.core.logic.expressions import Expression, Fluent, Value, Variable
 from pnm.core.logic.rules import Rule
@@ -80,7 +80,7 @@ class Declaration:
         return f"({' '.join((self.name, *map(str, self.parameters)))})"
 
 
-def _signature(declared: Declaration, kind: Kind) -> Signature:
+def _signature(declared: Declaration, kind: FluentKind) -> Signature:
     return Signature(kind, tuple(variable.types for variable in declared.parameters), declared.values)
 
 
@@ -176,8 +176,10 @@ class Problem:
         derived = frozenset(rule.name for rule in self.domain.rules)
         types = {name: self.domain.supertypes(name) for name in ("object", *self.domain.types)}
         types_of = {name: types["object"].union(*map(self.domain.supertypes, kinds)) for name, kinds in self.objects.items()}
-        predicates = {name: _signature(declared, Kind.FACT) for name, declared in self.domain.predicates.items()}
-        functions = {name: _signature(one, Kind.OBJECT if one.values else Kind.NUMBER) for name, one in self.domain.functions.items()}
+        predicates = {name: _signature(declared, FluentKind.FACT) for name, declared in self.domain.predicates.items()}
+        functions = {
+            name: _signature(one, FluentKind.OBJECT if one.values else FluentKind.NUMBER) for name, one in self.domain.functions.items()
+        }
         return Vocabulary(self.domain.parameters, fluents, frozenset(self.objects), derived, {**predicates, **functions}, types, types_of)
 
     @property

@@ -20,7 +20,7 @@ from planner_bridge.model.problem import ActionSchema, Problem
 from planner_bridge.simulation import robots_of
 from pnm.actions.faults import Faults
 from pnm.actions.simulated_robots import SimulatedRobots
-from pnm.core.knowledge_base import show_statement
+from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.bindings import Bindings, placeholders
 from pnm.core.machine.plan_graph import GroundAction
@@ -68,7 +68,7 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
         await servers.offer([Offer(one.server, one.type, one.decode) for one in found])
         print(f"ready: {len(found)} action servers: {', '.join(one.server for one in found)}", flush=True)
         await stopped.wait()
-        logged.write("state", facts=sorted(starmap(show_statement, robots.world.truth.facts().items())))
+        logged.write("state", facts=sorted(starmap(statement_text, robots.world.truth.facts().items())))
     finally:
         await asyncio.to_thread(ros.close)  # it may be waiting for an answer of this loop
 
@@ -196,4 +196,4 @@ class LoggedRobots:
         self._clashes = len(self.robots.clashes)
 
     def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
-        self.write("change", facts=sorted(starmap(show_statement, changes.items())))
+        self.write("change", facts=sorted(starmap(statement_text, changes.items())))

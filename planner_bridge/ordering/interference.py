@@ -15,7 +15,7 @@ from planner_bridge.model.problem import Declaration, Problem
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents, operands_of
 from pnm.core.logic.effects import Effects, ForEach, Set, When, possible_assignments, read
-from pnm.core.logic.expressions import NOTHING, Constant, Environment, Fluent, State, bind, choices, show
+from pnm.core.logic.expressions import NOTHING, Constant, Environment, Fluent, State, bind, choices, fluent_text
 from pnm.core.machine.plan_graph import ActionCall
 
 
@@ -43,9 +43,9 @@ class Footprint:
 def conflict(mine: Footprint, other: Footprint) -> str:
     """Say what stands in the way of carrying out both plans at once; empty when nothing does."""
     if disturbed := other.disturbed_by(mine):
-        return f"it would change {show(disturbed)}, which the other needs"
+        return f"it would change {fluent_text(disturbed)}, which the other needs"
     if disturbed := mine.disturbed_by(other):
-        return f"it needs {show(disturbed)}, which the other is going to change"
+        return f"it needs {fluent_text(disturbed)}, which the other is going to change"
     return ""
 
 
@@ -118,7 +118,7 @@ def around(problem: Problem, others: Iterable[Footprint]) -> Problem:
     return problem
 
 
-def at_best(problem: Problem, under_way: Iterable[ActionCall]) -> Problem:
+def optimistic_state(problem: Problem, under_way: Iterable[ActionCall]) -> Problem:
     """Return a problem that begins when these calls are over, with every fact that may be so then.
 
     That is what they make true when they end well, and what they had made false when they do not.

@@ -16,7 +16,7 @@ from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError
 
 
-class World:
+class SimulatedWorld:
     """The true state, and the actions that are going on in it.
 
     Raises:
@@ -60,7 +60,7 @@ class World:
 class Activity:
     """A ground action going on in the world."""
 
-    def __init__(self, world: World, action: GroundAction) -> None:
+    def __init__(self, world: SimulatedWorld, action: GroundAction) -> None:
         self.world = world
         self.action = action
         self._ending = decided(action.end_effects, world.truth)

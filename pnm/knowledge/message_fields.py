@@ -139,7 +139,7 @@ def _outcomes(tests: Iterable[Test], look: Look) -> set[bool]:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class FieldValue:
     """Where a value comes from: a field, and a table in which it is looked up if there is one."""
 
     field: Field

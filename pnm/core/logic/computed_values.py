@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, Protocol, TypeAlias, assert_never, runtime_checkable
 
-from pnm.core.logic.expressions import NOTHING, UNDEFINED, Environment, Fluent, Unknown, Value, ValueOf, bind, show, variables_in
+from pnm.core.logic.expressions import NOTHING, UNDEFINED, Environment, Fluent, Unknown, Value, ValueOf, bind, fluent_text, variables_in
 from pnm.core.logic.operators import Uncomputable, bounded, operate
 from pnm.errors import PnmError
 
@@ -186,7 +186,7 @@ def compute(data: Data, answers: Answers) -> object:
             found = answers.value(fluent)
             return MISSING if found in (None, UNDEFINED) or isinstance(found, Unknown) else found
         case Query(_, layer):
-            question = asked(data, answers)
+            question = question_of(data, answers)
             if layer in (Layer.LOCAL, Layer.ALL):
                 known = answers.local_variable(question.name)
                 if known is not MISSING or layer is Layer.LOCAL:
@@ -203,21 +203,21 @@ def compute(data: Data, answers: Answers) -> object:
             assert_never(data)
 
 
-def asked(query: Query, answers: Answers) -> Question:
+def question_of(query: Query, answers: Answers) -> Question:
     """Return what is asked once the query's name and meta data are computed.
 
     Raises:
         Unanswered: they depend on something that has to be asked first.
         Uncomputable: the name is not a text, or JSON cannot say the meta data.
     """
-    name, meta = named(query.name, answers), _null(compute(query.meta, answers))
+    name, meta = variable_name(query.name, answers), _null(compute(query.meta, answers))
     try:
         return Question(name, query.layer, json.dumps(meta, sort_keys=True))
     except (TypeError, ValueError, RecursionError) as error:
         raise Uncomputable(f"what is told about {name} cannot be said in JSON: {error}") from error
 
 
-def named(name: Data, answers: Answers) -> str:
+def variable_name(name: Data, answers: Answers) -> str:
     """Return the name of a variable.
 
     Raises:
@@ -230,15 +230,15 @@ def named(name: Data, answers: Answers) -> str:
     return found
 
 
-def truth(value: object) -> bool:
+def is_true(value: object) -> bool:
     """Tell whether the value counts as true: what Python says, and nothing that is missing."""
     return value is not MISSING and bool(value)
 
 
 _LAZY: Final[dict[str, Callable[[Iterator[object]], bool]]] = {
-    "and": lambda values: all(map(truth, values)),
-    "or": lambda values: any(map(truth, values)),
-    "not": lambda values: not truth(next(values)),
+    "and": lambda values: all(map(is_true, values)),
+    "or": lambda values: any(map(is_true, values)),
+    "not": lambda values: not is_true(next(values)),
     "exists": lambda values: next(values) not in (MISSING, None),
 }
 LOGICAL: Final = frozenset(_LAZY)
@@ -303,12 +303,12 @@ def filled(data: Data, values: Mapping[str, Data], env: Environment) -> Data:
             assert_never(data)
 
 
-def told(data: Data, answers: Answers) -> str:
+def observed_values(data: Data, answers: Answers) -> str:
     """Say what the queries and fluents in the data have for values."""
     said: dict[str, None] = {}
     for part in parts(data):
         if isinstance(part, Query | ValueOf | Parameter):
-            name = show(part.fluent) if isinstance(part, ValueOf) else str(part)
+            name = fluent_text(part.fluent) if isinstance(part, ValueOf) else str(part)
             try:
                 found = compute(part, answers)
             except (Unanswered, Uncomputable):

@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, Protocol, TypeAlias, assert_never
 
-from pnm.core.logic.computed_values import Answers, Data, Unanswered, compute, fluents_in, parameters_in, substituted, told
-from pnm.core.logic.computed_values import truth as is_true
+from pnm.core.logic.computed_values import Answers, Data, Unanswered, compute, fluents_in, observed_values, parameters_in, substituted
+from pnm.core.logic.computed_values import is_true as is_true
 from pnm.core.logic.expressions import (
     DURATION,
     NOTHING,
@@ -34,9 +34,9 @@ from pnm.core.logic.expressions import (
     choices,
     expression_fluents,
     expression_variables,
+    fluent_text,
     ground_expression,
     hidden,
-    show,
     value_of,
     variables_in,
 )
@@ -52,7 +52,7 @@ class Holds:
     fluent: Fluent
 
     def __str__(self) -> str:
-        return show(self.fluent)
+        return fluent_text(self.fluent)
 
 
 @dataclass(frozen=True, slots=True)
@@ -405,14 +405,14 @@ class Witness(State, Protocol):
 def observed(condition: Condition, state: Witness) -> str:
     """Say what the state has in place of the condition: the value of each fluent in it, and why if it is derived."""
     if isinstance(condition, Computed) and isinstance(state, Answers):
-        return told(condition.data, state)
+        return observed_values(condition.data, state)
     said = sorted(_told(fluent, state) for fluent in fluents(condition, state))
     return ", ".join(said) or "no fluent involved"
 
 
 def _told(fluent: Fluent, state: Witness) -> str:
     reason = state.because(fluent)
-    return f"{show(fluent)} is {_say(state.value(fluent))}{' ' if reason else ''}{reason}"
+    return f"{fluent_text(fluent)} is {_say(state.value(fluent))}{' ' if reason else ''}{reason}"
 
 
 def _say(value: Value | Unknown | None) -> str:

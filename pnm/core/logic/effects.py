@@ -22,15 +22,15 @@ from pnm.core.logic.expressions import (
     Unknown,
     Value,
     Variable,
+    absent_value,
     bind,
     choices,
     expression_fluents,
+    fluent_text,
     ground_expression,
     hidden,
     is_number,
-    nothing_like,
-    same,
-    show,
+    same_value,
     value_of,
 )
 
@@ -47,10 +47,10 @@ class Set:
 
     def __str__(self) -> str:
         if self.value == Constant(True):
-            return show(self.fluent)
+            return fluent_text(self.fluent)
         if self.value == Constant(False):
-            return f"(not {show(self.fluent)})"
-        return f"({self.operation} {show(self.fluent)} {self.value})"
+            return f"(not {fluent_text(self.fluent)})"
+        return f"({self.operation} {fluent_text(self.fluent)} {self.value})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ class When:
     """Of an effect at the end of an action: its condition is decided in the state the action starts in."""
 
     def __str__(self) -> str:
-        return f"(when {self.condition} {show_effects(self.effects)})"
+        return f"(when {self.condition} {effects_text(self.effects)})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ class ForEach:
     effects: Effects
 
     def __str__(self) -> str:
-        return f"(forall ({' '.join(map(str, self.variables))}) {show_effects(self.effects)})"
+        return f"(forall ({' '.join(map(str, self.variables))}) {effects_text(self.effects)})"
 
 
 Effect: TypeAlias = Set | When | ForEach
@@ -90,7 +90,7 @@ class TimedChange:
     changes: Mapping[Fluent, Value]
 
 
-def show_effects(effects: Effects) -> str:
+def effects_text(effects: Effects) -> str:
     """Write effects as one PDDL effect."""
     return str(effects[0]) if len(effects) == 1 else f"({' '.join(('and', *map(str, effects)))})"
 
@@ -233,7 +233,7 @@ def values_before(after: Changes, state: State) -> Changes:
     found: Changes = {}
     for fluent, value in after.items():
         old = state.value(fluent)
-        found[fluent] = old if old is not None else nothing_like(value)
+        found[fluent] = old if old is not None else absent_value(value)
     return found
 
 
@@ -245,7 +245,7 @@ def undo(before: Changes, after: Changes, now: State) -> Changes:
     result: Changes = {}
     for fluent, value in after.items():
         current, old = now.value(fluent), before[fluent]
-        if same(current, value):
+        if same_value(current, value):
             result[fluent] = old
         elif is_number(current) and is_number(old) and is_number(value):
             result[fluent] = current - (value - old)

@@ -84,7 +84,7 @@ class ValueOf:
     fluent: Fluent
 
     def __str__(self) -> str:
-        return "?duration" if self.fluent == DURATION else show(self.fluent)
+        return "?duration" if self.fluent == DURATION else fluent_text(self.fluent)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,14 +127,14 @@ def value_of(expression: Expression, state: State, env: Environment = NOTHING) -
             assert_never(expression)
 
 
-def same(one: Value | Unknown | None, other: Value | Unknown | None) -> bool:
+def same_value(one: Value | Unknown | None, other: Value | Unknown | None) -> bool:
     """Tell whether two recorded values are the same; nothing recorded is false, or no object, and 0 is not."""
     if one is None or other is None:
         one, other = (False if value is None or value == UNDEFINED else value for value in (one, other))
     return isinstance(one, bool) is isinstance(other, bool) and one == other
 
 
-def nothing_like(value: Value | Unknown) -> Value | Unknown:
+def absent_value(value: Value | Unknown) -> Value | Unknown:
     """Return what a fluent has when it no longer has such a value: false, no object, or a number nobody knows."""
     return False if isinstance(value, bool) else UNDEFINED if isinstance(value, str) else UNKNOWN
 
@@ -169,7 +169,7 @@ def _plain(value: object) -> Value:
     return value if isinstance(value, bool | int | float | str) else text_of(value)
 
 
-def show(fluent: Fluent) -> str:
+def fluent_text(fluent: Fluent) -> str:
     """Write the fluent as PDDL does."""
     return f"({' '.join(fluent)})"
 

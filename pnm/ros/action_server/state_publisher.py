@@ -9,7 +9,7 @@ from typing import Any, Final
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from pnm.actions.simulated_world import World
+from pnm.actions.simulated_world import SimulatedWorld
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.ros_thread import RosThread
@@ -27,7 +27,7 @@ class StatePublisher:
     The mutable state is the number of reports, and whether one is due.
     """
 
-    def __init__(self, ros: RosThread, loop: asyncio.AbstractEventLoop, world: World, names: frozenset[str]) -> None:
+    def __init__(self, ros: RosThread, loop: asyncio.AbstractEventLoop, world: SimulatedWorld, names: frozenset[str]) -> None:
         self._ros = ros
         self._loop = loop
         self._world = world

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
-from pnm.errors import InputError, meant
+from pnm.errors import InputError, suggestion
 
 ParameterValue: TypeAlias = bool | int | float | str
 
@@ -54,7 +54,7 @@ def declare(node: Any, parameters: Iterable[Parameter], given: Mapping[str, Para
             hint = "; expected a number such as 10.0" if isinstance(one.default, float) else ""
             raise InputError(f"the parameter {one.name} is wrong: {str(error) or type(error).__name__}{hint}") from error
         if one.choices and values[one.name] not in one.choices:
-            hint = meant(str(values[one.name]), one.choices)
+            hint = suggestion(str(values[one.name]), one.choices)
             expected = f"expected one of {', '.join(one.choices)}{f'; {hint}' if hint else ''}"
             raise InputError(f"the parameter {one.name} is {values[one.name]!r}; {expected}")
     return values
