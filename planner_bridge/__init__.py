@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from planner_bridge.model.plan import PlanningResult as PlanningResult
     from planner_bridge.model.plan import PlanningStatus as PlanningStatus
     from planner_bridge.model.plan import PlanStep as PlanStep
-    from planner_bridge.model.problem import ActionSchema as ActionSchema
     from planner_bridge.model.problem import Domain as Domain
     from planner_bridge.model.problem import Problem as Problem
     from planner_bridge.ordering.plan_to_graph import plan_graph as plan_graph
@@ -31,5 +30,6 @@ if TYPE_CHECKING:
     from planner_bridge.tasks.result import TaskResult as TaskResult
     from planner_bridge.tasks.settings import Settings as Settings
     from planner_bridge.tasks.settings import TaskObserver as TaskObserver
+    from pnm.core.logic.domain import ActionSchema as ActionSchema
 else:
     __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

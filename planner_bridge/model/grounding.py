@@ -10,9 +10,10 @@ from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from planner_bridge.model.problem import ActionSchema, Problem
+from planner_bridge.model.problem import Problem
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import ground
+from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import TimedChange, ground_effects, names_written
 from pnm.core.logic.expressions import DURATION, UNKNOWN, Environment, Fluent, State, Unknown, Value, fluent_text, value_of
 from pnm.core.logic.rules import Rule, Rules

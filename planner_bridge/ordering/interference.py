@@ -11,9 +11,10 @@ from dataclasses import dataclass, field, replace
 
 from planner_bridge.model.forbidden_actions import changed, guarded, unused
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.problem import Declaration, Problem
+from planner_bridge.model.problem import Problem
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents, operands_of
+from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Effects, ForEach, Set, When, possible_assignments, read
 from pnm.core.logic.expressions import NOTHING, Constant, Environment, Fluent, State, bind, choices, fluent_text
 from pnm.core.machine.plan_graph import ActionCall

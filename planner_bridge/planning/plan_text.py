@@ -7,7 +7,8 @@ from typing import Final
 
 from planner_bridge.model.grounding import initial_knowledge, modelled_duration
 from planner_bridge.model.plan import Plan, PlanStep
-from planner_bridge.model.problem import ActionSchema, Problem
+from planner_bridge.model.problem import Problem
+from pnm.core.logic.domain import ActionSchema
 from pnm.errors import InputError, Position, suggestion
 
 _LINE: Final = re.compile(r"\s*(?:(?P<time>[0-9.eE+-]+)\s*:)?\s*\((?P<call>[^()]*)\)\s*(?:\[(?P<duration>[0-9.eE+-]+)\])?\s*")

@@ -36,11 +36,12 @@ import kairos
 from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.plan_simulation import Course, Denied, expected_and_observed, snapshot
-from planner_bridge.model.problem import ActionSchema, Problem
+from planner_bridge.model.problem import Problem
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.plan_text import plan_text
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TOLERANCE, evaluate
+from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import assignments, possible_assignments
 from pnm.core.logic.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, fluent_text, value_of
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, moments, observed_of, progressed

@@ -17,13 +17,14 @@ from typing import Final
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.grounding import problem_now
-from planner_bridge.model.problem import Preference, Problem
+from planner_bridge.model.problem import Problem
 from planner_bridge.tasks.replanning import Progress, why_not
 from planner_bridge.tasks.result import ConstraintResult, PreferenceResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.actions.backend import schedule
 from pnm.clock import TimeLimit
 from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.domain import Preference
 from pnm.core.logic.expressions import NOTHING, Environment, choices
 from pnm.core.logic.trajectory import Constraint, ConstraintProgress, instances, is_fulfilled, names_in, observed_of, shifted
 from pnm.tasks import Code

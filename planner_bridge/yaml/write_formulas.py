@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from itertools import groupby
 from typing import Final, assert_never
 
-from planner_bridge.model.problem import DurationConstraint, Preference
 from planner_bridge.pddl.comments.table import NO_NOTES, Notes
 from planner_bridge.pddl.syntax.anchors import said
 from planner_bridge.pddl.syntax.pretty_print import flat
@@ -15,6 +14,7 @@ from planner_bridge.pddl.write.forms import condition_form, effects_form, types_
 from planner_bridge.pddl.write.writer import constraint_form, preference_form
 from planner_bridge.yaml.emitter import Bare, Entry, Mapping, Sequence, Value, items, single
 from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
+from pnm.core.logic.domain import DurationConstraint, Preference
 from pnm.core.logic.effects import Effect, Effects, ForEach, Set, When
 from pnm.core.logic.expressions import Arithmetic, Constant, Expression, ValueOf, Variable, fluent_text
 from pnm.core.logic.trajectory import Constraint

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Final, Literal, TypeAlias, TypeVar
 
-from planner_bridge.model.problem import ActionSchema, DurationConstraint, Preference
 from planner_bridge.pddl.read.constraints import is_preference, preference, told_apart, under
 from planner_bridge.pddl.read.declarations import Once
 from planner_bridge.pddl.read.formulas import condition, effects
@@ -18,6 +17,7 @@ from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, tolerate, 
 from planner_bridge.pddl.syntax.sections import keyed
 from planner_bridge.pddl.syntax.words import MOMENTS, Moment, new_name, operands, unsupported
 from pnm.core.logic.conditions import TRUE, Condition, ForAll, conjunction
+from pnm.core.logic.domain import ActionSchema, DurationConstraint, Preference
 from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, When
 from pnm.core.logic.expressions import Variable, expression_fluents
 

@@ -6,13 +6,13 @@ from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from typing import Final
 
-from planner_bridge.model.problem import Declaration
 from planner_bridge.pddl.read.formulas import condition
 from planner_bridge.pddl.read.symbols import Names
 from planner_bridge.pddl.read.terms import Scope
 from planner_bridge.pddl.syntax.expressions import Group, Node, tolerate, wrong
 from planner_bridge.pddl.syntax.words import CONNECTIVES, counted, new_name, operands, show_types
 from pnm.core.logic.conditions import polarities
+from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Variable
 from pnm.core.logic.rules import Rule
 
@@ -66,9 +66,9 @@ def _head(node: Node, names: Names) -> tuple[Declaration, tuple[Variable, ...]]:
 
 def _narrowed(given: Variable, needed: Variable, node: Node, names: Names) -> Variable:
     """Return the variable of a head with its own type, or with that of the declaration where its own is wider or missing."""
-    if all(names.matches((kind,), needed.types) for kind in given.types):
+    if all(names.domain.matches((kind,), needed.types) for kind in given.types):
         return given
-    if all(names.matches((kind,), given.types) for kind in needed.types):
+    if all(names.domain.matches((kind,), given.types) for kind in needed.types):
         return Variable(given.name, needed.types)
     raise wrong(node, f"{given.name!r} is of type {show_types(given.types)}; expected {show_types(needed.types)}")
 

@@ -11,7 +11,8 @@ from typing import Any, Final, TypeAlias
 
 import unified_planning.shortcuts as up
 
-from planner_bridge.model.problem import Declaration, Problem
+from planner_bridge.model.problem import Problem
+from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Fluent, Variable, fluent_text
 from pnm.errors import InputError
 

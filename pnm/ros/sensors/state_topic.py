@@ -1,7 +1,4 @@
-"""Listens to those who sense the world and report facts about it.
-
-Publishes what sensors see of a simulated world, whenever it changes.
-"""
+"""The state topic ``knowledge/sensed``: complete reports about some predicates and functions, both ends of it."""
 
 from __future__ import annotations
 

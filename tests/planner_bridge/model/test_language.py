@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from planner_bridge.model.grounding import initial_knowledge, problem_now
 from planner_bridge.model.plan import Plan, PlanStep
-from planner_bridge.model.problem import Declaration, Domain, Problem
+from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.simulation import simulated_backend
@@ -30,6 +30,7 @@ from pnm.core.execution.questions import Consultation
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Not, evaluate
+from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Set, When
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Value, ValueOf, Variable
 from pnm.core.logic.rules import Rule

@@ -23,7 +23,7 @@ from unified_planning.plans import ActionInstance, SequentialPlan, TimeTriggered
 
 from planner_bridge.model.grounding import dynamic_names, ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanStep
-from planner_bridge.model.problem import ActionSchema, Problem
+from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain, write_problem
 from planner_bridge.planning.kairos import validate
@@ -36,6 +36,7 @@ from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import TRUE, evaluate
+from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import changes, names_written
 from pnm.core.logic.expressions import Fluent, State, same_value
 from pnm.core.machine.bindings import Bindings

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from planner_bridge.cli.console import ConsoleObserver, print_result
 from planner_bridge.model.grounding import problem_now
-from planner_bridge.model.problem import ActionSchema, Preference, Problem
+from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline import pursue
 from planner_bridge.simulation import robots_of, simulated_backend
 from planner_bridge.tasks.constraint_monitor import Monitor
@@ -24,6 +24,7 @@ from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import Condition, Exists, Holds, Not
+from pnm.core.logic.domain import ActionSchema, Preference
 from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint
 from pnm.core.machine.bindings import Bindings

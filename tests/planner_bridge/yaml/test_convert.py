@@ -11,7 +11,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from planner_bridge.model.problem import ActionSchema, Domain, Preference, Problem
+from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain
 from planner_bridge.pddl.comments.table import Note, Table
 from planner_bridge.pddl.read.attach_comments import comments
@@ -22,6 +22,7 @@ from planner_bridge.yaml.reader import parse
 from planner_bridge.yaml.write_domain import write_domain as domain_as_yaml
 from planner_bridge.yaml.write_domain import write_problem as problem_as_yaml
 from pnm.core.logic.conditions import All, Compare, Holds
+from pnm.core.logic.domain import ActionSchema, Preference
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Constant, Fluent, ValueOf
 from pnm.core.logic.rules import Rule

@@ -11,7 +11,7 @@ from uuid import uuid4
 
 import pytest
 
-from planner_bridge.cli.console import Terminal
+from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.options import Files
 from planner_bridge.cli.run import run_written
 from planner_bridge.simulation import simulated_backend
@@ -432,7 +432,7 @@ def test_a_planner_that_is_not_there_is_refused_before_the_plan_begins(tmp_path:
 
 def test_a_terminal_is_told_nothing_that_makes_it_do_something() -> None:
     shown = StringIO()
-    Terminal(file=shown).print("start\n  go(\x1b[31m\ud800)", markup=False)
+    SafeConsole(file=shown).print("start\n  go(\x1b[31m\ud800)", markup=False)
     assert shown.getvalue() == "start\n  go(\ufffd[31m\ufffd)\n"
 
 
