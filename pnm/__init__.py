@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from pnm.core.knowledge_base import Layered as Layered
     from pnm.core.logic.computed_values import MISSING as MISSING
     from pnm.core.logic.conditions import Condition as Condition
-    from pnm.core.logic.conditions import evaluate as evaluate
     from pnm.core.logic.effects import Effect as Effect
     from pnm.core.logic.effects import changes as changes
+    from pnm.core.logic.evaluation import evaluate as evaluate
     from pnm.core.logic.expressions import UNKNOWN as UNKNOWN
     from pnm.core.logic.expressions import Fluent as Fluent
     from pnm.core.machine.bindings import Binding as Binding

@@ -21,7 +21,8 @@ from planner_bridge.pddl.read.terms import Scope
 from planner_bridge.pddl.syntax.expressions import Group, Node, parse, wrong
 from planner_bridge.pddl.syntax.words import number, number_text, operands
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
-from pnm.core.logic.conditions import Condition, Exists, ForAll, evaluate, operands_of
+from pnm.core.logic.conditions import Condition, Exists, ForAll, operands_of
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Unknown, Value, fluent_text
 from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import load_yaml

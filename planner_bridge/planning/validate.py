@@ -40,9 +40,9 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.plan_text import plan_text
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TOLERANCE, evaluate
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import assignments, possible_assignments
+from pnm.core.logic.evaluation import TOLERANCE, evaluate
 from pnm.core.logic.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, fluent_text, value_of
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, moments, observed_of, progressed
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent

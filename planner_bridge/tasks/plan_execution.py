@@ -29,8 +29,9 @@ from pnm.core.execution.call_requests import UnderWay
 from pnm.core.execution.call_results import Failure, RunResult
 from pnm.core.execution.events import Observer
 from pnm.core.execution.run import Run
-from pnm.core.logic.conditions import evaluate, names
+from pnm.core.logic.conditions import names
 from pnm.core.logic.effects import names_written, possible_assignments
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import CallOutcome, OnFailure, Rule

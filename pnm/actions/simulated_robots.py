@@ -17,8 +17,8 @@ from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.actions.simulated_world import Activity, SimulatedWorld
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.computed_values import MISSING, Question, compute
-from pnm.core.logic.conditions import TOLERANCE
 from pnm.core.logic.effects import Changes, TimedChange
+from pnm.core.logic.evaluation import TOLERANCE
 from pnm.core.logic.expressions import Fluent, Unknown, Value, bind
 from pnm.core.logic.operators import Uncomputable
 from pnm.core.machine.bindings import Bindings

@@ -9,8 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TRUE, Computed, Condition, evaluate, every_part, failing
+from pnm.core.logic.conditions import TRUE, Computed, Condition, every_part
 from pnm.core.logic.effects import Changes, changes, decided, undo, values_before
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.explain import failing
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final, TypeAlias, assert_never
 
-from pnm.core.logic.conditions import TOLERANCE
+from pnm.core.logic.evaluation import TOLERANCE
 from pnm.core.logic.operators import Uncomputable, operate
 from pnm.errors import InputError, PnmError
 

@@ -11,8 +11,10 @@ from dataclasses import dataclass, field
 
 from pnm.core.execution.questions import Consultation
 from pnm.core.knowledge_base import statement_text
-from pnm.core.logic.conditions import TRUE, Condition, conjuncts, evaluate, failing, names
+from pnm.core.logic.conditions import TRUE, Condition, conjuncts, names
 from pnm.core.logic.effects import Changes, Effects, changes, decided, facts, is_fixed, names_written
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.explain import failing
 from pnm.core.logic.expressions import Fluent, Value, same_value
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 

@@ -1,34 +1,21 @@
-"""What can be said about a state, and whether it holds: true, false or unknown.
+"""Conditions on a state, and the traversal of their parts; `pnm.core.logic.evaluation` decides whether they hold.
 
-Three values (Kleene): unknown is neither true nor false. A fluent that is *absent* from a
-state is false where a fact is asked for (closed world), undefined where an object is, and unknown
-where a number is. A fluent that a state maps to `UNKNOWN` is unknown either way. PDDL 3.1 does not
-say what an undefined object fluent is equal to: here, as for planners, to nothing, itself included.
 `str` of a condition is its PDDL text.
 """
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Final, Protocol, TypeAlias, assert_never
+from typing import Final, TypeAlias, assert_never
 
-from pnm.core.logic.computed_values import Answers, Data, Unanswered, compute, fluents_in, observed_values, parameters_in, substituted
-from pnm.core.logic.computed_values import is_true as is_true
+from pnm.core.logic.computed_values import Data, fluents_in, parameters_in, substituted
 from pnm.core.logic.expressions import (
-    DURATION,
     NOTHING,
-    UNDEFINED,
-    UNKNOWN,
     Environment,
     Expression,
     Fluent,
     State,
-    Truth,
-    Unknown,
-    Value,
-    ValueOf,
     Variable,
     bind,
     choices,
@@ -37,10 +24,8 @@ from pnm.core.logic.expressions import (
     fluent_text,
     ground_expression,
     hidden,
-    value_of,
     variables_in,
 )
-from pnm.core.logic.operators import Uncomputable
 
 # --- conditions ----------------------------------------------------------------------------
 
@@ -132,7 +117,7 @@ class Exists:
 
 @dataclass(frozen=True, slots=True)
 class Computed:
-    """The value is true: what hand-written plans say of variables. Unknown when it cannot be computed."""
+    """The computed value is true: a condition of hand-written plans on variables. Unknown when it cannot be computed."""
 
     data: Data
 
@@ -144,88 +129,8 @@ Condition: TypeAlias = Holds | Compare | Not | All | Any | Implies | ForAll | Ex
 
 TRUE: Final = All()
 
-_COMPARE: Final[dict[str, Callable[[float, float], bool]]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-}
-TOLERANCE: Final = 1e-6
-"""Numbers closer than this are equal: plans are computed and durations measured in floats."""
-
 
 # --- evaluation ----------------------------------------------------------------------------
-
-
-def evaluate(condition: Condition, state: State, env: Environment = NOTHING) -> Truth:
-    """Tell whether the condition is true, false or unknown in the state."""
-    match condition:
-        case Holds(fluent):
-            value = state.value(bind(fluent, env))
-            return value if value is UNKNOWN else bool(value)
-        case All(operands):
-            return _all(evaluate(operand, state, env) for operand in operands)
-        case Not(operand):
-            return negate(evaluate(operand, state, env))
-        case Compare(operation, left, right):
-            return _compare(operation, _recorded(left, state, env), _recorded(right, state, env))
-        case Any(operands):
-            return negate(_all(negate(evaluate(operand, state, env)) for operand in operands))
-        case Implies(left, right):
-            return evaluate(Any((Not(left), right)), state, env)
-        case ForAll(variables, body):
-            return _all(evaluate(body, state, inner) for inner in choices(variables, state, env))
-        case Exists(variables, body):
-            return negate(evaluate(ForAll(variables, Not(body)), state, env))
-        case Computed(data):
-            return _test(substituted(data, env), state)
-        case _:
-            assert_never(condition)
-
-
-def _test(data: Data, state: State) -> Truth:
-    """Raise `Unanswered` if it depends on what has to be asked first."""
-    if not isinstance(state, Answers):
-        return UNKNOWN
-    try:
-        return is_true(compute(data, state))
-    except Uncomputable:
-        return UNKNOWN
-
-
-def negate(truth: Truth) -> Truth:
-    """Return the opposite; unknown stays unknown."""
-    return truth if truth is UNKNOWN else not truth
-
-
-def _all(truths: Iterator[Truth]) -> Truth:
-    result: Truth = True
-    for truth in truths:
-        if truth is False:
-            return False
-        if truth is UNKNOWN:
-            result = UNKNOWN
-    return result
-
-
-def _recorded(expression: Expression, state: State, env: Environment) -> Value | Unknown | None:
-    """Return the value of the expression; None if it is a fluent of which nothing is recorded."""
-    if isinstance(expression, ValueOf) and expression.fluent != DURATION:
-        return state.value(bind(expression.fluent, env))
-    return value_of(expression, state, env)
-
-
-def _compare(operation: str, left: Value | Unknown | None, right: Value | Unknown | None) -> Truth:
-    if left is UNKNOWN or right is UNKNOWN:
-        return UNKNOWN
-    if isinstance(left, str) or isinstance(right, str):
-        return left == right != UNDEFINED if operation == "=" else UNKNOWN
-    if left is None or right is None:
-        return UNKNOWN
-    equal = abs(float(left) - float(right)) <= TOLERANCE
-    if operation == "=":
-        return equal
-    return equal if equal and "=" in operation else not equal and _COMPARE[operation](left, right)
 
 
 # --- looking into a condition --------------------------------------------------------------
@@ -330,7 +235,7 @@ def polarities(condition: Condition, positive: bool = True) -> Iterator[tuple[st
 
 
 def data_in(condition: Condition) -> Iterator[Data]:
-    """Yield what of the condition is computed from variables."""
+    """Yield the computed values in the condition."""
     return (part.data for part in every_part(condition) if isinstance(part, Computed))
 
 
@@ -378,44 +283,3 @@ def conjunction(parts: Iterable[Condition]) -> Condition:
     """Join conditions by ``and``: nested ones flattened, a single one left alone."""
     flat = conjuncts(All(tuple(parts)))
     return flat[0] if len(flat) == 1 else All(flat)
-
-
-def failing(condition: Condition, state: State) -> tuple[Condition, ...]:
-    """Return the conjuncts that do not hold in the state: what was expected and is not so.
-
-    Those that nobody had to ask about, because others did not hold, are not among them.
-    """
-    return tuple(part for part in conjuncts(condition) if _fails(part, state))
-
-
-def _fails(condition: Condition, state: State) -> bool:
-    try:
-        return evaluate(condition, state) is not True
-    except Unanswered:
-        return False
-
-
-class Witness(State, Protocol):
-    """A state that can also say why it has the derived facts it has."""
-
-    def because(self, fluent: Fluent, /) -> str:
-        """Say why the fluent has its value, to be read after that; empty for what is recorded and nothing more."""
-
-
-def observed(condition: Condition, state: Witness) -> str:
-    """Say what the state has in place of the condition: the value of each fluent in it, and why if it is derived."""
-    if isinstance(condition, Computed) and isinstance(state, Answers):
-        return observed_values(condition.data, state)
-    said = sorted(_told(fluent, state) for fluent in fluents(condition, state))
-    return ", ".join(said) or "no fluent involved"
-
-
-def _told(fluent: Fluent, state: Witness) -> str:
-    reason = state.because(fluent)
-    return f"{fluent_text(fluent)} is {_say(state.value(fluent))}{' ' if reason else ''}{reason}"
-
-
-def _say(value: Value | Unknown | None) -> str:
-    if value is UNKNOWN:
-        return "unknown"
-    return "false" if value is None else str(value).lower() if isinstance(value, bool) else f"{value}"

@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, assert_never
 
-from pnm.core.logic.conditions import Condition, Holds, evaluate, fluents, ground, names
+from pnm.core.logic.conditions import Condition, Holds, fluents, ground, names
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, State, Truth, Unknown, Value, bind, fluent_text
 from pnm.core.logic.rules import Body, CheckCondition, ChooseObject, FindFact, Rules
 

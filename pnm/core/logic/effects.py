@@ -1,4 +1,4 @@
-"""What an action does to a state.
+"""Effects: the changes that an action makes to a state.
 
 Effects are simultaneous: every condition and every right-hand side is evaluated in the
 state before, and a fact both deleted and added is added (PDDL 2.1, section 8).
@@ -10,7 +10,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, TypeAlias, assert_never
 
-from pnm.core.logic.conditions import Condition, evaluate, fluents, ground
+from pnm.core.logic.conditions import Condition, fluents, ground
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import (
     NOTHING,
     UNKNOWN,
@@ -84,14 +85,14 @@ Changes: TypeAlias = dict[Fluent, Value | Unknown]
 
 @dataclass(frozen=True, slots=True)
 class TimedChange:
-    """Facts and numbers that change by themselves at a time, in seconds: timed initial literals and fluents."""
+    """Facts and numbers that change by themselves at a time, in seconds: timed initial literals and fluents (PDDL 2.2)."""
 
     time: float
     changes: Mapping[Fluent, Value]
 
 
 def effects_text(effects: Effects) -> str:
-    """Write effects as one PDDL effect."""
+    """Return the PDDL text of effects, as one effect."""
     return str(effects[0]) if len(effects) == 1 else f"({' '.join(('and', *map(str, effects)))})"
 
 
@@ -131,7 +132,7 @@ def expanded(effects: Effects, state: State, env: Environment = NOTHING) -> Iter
 
 
 def decided(effects: Effects, state: State) -> Effects:
-    """Return what is left of the end effects of an action that starts in the state: the early conditions are decided."""
+    """Return the end effects of an action that starts in the state, with their early conditions decided."""
     if not any(map(is_early, effects)):
         return effects
     result: list[Effect] = []
@@ -189,7 +190,7 @@ def names_written(effects: Effects) -> frozenset[str]:
 
 
 def read(effects: Effects, state: State) -> frozenset[Fluent]:
-    """Return every fluent that decides what the effects do when they happen: their conditions and right-hand sides."""
+    """Return every fluent that the effects read when they happen: in their conditions and right-hand sides."""
     reads: set[Fluent] = set()
     for effect, env in expanded(effects, state):
         match effect:
@@ -206,7 +207,7 @@ def read(effects: Effects, state: State) -> frozenset[Fluent]:
 
 
 def read_early(effects: Effects, state: State) -> frozenset[Fluent]:
-    """Return every fluent that decides, when the action starts, what its end effects will be."""
+    """Return every fluent that end effects read when the action starts: in their early conditions."""
     early = ((effect.condition, env) for effect, env in expanded(effects, state) if isinstance(effect, When) and effect.early)
     return frozenset(fluent for condition, env in early for fluent in fluents(condition, state, env))
 
@@ -229,16 +230,13 @@ def _ground(effect: Effect, env: Environment) -> Effect:
 
 
 def values_before(after: Changes, state: State) -> Changes:
-    """Return what the state has for the fluents that are about to be changed; what is absent is false, undefined, or an unknown number."""
-    found: Changes = {}
-    for fluent, value in after.items():
-        old = state.value(fluent)
-        found[fluent] = old if old is not None else absent_value(value)
-    return found
+    """Return the old values of fluents that are about to change; an absent one is false, undefined, or an unknown number."""
+    before = {fluent: state.value(fluent) for fluent in after}
+    return {fluent: absent_value(after[fluent]) if old is None else old for fluent, old in before.items()}
 
 
 def undo(before: Changes, after: Changes, now: State) -> Changes:
-    """Return what takes back `after`: old values where nobody else has written since.
+    """Return the changes that roll `after` back: to the old values of fluents that were not written again since.
 
     A number that has changed since is moved back by the difference the effect made.
     """
@@ -253,19 +251,19 @@ def undo(before: Changes, after: Changes, now: State) -> Changes:
 
 
 def is_fixed(effect: Effect) -> bool:
-    """Return whether the effect gives the same values whatever the state: no condition, nothing that is read."""
+    """Return whether the effect assigns the same values in every state: it has no condition and reads nothing."""
     if isinstance(effect, ForEach):
         return all(map(is_fixed, effect.effects))
     return isinstance(effect, Set) and effect.operation == "assign" and isinstance(effect.value, Constant)
 
 
 def facts(effects: Iterable[Effect], state: State) -> Changes | None:
-    """Return the truth values and objects that the effects give whatever the state, or None if they do anything else."""
+    """Return the truth values and objects that the effects assign in any state; None if they depend on it, or assign numbers."""
     flat = tuple(effects)
     if not all(map(is_fixed, flat)):
         return None
-    found = changes(flat, state)
-    return None if any(map(is_number, found.values())) else found
+    assigned = changes(flat, state)
+    return None if any(map(is_number, assigned.values())) else assigned
 
 
 def _combine(operation: str, before: Value | Unknown | None, by: Value | Unknown) -> Value | Unknown:

@@ -20,7 +20,7 @@ Fluent: TypeAlias = tuple[str, ...]
 
 
 class Unknown(Enum):
-    """The third truth value, and the value of a fluent nobody knows."""
+    """The third truth value, and the value of a fluent that is not known."""
 
     UNKNOWN = "unknown"
 
@@ -39,11 +39,11 @@ DURATION: Final[Fluent] = ("?duration",)
 
 
 UNDEFINED: Final = "undefined"
-"""In place of an object: the fluent has none (PDDL 3.1), as has one that is absent. It is equal to nothing."""
+"""The value of an object fluent that has none (PDDL 3.1), absent ones included. It is equal to nothing, itself included."""
 
 
 class State(Protocol):
-    """What a condition is evaluated in."""
+    """A state that conditions are evaluated in."""
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
         """Return the value of a ground fluent; None when nothing is recorded about it."""
@@ -116,8 +116,8 @@ def value_of(expression: Expression, state: State, env: Environment = NOTHING) -
         case ValueOf(fluent) if fluent == DURATION and DURATION[0] in env:
             return _plain(env[DURATION[0]])
         case ValueOf(fluent):
-            found = state.value(bind(fluent, env))
-            return UNKNOWN if found is None else found
+            known = state.value(bind(fluent, env))
+            return UNKNOWN if known is None else known
         case Arithmetic(operation, operands):
             numbers = [value_of(operand, state, env) for operand in operands]
             if any(number is UNKNOWN or isinstance(number, str) for number in numbers):
@@ -128,14 +128,14 @@ def value_of(expression: Expression, state: State, env: Environment = NOTHING) -
 
 
 def same_value(one: Value | Unknown | None, other: Value | Unknown | None) -> bool:
-    """Tell whether two recorded values are the same; nothing recorded is false, or no object, and 0 is not."""
+    """Return whether two recorded values are the same; an absent one is the same as false and as no object, but not as 0."""
     if one is None or other is None:
         one, other = (False if value is None or value == UNDEFINED else value for value in (one, other))
     return isinstance(one, bool) is isinstance(other, bool) and one == other
 
 
 def absent_value(value: Value | Unknown) -> Value | Unknown:
-    """Return what a fluent has when it no longer has such a value: false, no object, or a number nobody knows."""
+    """Return the value of a fluent that no longer has a value of this kind: false, no object, or an unknown number."""
     return False if isinstance(value, bool) else UNDEFINED if isinstance(value, str) else UNKNOWN
 
 
@@ -170,7 +170,7 @@ def _plain(value: object) -> Value:
 
 
 def fluent_text(fluent: Fluent) -> str:
-    """Write the fluent as PDDL does."""
+    """Return the PDDL text of a fluent."""
     return f"({' '.join(fluent)})"
 
 
@@ -217,7 +217,7 @@ def ground_expression(expression: Expression, env: Environment) -> Expression:
         case ValueOf(fluent):
             return ValueOf(bind(fluent, env))
         case Arithmetic(operation, operands):
-            return Arithmetic(operation, tuple(ground_expression(one, env) for one in operands))
+            return Arithmetic(operation, tuple(ground_expression(operand, env) for operand in operands))
         case _:
             assert_never(expression)
 

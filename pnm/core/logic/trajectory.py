@@ -19,7 +19,9 @@ from dataclasses import dataclass, replace
 from math import inf
 from typing import Final
 
-from pnm.core.logic.conditions import TOLERANCE, Any, Condition, Not, Witness, conjuncts, evaluate, failing, ground, names, observed
+from pnm.core.logic.conditions import Any, Condition, Not, conjuncts, ground, names
+from pnm.core.logic.evaluation import TOLERANCE, evaluate
+from pnm.core.logic.explain import Witness, failing, observed
 from pnm.core.logic.expressions import NOTHING, Environment, State, Variable, choices
 
 

@@ -29,9 +29,10 @@ from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.questions import Consultation
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Not, evaluate
+from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Not
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Set, When
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Value, ValueOf, Variable
 from pnm.core.logic.rules import Rule
 from pnm.core.machine.bindings import Binding, Bindings, goal_data

@@ -16,7 +16,8 @@ from planner_bridge.tasks.scheduling.task_manager import Room, TaskMaster
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
-from pnm.core.logic.conditions import Condition, evaluate
+from pnm.core.logic.conditions import Condition
+from pnm.core.logic.evaluation import evaluate
 from pnm.errors import InputError
 from pnm.knowledge.sources.source import Source
 from pnm.language.runner import Performer, Program

@@ -24,13 +24,12 @@ from pnm.core.logic.conditions import (
     Implies,
     Not,
     conjuncts,
-    evaluate,
-    failing,
     fluents,
     ground,
     names,
-    observed,
 )
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.explain import failing, observed
 from pnm.core.logic.expressions import (
     DURATION,
     UNDEFINED,

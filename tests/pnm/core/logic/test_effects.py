@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TRUE, Condition, Holds, Not, evaluate
+from pnm.core.logic.conditions import TRUE, Condition, Holds, Not
 from pnm.core.logic.effects import (
     OPERATIONS,
     Changes,
@@ -35,6 +35,7 @@ from pnm.core.logic.effects import (
     values_before,
     written,
 )
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import (
     UNDEFINED,
     UNKNOWN,

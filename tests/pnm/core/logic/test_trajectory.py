@@ -12,7 +12,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import All, Any, Condition, Holds, Not, evaluate
+from pnm.core.logic.conditions import All, Any, Condition, Holds, Not
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Unknown, Variable
 from pnm.core.logic.trajectory import (
     IMPOSSIBLE,
