@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.expressions import Variable
 from pnm.core.machine.bindings import Binding
 from pnm.errors import InputError, Position, Tolerated, suggestion
@@ -120,7 +121,8 @@ class Draft:
     @property
     def action(self) -> LanguageAction:
         """The plan as an action that others call."""
-        return LanguageAction(self.name, ActionKind.PLAN, self.entry.start, self.parameters, binding=_CALLED)
+        schema = ActionSchema(self.name, self.parameters or ())
+        return LanguageAction(schema, ActionKind.PLAN, self.entry.start, self.parameters is None, binding=_CALLED)
 
 
 def read_domain(path: Path) -> LanguageDomain:
