@@ -9,9 +9,9 @@ from typing import Final
 
 from pnm.actions.bindings_file import read_binding
 from pnm.core.logic.computed_values import Data, Query, parts
-from pnm.core.logic.conditions import Condition, fluents, free_variables
+from pnm.core.logic.conditions import TRUE, Condition, fluents, free_variables
 from pnm.core.logic.domain import ActionSchema
-from pnm.core.logic.effects import Effects, ForEach, Set, When
+from pnm.core.logic.effects import Effects, ForEach, Set, When, is_early
 from pnm.core.logic.expressions import DURATION, Fluent, Variable, expression_variables, variables_in
 from pnm.core.machine.bindings import DEFAULT, Binding
 from pnm.errors import InputError, Position
@@ -135,7 +135,7 @@ def read_schema(name: str, entry: Mapped, scope: Scope) -> ActionSchema:
     inner = bound.inside((Variable(DURATION[0]),)) if scope.strict and bounds is not None else bound
     conditions = read_conditions(entry.node("preconditions"), inner)
     start_effects, end = read_timed_effects(entry.node("effects"), inner)
-    return ActionSchema(
+    schema = ActionSchema(
         name,
         parameters,
         conditions.start,
@@ -146,6 +146,19 @@ def read_schema(name: str, entry: Mapped, scope: Scope) -> ActionSchema:
         bounds,
         expected=end.expected,
     )
+    if scope.strict:
+        _check_moments(schema, entry)
+    return schema
+
+
+def _check_moments(schema: ActionSchema, entry: Mapped) -> None:
+    """Refuse moments in an action that has only one, and tests before its start."""
+    timed = (schema.invariant, schema.end_condition) != (TRUE, TRUE), bool(schema.start_effects)
+    for key, has_moments in zip(("preconditions", "effects"), timed, strict=True):
+        if has_moments and schema.duration is None:
+            raise InputError(f"only an action with a duration has moments; expected {key} without them", entry.position(key))
+    if any(map(is_early, schema.start_effects if schema.duration is not None else schema.end_effects)):
+        raise InputError("only an effect at the end of an action with a duration can be tested at its start", entry.position("effects"))
 
 
 def read_action(schema: ActionSchema, entry: Mapped, scope: Scope) -> LanguageAction:

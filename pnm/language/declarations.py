@@ -20,7 +20,7 @@ from pnm.core.logic.rules import Rule, Rules, UnstratifiedError
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language.formulas.conditions import read_condition
-from pnm.language.formulas.scope import Scope, read_names, read_typed_text, unknown
+from pnm.language.formulas.scope import Scope, read_names, read_typed_text, shown, unknown
 
 _DECLARED: Final = re.compile(r"\(\s*([^\s()?-][^\s()?]*)\s*((?:[^()]|\([^()]*\))*)\)\s*(?:-\s*(\S+|\(\s*either\s[^()]*\)))?\s*\Z")
 
@@ -54,7 +54,7 @@ def _names(node: Node | None, scope: Scope) -> dict[str, Types]:
 def _declarations(node: Node | None, kind: str, scope: Scope) -> dict[str, Declaration]:
     found: dict[str, Declaration] = {}
     for item in listed(node):
-        name, parameters, after = _declared(item)
+        name, parameters, after = declaration_parts(item)
         values = tuple(after.strip("()").split())
         values = values[values[:1] == ("either",) :]
         for value in values:
@@ -67,8 +67,12 @@ def _declarations(node: Node | None, kind: str, scope: Scope) -> dict[str, Decla
     return found
 
 
-def _declared(node: Node) -> tuple[str, str, str]:
-    """Take a declaration apart: the name, the text of the parameters, and the types behind it."""
+def declaration_parts(node: Node) -> tuple[str, str, str]:
+    """Return the name in a declaration, the text of the parameters, and that of the types behind it.
+
+    Raises:
+        InputError: it is something else.
+    """
     found = _DECLARED.match(node.text.strip()) if node.text is not None else None
     if found is None:
         raise node.wrong("expected something like (at ?r - robot ?p - place)")
@@ -105,7 +109,7 @@ def read_rule(node: Node, scope: Scope) -> Rule:
     entry = node.mapped()
     entry.only("fact", "condition")
     fact, condition = entry.needed("fact"), entry.needed("condition")
-    name, text, _ = _declared(fact)
+    name, text, _ = declaration_parts(fact)
     variables = read_typed_text(text, fact, scope)
     domain = scope.declared.domain
     declared = domain.predicates.get(name)
@@ -167,7 +171,7 @@ def _statement(node: Node, scope: Scope) -> tuple[Fluent, Value]:
     try:
         fluent, value = parse_statement(node.text or "")
     except InputError as error:
-        raise node.wrong("expected a fact such as (at r1 kitchen) or (= (battery r1) 80)") from error
+        raise node.wrong(f"expected a fact such as (at r1 kitchen) or (= (battery r1) 80), found {shown(node)}") from error
     if isinstance(value, float) and not isfinite(value):
         raise node.wrong(f"the number is too large: {node.text}")
     scope.check_change(fluent, node, Constant(value))

@@ -114,6 +114,11 @@ class Scope:
             case _ if types or self.is_object(value):
                 raise node.wrong(f"expected {'an object' if types else 'a number'}, found {value}")
 
+    def check_number(self, fluent: Fluent, node: Node) -> None:
+        """Refuse a fluent that is no numeric function."""
+        self.check_fluent(fluent, node, "function")
+        self.check_value(ValueOf(fluent), (), node)
+
     def is_object(self, value: Expression) -> bool:
         """Return whether the expression stands for an object rather than a number."""
         match value:
@@ -202,7 +207,7 @@ def read_names(node: Node, scope: Scope = ANYTHING) -> dict[str, tuple[str, ...]
 
 def _text(node: Node) -> str:
     if node.text is None:
-        hint = f"; write {node.written!r} with quotes" if node.written else ""
+        hint = f"; write {node.written!r} with quotes" if node.written else f", found {shown(node)}"
         raise node.wrong(f"expected names and types such as '?r - robot ?to - place'{hint}")
     return node.text
 
