@@ -28,9 +28,10 @@ from pnm.core.logic.expressions import Constant, Fluent, ValueOf
 from pnm.core.logic.rules import Rule
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError
-from tests.planner_bridge.pddl import test_pddl
+from tests.support import pddl_strategies as pddl
 from tests.support import strategies as generated
 from tests.support.files import ROOT, SHARED
+from tests.support.pddl_files import REFUSED
 from tests.support.refusals import refused
 
 PAIRS = SHARED / "pddl"
@@ -40,7 +41,7 @@ OWN = [(path.parents[2] / "domains" / path.parent.name / "domain.pddl", path) fo
 OTHERS = [
     (folder / "domain.pddl", folder / "problem.pddl")
     for folder in sorted(path.parent for path in PAIRS.glob("*/*/domain.pddl"))
-    if folder.name not in test_pddl.REFUSED
+    if folder.name not in REFUSED
 ]
 
 
@@ -113,18 +114,18 @@ def whole(domain: Domain) -> Domain:
 
 @settings(max_examples=8, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(
-    st.tuples(test_pddl.INSTANTANEOUS, test_pddl.DURATIVE),
-    st.lists(test_pddl.RULES, max_size=2),
-    st.lists(test_pddl.constraints(), max_size=2),
-    st.lists(test_pddl.WISHES, max_size=2),
+    st.tuples(pddl.INSTANTANEOUS, pddl.DURATIVE),
+    st.lists(pddl.RULES, max_size=2),
+    st.lists(pddl.constraints(), max_size=2),
+    st.lists(pddl.WISHES, max_size=2),
 )
 def test_a_domain_comes_back(
     actions: tuple[ActionSchema, ActionSchema], rules: list[Rule], kept: list[Constraint], wished: list[Preference]
 ) -> None:
     domain = replace(
-        test_pddl.domain_of(list(actions)),
+        pddl.domain_of(list(actions)),
         rules=tuple(rules),
-        constraints=tuple(map(test_pddl.over, kept)),
+        constraints=tuple(map(pddl.over, kept)),
         preferences=tuple(wished),
         hierarchy=("(:task t)", "(:method m\n    :parameters () ; why\n\t:task (t))"),
     )
@@ -135,12 +136,12 @@ def test_a_domain_comes_back(
 
 @settings(max_examples=8, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(
-    test_pddl.values(st.just(True)),
-    test_pddl.TIMED,
-    test_pddl.NUMBERS,
-    st.lists(test_pddl.PREFERENCES, max_size=2),
-    st.lists(test_pddl.constraints(), max_size=2),
-    st.lists(test_pddl.WISHES, max_size=2),
+    pddl.values(st.just(True)),
+    pddl.TIMED,
+    pddl.NUMBERS,
+    st.lists(pddl.PREFERENCES, max_size=2),
+    st.lists(pddl.constraints(), max_size=2),
+    st.lists(pddl.WISHES, max_size=2),
 )
 def test_a_problem_comes_back(
     init: dict[Fluent, bool | float | str],
@@ -151,16 +152,16 @@ def test_a_problem_comes_back(
     wished: list[Preference],
 ) -> None:
     goal = All((Holds(("idle",)), Compare(">", ValueOf(("charge", "r2")), Constant(number))))
-    soft = (*(replace(one, variables=(*test_pddl.OWN, *one.variables)) for one in goals), *wished)
+    soft = (*(replace(one, variables=(*pddl.OWN, *one.variables)) for one in goals), *wished)
     problem = Problem(
         "p",
-        test_pddl.domain_of([]),
+        pddl.domain_of([]),
         {"r2": ("robot",), "x": ("object",), "y": ("robot", "place")},
         init,
         timed,
         goal,
         None,
-        tuple(map(test_pddl.over, kept)),
+        tuple(map(pddl.over, kept)),
         tuple(sorted(soft, key=lambda one: isinstance(one.wanted, tuple))),
         network="(:htn :subtasks (and))\n(:tasks)",
         requirements=(":typing",),
