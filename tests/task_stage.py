@@ -17,6 +17,7 @@ from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
 from pnm.core.logic.conditions import Condition, evaluate
+from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError
 from pnm.knowledge.sources.source import Source
 from pnm.language.runner import Performer, Program
@@ -38,9 +39,10 @@ class Stage(TaskListener):
         room: Room,
         programs: Mapping[str, Program] | None = None,
         source: Source | None = None,
+        make_site: Callable[[Problem, Bindings, Faults], SimulatedSite] = SimulatedSite,
     ) -> None:
         self.problem = problem
-        self.site = SimulatedSite(problem, chosen.bindings, faults)
+        self.site = make_site(problem, chosen.bindings, faults)
         self.knowledge = initial_knowledge(problem)
         self.performer = None if programs is None else Performer(programs, self.site, self.knowledge, source)
         self.master = TaskMaster(problem, self.knowledge, self.site, chosen, self.read, source=source, room=room, performer=self.performer)
@@ -179,6 +181,7 @@ def play(
     room: Room | None = None,
     programs: Mapping[str, Program] | None = None,
     source: Source | None = None,
+    make_site: Callable[[Problem, Bindings, Faults], SimulatedSite] = SimulatedSite,
 ) -> None:
     """Play a scene, close the master, and see that nothing was against the rules."""
     errors = _Errors()
@@ -186,7 +189,7 @@ def play(
     async def whole() -> None:
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(lambda _, context: errors.found.append(str(context)))
-        stage = Stage(problem or fleet(), faults, chosen, room or Room(), programs, source)
+        stage = Stage(problem or fleet(), faults, chosen, room or Room(), programs, source, make_site)
         await stage.site.open(stage.knowledge)
         try:
             await scene(stage)
