@@ -28,15 +28,15 @@ from pnm.actions.backend import RobotsSite, Site, schedule
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.actions.simulated_robots import simulated_robots
 from pnm.clock import run_async
-from pnm.core.execution.call_results import UNCONFIRMED, RunResult
+from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.effects import names_written
 from pnm.core.logic.expressions import Unknown
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.machine import OnFailure
-from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.machine import CallOutcome, OnFailure
+from pnm.core.machine.plan_graph import ActionCall, Cause
 from pnm.errors import InputError, Tolerated
 from pnm.knowledge.sources.registry import Choice, Surroundings, open_sources
 from pnm.knowledge.sources.router import Sources
@@ -129,7 +129,7 @@ class Recital:
     def _ending(self, result: RunResult) -> TaskEnding:
         over = self._standing.stopped or Over(Code.TIMED_OUT, result.reason)  # who else stops it is its own limit
         reason = over.reason if result.stopped and not result.goal else result.reason
-        cause = "" if result.goal or result.stopped else result.failures[0].cause if result.failures else "goal_false"
+        cause = "" if result.goal or result.stopped else result.failures[0].cause if result.failures else Cause.GOAL_FALSE
         return TaskEnding(code_of_run(result, over.code), reason, results=self._performance.results, cause=cause)
 
 
@@ -300,7 +300,8 @@ class _WrittenTask:
             return replace(task, reason=f"{task.reason}; no planner can be asked: {error}")
         calls = [failure.call for failure in task.failures if failure.replan and isinstance(failure.call, ActionCall)]
         given_up = {ForbiddenCall.of(call.action): self.settings.limits.forbid_after for call in calls}
-        history = History(given_up, frozenset(ForbiddenCall.of(one.call.action) for one in task.calls if one.outcome == UNCONFIRMED))
+        unconfirmed = (one.call.action for one in task.calls if one.kind is CallOutcome.UNCONFIRMED)
+        history = History(given_up, frozenset(map(ForbiddenCall.of, unconfirmed)))
         rest = await pursue_on(problem, self.site, self.settings, self.observer, self.seconds, knowledge=world, history=history)
         return replace(rest, episodes=(*task.episodes, *rest.episodes), began=task.began)
 

@@ -23,7 +23,7 @@ from pnm.core.logic.effects import Changes, ground_effects, is_fixed, undo, valu
 from pnm.core.logic.expressions import Environment
 from pnm.core.logic.operators import CHANGING, Uncomputable
 from pnm.core.machine.bindings import Binding, Bindings, goal_data, open_parameters, placeholders
-from pnm.core.machine.machine import Deed
+from pnm.core.machine.machine import TransitionAction
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Request
 
@@ -119,9 +119,9 @@ class Calls:
         in_names = {name for pattern in patterns for name in placeholders(pattern)}
         return fields, tuple(dict.fromkeys((*missing, *(name for name in open_parameters(action) if name in in_names))))
 
-    def claiming(self, call: int, deed: Deed | None, consulted: Consultation) -> tuple[UUID, GroundAction]:
+    def claiming(self, call: int, deed: TransitionAction | None, consulted: Consultation) -> tuple[UUID, GroundAction]:
         """Return for which request, and with which parameters, the call claims resources: for the next one if it is being sent."""
-        if deed is Deed.SEND:
+        if deed is TransitionAction.SEND:
             return self._next(call), self.ready(call, consulted)
         return self._requests[call], self.action(call)
 
@@ -139,7 +139,7 @@ class Calls:
 
     # --- deeds --------------------------------------------------------------------------------
 
-    def foresee(self, deed: Deed | None, call: int, consulted: Consultation) -> None:
+    def foresee(self, deed: TransitionAction | None, call: int, consulted: Consultation) -> None:
         """Work out what the deed is going to change.
 
         Raises:
@@ -148,32 +148,32 @@ class Calls:
         if not self._asks:
             return
         match deed:
-            case Deed.SEND:
+            case TransitionAction.SEND:
                 action = self.ready(call, consulted)
                 if not all(map(is_fixed, (*action.start_effects, *action.end_effects))):
                     intention(replace(self._plan.calls[call], action=action), consulted)
-            case Deed.FINISH if not all(map(is_fixed, self._intended[call].end_effects)):
+            case TransitionAction.FINISH if not all(map(is_fixed, self._intended[call].end_effects)):
                 finished(self.action(call), self._intended[call], consulted)
             case _:
                 pass
 
-    def do(self, deed: Deed, call: int, attempt: int, consulted: Consultation) -> None:
+    def do(self, deed: TransitionAction, call: int, attempt: int, consulted: Consultation) -> None:
         """Do what the firing of a transition brings about; `attempt` counts the requests each time the call is reached."""
         match deed:
-            case Deed.SEND:
+            case TransitionAction.SEND:
                 self._send(call, attempt, consulted)
-            case Deed.ADOPT:
+            case TransitionAction.ADOPT:
                 pass  # what there is to know of it is known
-            case Deed.CANCEL:
+            case TransitionAction.CANCEL:
                 self.accepted.pop(call, None)
                 self.commands.append(Cancel(self._requests[call]))
-            case Deed.BEGIN:
+            case TransitionAction.BEGIN:
                 start = self._intended[call].start
                 self._begun[call] = values_before(start, consulted)
                 self._write(start)
-            case Deed.FINISH:
+            case TransitionAction.FINISH:
                 self._write(finished(self.action(call), self._intended[call], consulted))
-            case Deed.UNDO:
+            case TransitionAction.UNDO:
                 if call in self._begun:
                     self._write(undo(self._begun.pop(call), self._intended[call].start, consulted))
             case _:
