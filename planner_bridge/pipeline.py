@@ -1,26 +1,34 @@
-"""The story: problem → plan → plan graph → machine → run, and again from the world as it then is."""
+"""A goal or a hand-written plan, from its files to its result: a task manager with one task."""
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, cast
+from uuid import uuid4
 
 from planner_bridge.loading import load
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.simulation import SimulatedSite
-from planner_bridge.tasks.context import Mission
-from planner_bridge.tasks.goal_loop import Pursuit
-from planner_bridge.tasks.replanning import History
-from planner_bridge.tasks.result import Stopwatch, TaskResult
+from planner_bridge.simulation import SimulatedSite, simulated_site
+from planner_bridge.tasks.result import PlanResult, Stopwatch, TaskResult
+from planner_bridge.tasks.scheduling.task_manager import CurrentProblem, TaskManager
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from pnm.actions.backend import Site
+from pnm.actions.backend import Site, schedule
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
-from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import Condition
+from pnm.core.machine.machine import OnFailure
+from pnm.errors import InputError, Tolerated
+from pnm.knowledge.sources.registry import Surroundings, open_sources
+from pnm.knowledge.sources.router import Sources
+from pnm.language.plan import HandWrittenPlan, all_bindings, all_sources, called_plans, chosen_plan, read_plans
+from pnm.language.runner import Performer, Program
 from pnm.ros.backend import Ros2Site
-from pnm.tasks import Code
+from pnm.tasks import Code, Wanted
 
 Where: TypeAlias = Literal["simulated", "ros2"]
 
@@ -54,44 +62,114 @@ def achieve(
     with seconds.of("parse"):
         loaded = load(domain, problem)
     site: Site = Ros2Site(chosen.bindings, sensing=chosen.sensing) if actions == "ros2" else SimulatedSite(loaded, chosen.bindings, faults)
-    task = pursue(loaded, site, chosen, observer or TaskObserver(), seconds)
+    task = achieve_at(site, loaded, chosen, observer or TaskObserver(), seconds)
     return run_async(task, virtual=actions == "simulated")
 
 
-async def pursue(problem: Problem, site: Site, settings: Settings, observer: TaskObserver, seconds: Stopwatch) -> TaskResult:
-    """Plan, execute and replan at a site; `achieve` does this with a loop of its own."""
-    knowledge = initial_knowledge(problem)
+async def achieve_at(
+    site: Site, problem: Problem, settings: Settings, observer: TaskObserver | None = None, stopwatch: Stopwatch | None = None
+) -> TaskResult:
+    """Pursue the goal of a problem at a site; `achieve` does this with an event loop of its own.
+
+    Cancelling this stops the task: what is under way is cancelled and waited for; cancelling it again leaves it alone.
+
+    Raises:
+        InputError: the planner refuses the problem; nothing was started.
+    """
+    stopwatch, knowledge = stopwatch or Stopwatch(), initial_knowledge(problem)
     try:
-        return await _stoppable(Pursuit(Mission(problem, site, settings, observer, seconds, Layered(knowledge))), opens=True)
+        try:
+            await site.open(knowledge)
+        except asyncio.CancelledError:
+            cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
+            return TaskResult(Code.CANCELLED, "cancelled", 0, (), stopwatch.seconds)
+        manager = TaskManager(CurrentProblem(problem), knowledge, site, settings, lambda _: problem.goal)
+        return await manager.run(Wanted(uuid4(), ""), observer or TaskObserver(), stopwatch)
     finally:
         await site.close()
 
 
-async def pursue_on(
-    problem: Problem,
-    site: Site,
-    settings: Settings,
-    observer: TaskObserver,
-    seconds: Stopwatch,
+def carry_out(
+    file: Path,
+    name: str | None = None,
+    parameters: Mapping[str, object] | None = None,
     *,
-    knowledge: KnowledgeBase,
-    history: History,
-) -> TaskResult:
-    """Plan, execute and replan at a site that is open and keeps the knowledge up to date, after what has happened before."""
-    return await _stoppable(Pursuit(Mission(problem, site, settings, observer, seconds, Layered(knowledge)), history=history))
+    actions: Where = "simulated",
+    faults: Faults = NO_FAULTS,
+    settings: Settings | None = None,
+    observer: TaskObserver | None = None,
+    on_failure: OnFailure | None = None,
+    knowledge: Path | None = None,
+    warn: Callable[[Iterable[Tolerated]], None] | None = None,
+) -> PlanResult:
+    """Carry out a hand-written plan of a file.
 
+    Args:
+        file: a plan file of the language.
+        name: of the plan, if there are several.
+        parameters: variables that the run knows from the beginning.
+        actions: simulated robots under virtual time, or the action servers of ROS 2.
+        faults: what goes wrong in simulation.
+        settings: bindings that come before those of the files, limits, and the planner, for when the plan asks for one.
+        observer: is told what happens.
+        on_failure: what running actions do when one has failed, in place of what the plans say.
+        knowledge: the file in which global knowledge is kept, in place of what the plan chose.
+        warn: is told what in the files was not as it should be.
 
-async def _stoppable(pursuit: Pursuit, *, opens: bool = False) -> TaskResult:
-    """Pursue a goal. Cancelling this stops the task: what is under way is cancelled and waited for; cancelling it again leaves it alone."""
-    pursuing, is_stopped = asyncio.ensure_future(pursuit.pursue(opens=opens)), False
-    while not pursuing.done():
+    Raises:
+        InputError: an input is wrong; nothing was started.
+    """
+    stopwatch = Stopwatch()
+    with stopwatch.of("parse"):
+        settings = settings or Settings()
+        plans = {name: _with_settings(plan, settings, on_failure) for name, plan in read_plans(file).items()}
+        chosen = chosen_plan(plans, name)
+    if warn:
+        warn(plans[chosen].warnings)
+    with stopwatch.of("translate"):
+        programs = {name: Program.of(plans[name]) for name in called_plans(plans, chosen)}
+    bindings = all_bindings(plans.values())
+    site: Site = Ros2Site(bindings, sensing=settings.sensing) if actions == "ros2" else simulated_site(plans[chosen], bindings, faults)
+
+    async def task() -> PlanResult:
+        plan = plans[chosen]
+        world = KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules)
         try:
-            await asyncio.wait((pursuing,))
-        except asyncio.CancelledError:
-            if is_stopped:
-                pursuing.cancel()
-                raise
-            is_stopped = True
-            cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
-            pursuit.stop(Code.CANCELLED, "cancelled")
-    return pursuing.result()
+            await site.open(world)
+            sources = open_sources(all_sources(plans.values()), Surroundings(getattr(site, "ros", None), file.parent), knowledge)
+            try:
+                performer = Performer(programs, site, world, sources)
+                wanted = Wanted(uuid4(), chosen, parameters=parameters or {}, is_plan=True)
+                return await _carry_out_at(performer, wanted, replace(settings, bindings=bindings), observer or TaskObserver(), stopwatch)
+            finally:
+                await sources.close()
+        finally:
+            await site.close()
+
+    return run_async(task(), virtual=actions == "simulated")
+
+
+async def _carry_out_at(
+    performer: Performer, wanted: Wanted, settings: Settings, observer: TaskObserver, stopwatch: Stopwatch
+) -> PlanResult:
+    await performer.check(performer.perform(wanted.text, wanted.parameters))  # before anything is prepared
+    await performer.site.share(performer.prefix, performer.knowledge_of, performer.source or Sources())
+    await performer.prepare()
+    nothing = CurrentProblem(Problem(wanted.text, Domain(wanted.text)))
+    manager = TaskManager(nothing, performer.world, performer.site, settings, _no_goal, source=performer.source, performer=performer)
+    stop_time = schedule(performer.world, performer.programs[wanted.text].plan.timed, asyncio.get_running_loop().time())
+    try:
+        return cast("PlanResult", await manager.run(wanted, observer, stopwatch))
+    finally:
+        stop_time()
+
+
+def _no_goal(text: str) -> Condition:
+    raise InputError(f"there are no goals here: {text}")
+
+
+def _with_settings(plan: HandWrittenPlan, settings: Settings, on_failure: OnFailure | None) -> HandWrittenPlan:
+    """Return the plan with settings that come before its own; of two time limits the shorter one counts."""
+    limits = [limit for limit in (plan.timeout, settings.limits.seconds) if limit is not None]
+    bindings = settings.bindings.before(plan.bindings)
+    return replace(plan, bindings=bindings, timeout=min(limits, default=None), on_failure=on_failure or plan.on_failure)

@@ -13,11 +13,11 @@ from __future__ import annotations
 import asyncio
 import gc
 import selectors
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Awaitable, Callable, Coroutine, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext
 from math import isfinite
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, cast
 
 
 class TimeLimit:
@@ -115,6 +115,22 @@ def short_pauses() -> Iterator[None]:
 
 
 T = TypeVar("T")
+
+
+async def stoppable(work: Awaitable[T], stop: Callable[[], None]) -> T:
+    """Await the work. The first cancellation of the caller calls `stop` and waits on; the second cancels the work and is raised."""
+    running, is_stopped = asyncio.ensure_future(work), False
+    while not running.done():
+        try:
+            await asyncio.wait((running,))
+        except asyncio.CancelledError:
+            if is_stopped:
+                running.cancel()
+                raise
+            is_stopped = True
+            cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
+            stop()
+    return running.result()
 
 
 class _Jumping(selectors.DefaultSelector):

@@ -20,6 +20,7 @@ from planner_bridge.node.plan_request import Maker
 from planner_bridge.node.world_queries import SharedWorld
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
 from planner_bridge.pddl.read.reader import MAX_BYTES
+from planner_bridge.tasks.scheduling.task_manager import CurrentProblem
 from planner_bridge.tasks.settings import Settings
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
@@ -106,10 +107,10 @@ NOTHING: Final = Problem("nothing", Domain("nothing"))
 class ServedProblem:
     """The problem that goals are about, until another one is loaded.
 
-    The mutable state is the problem, in `_world` and `_maker`, and when it began.
+    The mutable state is the current problem, and what is made of it: `_world` and `_maker`.
 
     Args:
-        problem: the one to begin with.
+        current: the problem, which tasks are about as well.
         knowledge: what is known of its world.
         goals: texts of goals by name.
         settings: planner and limit for plans that nobody carries out.
@@ -119,25 +120,23 @@ class ServedProblem:
 
     def __init__(
         self,
-        problem: Problem,
+        current: CurrentProblem,
         knowledge: KnowledgeBase,
         goals: Mapping[str, str],
         settings: Settings,
         folder: Path,
         plans: Iterable[HandWrittenPlan] = (),
     ) -> None:
+        self._current = current
         self._knowledge = knowledge
         self._goals = goals
         self._settings = settings
         self._folder = folder
         self._plans = tuple(plans)
-        self.begins_anew: Callable[[Problem], None] = lambda _: None
-        """Is told of another problem before it is begun; raises an `InputError` when that cannot be."""
-        self._begin(problem)
+        self._begin()
 
-    def _begin(self, problem: Problem) -> None:
-        loop = asyncio.get_running_loop()
-        began = loop.time()
+    def _begin(self) -> None:
+        loop, problem, began = asyncio.get_running_loop(), self._current.problem, self._current.began
         self._is_loaded = problem is not NOTHING
         goals = self._goals if self._is_loaded else {}
         world = problem if self._is_loaded else world_of_plans(self._plans)
@@ -189,10 +188,10 @@ class ServedProblem:
         known = self._world.problem.domain if domain.strip() else self._loaded.problem.domain
         loaded = await asyncio.to_thread(load_texts, domain, problem, self._folder, known)
         SharedWorld(loaded, initial_knowledge(loaded), self._goals)
-        self.begins_anew(loaded)
+        self._current.replace(loaded)
         world = initial_knowledge(loaded)
         self._knowledge.begin_anew(world.facts(), world.objects_by_type(), world.rules)
-        self._begin(loaded)
+        self._begin()
 
     def follow(self, tell: Callable[[Mapping[str, object]], None], /) -> Callable[[], None]:
         """Tell what changes from now on, as fields of a message; return what stops that."""

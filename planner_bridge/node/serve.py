@@ -21,10 +21,8 @@ from planner_bridge.node.options import PARAMETERS, Options
 from planner_bridge.node.problem_service import NOTHING, ServedProblem
 from planner_bridge.node.world_queries import read_goals
 from planner_bridge.planning.solve import check_planner
-from planner_bridge.tasks.plan_task import sources_of, together
 from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.scheduling.task_manager import Room as Places
-from planner_bridge.tasks.scheduling.task_manager import TaskMaster
+from planner_bridge.tasks.scheduling.task_manager import CurrentProblem, TaskLimits, TaskManager
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.bindings_file import read_bindings
 from pnm.clock import short_pauses
@@ -36,7 +34,7 @@ from pnm.knowledge.sensor_model import NO_SENSING
 from pnm.knowledge.sources.registry import Surroundings, open_sources
 from pnm.knowledge.sources.router import Sources
 from pnm.knowledge.sources.source import Asker
-from pnm.language.plan import read_world
+from pnm.language.plan import all_bindings, all_sources, read_world
 from pnm.language.runner import Performer, Program
 from pnm.ros.backend import Ros2Site
 from pnm.ros.node.parameters import ParameterValue
@@ -90,18 +88,17 @@ async def open_tasks(room: Room) -> Opened:
         on_change=options.on_change,
     )
     goals = read_goals(options.goals) if options.goals else {}
-    problem = room.problem or NOTHING
     try:
         plans = [program.plan for program in room.performer.programs.values()]
-        world = ServedProblem(problem, room.knowledge, goals, settings, options.problems, plans)
+        current = CurrentProblem(room.problem or NOTHING)
+        world = ServedProblem(current, room.knowledge, goals, settings, options.problems, plans)
     except InputError as error:
         raise InputError(f"{options.goals}: {error}") from error
-    places = Places(options.max_tasks, options.max_queue, options.on_conflict)
-    master = TaskMaster(
-        problem, room.knowledge, room.site, settings, world.read_goal, source=room.sources, room=places, performer=room.performer
+    limits = TaskLimits(options.max_tasks, options.max_queue, options.on_conflict)
+    manager = TaskManager(
+        current, room.knowledge, room.site, settings, world.read_goal, source=room.sources, limits=limits, performer=room.performer
     )
-    world.begins_anew = master.begin_anew
-    return Opened(master, world.make, world, master.knowledge_of, master.close)
+    return Opened(manager, world.make, world, manager.knowledge_of, manager.close)
 
 
 def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], terminal: Terminal, warn: Warn) -> None:
@@ -201,14 +198,14 @@ class Serving:
         programs = {plan.name: Program.of(plan) for plan in plans}
         for name, program in programs.items():
             self._terminal.print(f"[bold]plan[/]     {name}: proved {program.proof}", highlight=False, soft_wrap=True)
-        bindings = _bindings(options, problem).before(together(plans))
+        bindings = _bindings(options, problem).before(all_bindings(plans))
         knowledge = common_knowledge(plans, problem)
         sensing = read_sensing(options.sensing, problem.vocabulary if problem else None) if options.sensing else NO_SENSING
         site = Ros2Site(bindings, sensing, self._ros)
         stack.push_async_callback(site.close)
         await site.open(knowledge)
         folder = (options.world or options.domain or Path()).parent
-        sources = open_sources(sources_of(plans), Surroundings(self._ros, folder), options.knowledge)
+        sources = open_sources(all_sources(plans), Surroundings(self._ros, folder), options.knowledge)
         stack.push_async_callback(sources.close)
         return Room(options, problem, Performer(programs, site, knowledge, sources), bindings, site, knowledge, sources)
 

@@ -9,6 +9,7 @@ import pytest
 
 from planner_bridge.node.initial_world import common_knowledge
 from planner_bridge.node.problem_service import NOTHING, ServedProblem
+from planner_bridge.tasks.scheduling.task_manager import CurrentProblem
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async
 from pnm.errors import InputError
@@ -63,7 +64,7 @@ plan:
 def play(text: str, scene: Callable[[ServedProblem], Awaitable[None]]) -> None:
     async def whole() -> None:
         plans = parse_plans(text).values()
-        await scene(ServedProblem(NOTHING, common_knowledge(plans), {}, Settings(), Path(), plans))
+        await scene(ServedProblem(CurrentProblem(NOTHING), common_knowledge(plans), {}, Settings(), Path(), plans))
 
     run_async(whole(), virtual=True)
 

@@ -12,7 +12,7 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_problem
 from planner_bridge.simulation import SimulatedSite
-from planner_bridge.tasks.scheduling.task_manager import Room, TaskMaster
+from planner_bridge.tasks.scheduling.task_manager import CurrentProblem, TaskLimits, TaskManager
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
@@ -36,7 +36,7 @@ class Stage(TaskListener):
         problem: Problem,
         faults: Faults,
         chosen: Settings,
-        room: Room,
+        limits: TaskLimits,
         programs: Mapping[str, Program] | None = None,
         source: Source | None = None,
         make_site: Callable[[Problem, Bindings, Faults], SimulatedSite] = SimulatedSite,
@@ -45,7 +45,9 @@ class Stage(TaskListener):
         self.site = make_site(problem, chosen.bindings, faults)
         self.knowledge = initial_knowledge(problem)
         self.performer = None if programs is None else Performer(programs, self.site, self.knowledge, source)
-        self.master = TaskMaster(problem, self.knowledge, self.site, chosen, self.read, source=source, room=room, performer=self.performer)
+        self.master = TaskManager(
+            CurrentProblem(problem), self.knowledge, self.site, chosen, self.read, source=source, limits=limits, performer=self.performer
+        )
         self.master.listen(self)
         self.goals: dict[UUID, str] = {}
         self.moments: list[Moment] = []
@@ -97,7 +99,7 @@ class Stage(TaskListener):
 
     def orphans(self) -> list[str]:
         """Return what robots do for no task."""
-        runs = [one.doing.run for one in self.master._tasks.values() if one.doing and one.doing.run]
+        runs = [one.control.run for one in self.master._tasks.values() if one.control.run]
         runs += [one.executor.run for one in self.performer.going_on] if self.performer else []
         wanted = {request for run in runs for request in run.open_requests}
         jobs = self.site.robots._jobs
@@ -178,7 +180,7 @@ def play(
     *,
     faults: Faults = NO_FAULTS,
     chosen: Settings,
-    room: Room | None = None,
+    limits: TaskLimits | None = None,
     programs: Mapping[str, Program] | None = None,
     source: Source | None = None,
     make_site: Callable[[Problem, Bindings, Faults], SimulatedSite] = SimulatedSite,
@@ -189,7 +191,7 @@ def play(
     async def whole() -> None:
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(lambda _, context: errors.found.append(str(context)))
-        stage = Stage(problem or fleet(), faults, chosen, room or Room(), programs, source, make_site)
+        stage = Stage(problem or fleet(), faults, chosen, limits or TaskLimits(), programs, source, make_site)
         await stage.site.open(stage.knowledge)
         try:
             await scene(stage)

@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner_bridge.node.simulate import LoggedRobots
-from planner_bridge.tasks.plan_task import simulated_site, together
+from planner_bridge.simulation import simulated_site
 from pnm.actions.simulated_robots import SimulatedRobots
 from pnm.actions.simulated_world import World
 from pnm.clock import run_async
@@ -34,7 +34,7 @@ from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, P
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
 from pnm.errors import InputError
 from pnm.executor import Executor
-from pnm.language.plan import read_plans
+from pnm.language.plan import all_bindings, read_plans
 from pnm.language.runner import Performer, Program
 from tests.support.runs.plan_graphs import ordering
 
@@ -535,7 +535,7 @@ def test_all_plans_of_a_performer_share_resources(tmp_path: Path) -> None:
     file = tmp_path / "plan.yaml"
     file.write_text(NESTED, encoding="utf-8")
     plans = read_plans(file)
-    site = simulated_site(plans["inner"], together(plans.values()))
+    site = simulated_site(plans["inner"], all_bindings(plans.values()))
     performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, site, KnowledgeBase())
 
     async def main() -> None:

@@ -22,9 +22,9 @@ from pnm.core.machine.machine import OnFailure
 from pnm.language.plan import read_plans
 from pnm.language.runner import Program
 from pnm.tasks import Code, TaskState
-from tests.conftest import ROOT
-from tests.domains import fleet
-from tests.task_stage import Stage, play
+from tests.support.files import ROOT
+from tests.support.problems import fleet
+from tests.support.tasks.task_stage import Stage, play
 
 NO_RETRY = Bindings({name: Binding(retries=0) for name in ("move", "pick", "drop")})
 SERVED = Settings(bindings=NO_RETRY, on_change=OnChange.EAGER, on_failure=OnFailure.CONTINUE_OTHERS)
@@ -67,7 +67,8 @@ def test_other_calls_go_on_and_others_begin_during_the_back_off() -> None:
         assert len(times_sent(stage, task)) == 2, "it was tried once more at once, and then the back-off began"
         await stage.master.cancel(task)
 
-    play(scene, fleet(places=8), faults=Faults((ALWAYS_ABORTED,)), chosen=replace(SERVED, limits=PATIENT))
+    slow = Fault("move(r1, a1, a2)", FaultKind.SLOW)
+    play(scene, fleet(places=8), faults=Faults((ALWAYS_ABORTED, slow)), chosen=replace(SERVED, limits=PATIENT))
 
 
 @pytest.mark.parametrize("goal", [BESIDE, ALONE], ids=["another call is under way", "nothing is under way"])
@@ -194,17 +195,17 @@ def test_a_loaded_plan_that_is_replanned_can_be_paused_and_is_preempted(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "why"),
+    ("old", "new", "code", "why"),
     [
-        ("goal: (at r1 b)\n", "", "no planner can be asked: the plan patrol has no goal"),
-        (", (way c b)", "", "no plan without move(r1, a, b), not to be tried again"),
-        ("[replan]", "[fail]", "move(r1, a, b)#0: aborted"),
+        ("goal: (at r1 b)\n", "", Code.ACTION_FAILED, "no planner can be asked: the plan patrol has no goal"),
+        (", (way c b)", "", Code.NO_PLAN, "no plan without move(r1, a, b), not to be tried again"),
+        ("[replan]", "[fail]", Code.ACTION_FAILED, "move(r1, a, b)#0: aborted"),
     ],
 )
-def test_why_no_planner_finds_another_way_for_a_loaded_plan(tmp_path: Path, old: str, new: str, why: str) -> None:
+def test_why_no_planner_finds_another_way_for_a_loaded_plan(tmp_path: Path, old: str, new: str, code: Code, why: str) -> None:
     async def scene(stage: Stage) -> None:
         task = stage.want("patrol", is_plan=True)
-        assert await stage.ended_with(task) == [Code.ACTION_FAILED]
+        assert await stage.ended_with(task) == [code]
         assert why in stage.endings[task].message
         assert stage.endings[task].cause == "aborted"
 
