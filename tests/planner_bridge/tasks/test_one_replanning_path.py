@@ -59,16 +59,21 @@ def test_attempts_that_fail_for_ever_are_spaced_by_the_back_off(goal: str) -> No
 PATIENT = Limits(forbid_after=100, replans=100, backoff=1000.0, longest_backoff=1000.0)
 
 
-def test_other_calls_go_on_and_others_begin_during_the_back_off() -> None:
+def test_what_is_under_way_goes_on_during_the_back_off_which_does_not_begin_anew_at_its_end() -> None:
+    limits = Limits(forbid_after=100, replans=100, backoff=50.0, longest_backoff=50.0)
+
     async def scene(stage: Stage) -> None:
-        task = stage.want("(and (at r0 a1) (at r1 a4))")
-        await stage.sees(task, "ended", "move(r1", times=3)
-        assert asyncio.get_running_loop().time() < 100.0
+        task = stage.want(BESIDE)
+        await stage.sees(task, "ended", "move(r1, a1, a2)")
         assert len(times_sent(stage, task)) == 2, "it was tried once more at once, and then the back-off began"
+        await stage.sees(task, "sent", CALL, times=3)
+        second_failure = stage.seen(task, "failed", CALL)[1].time
+        assert times_sent(stage, task)[2] - second_failure == pytest.approx(50.0, abs=0.2)
+        assert stage.sent(task).count("move(r1, a1, a2)") == 1
         await stage.master.cancel(task)
 
     slow = Fault("move(r1, a1, a2)", FaultKind.SLOW)
-    play(scene, fleet(places=8), faults=Faults((ALWAYS_ABORTED, slow)), chosen=replace(SERVED, limits=PATIENT))
+    play(scene, fleet(), faults=Faults((ALWAYS_ABORTED, slow)), chosen=replace(SERVED, limits=limits))
 
 
 @pytest.mark.parametrize("goal", [BESIDE, ALONE], ids=["another call is under way", "nothing is under way"])
