@@ -12,22 +12,21 @@ from uuid import uuid4
 from planner_bridge.loading import load
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.simulation import SimulatedSite, simulated_site
+from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.result import PlanResult, Stopwatch, TaskResult
-from planner_bridge.tasks.scheduling.task_manager import CurrentProblem, TaskManager
+from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from pnm.actions.backend import Site, schedule
+from pnm.actions.backend import Backend, schedule
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
-from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
 from pnm.core.machine.machine import OnFailure
 from pnm.errors import InputError, Tolerated
 from pnm.knowledge.sources.registry import Surroundings, open_sources
 from pnm.knowledge.sources.router import Sources
-from pnm.language.plan import HandWrittenPlan, all_bindings, all_sources, called_plans, chosen_plan, read_plans
+from pnm.language.plan import HandWrittenPlan, called_plans, chosen_plan, merge_bindings, read_plans, sources_of
 from pnm.language.runner import Performer, Program
-from pnm.ros.backend import Ros2Site
+from pnm.ros.backend import Ros2Backend
 from pnm.tasks import Code, Wanted
 
 Where: TypeAlias = Literal["simulated", "ros2"]
@@ -61,13 +60,15 @@ def achieve(
     seconds = stopwatch or Stopwatch()
     with seconds.of("parse"):
         loaded = load(domain, problem)
-    site: Site = Ros2Site(chosen.bindings, sensing=chosen.sensing) if actions == "ros2" else SimulatedSite(loaded, chosen.bindings, faults)
+    site: Backend = (
+        Ros2Backend(chosen.bindings, sensing=chosen.sensing) if actions == "ros2" else simulated_backend(loaded, chosen.bindings, faults)
+    )
     task = achieve_at(site, loaded, chosen, observer or TaskObserver(), seconds)
     return run_async(task, virtual=actions == "simulated")
 
 
 async def achieve_at(
-    site: Site, problem: Problem, settings: Settings, observer: TaskObserver | None = None, stopwatch: Stopwatch | None = None
+    site: Backend, problem: Problem, settings: Settings, observer: TaskObserver | None = None, stopwatch: Stopwatch | None = None
 ) -> TaskResult:
     """Pursue the goal of a problem at a site; `achieve` does this with an event loop of its own.
 
@@ -83,7 +84,7 @@ async def achieve_at(
         except asyncio.CancelledError:
             cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
             return TaskResult(Code.CANCELLED, "cancelled", 0, (), stopwatch.seconds)
-        manager = TaskManager(CurrentProblem(problem), knowledge, site, settings, lambda _: problem.goal)
+        manager = TaskManager(problem, knowledge, site, settings, lambda _: problem.goal)
         return await manager.run(Wanted(uuid4(), ""), observer or TaskObserver(), stopwatch)
     finally:
         await site.close()
@@ -128,15 +129,17 @@ def carry_out(
         warn(plans[chosen].warnings)
     with stopwatch.of("translate"):
         programs = {name: Program.of(plans[name]) for name in called_plans(plans, chosen)}
-    bindings = all_bindings(plans.values())
-    site: Site = Ros2Site(bindings, sensing=settings.sensing) if actions == "ros2" else simulated_site(plans[chosen], bindings, faults)
+    bindings = merge_bindings(plans.values())
+    site: Backend = (
+        Ros2Backend(bindings, sensing=settings.sensing) if actions == "ros2" else simulated_backend(plans[chosen], bindings, faults)
+    )
 
     async def task() -> PlanResult:
         plan = plans[chosen]
-        world = KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules)
+        world = initial_knowledge(plan)
         try:
             await site.open(world)
-            sources = open_sources(all_sources(plans.values()), Surroundings(getattr(site, "ros", None), file.parent), knowledge)
+            sources = open_sources(sources_of(plans.values()), Surroundings(getattr(site, "ros", None), file.parent), knowledge)
             try:
                 performer = Performer(programs, site, world, sources)
                 wanted = Wanted(uuid4(), chosen, parameters=parameters or {}, is_plan=True)
@@ -155,7 +158,7 @@ async def _carry_out_at(
     await performer.check(performer.perform(wanted.text, wanted.parameters))  # before anything is prepared
     await performer.site.share(performer.prefix, performer.knowledge_of, performer.source or Sources())
     await performer.prepare()
-    nothing = CurrentProblem(Problem(wanted.text, Domain(wanted.text)))
+    nothing = Problem(wanted.text, Domain(wanted.text))
     manager = TaskManager(nothing, performer.world, performer.site, settings, _no_goal, source=performer.source, performer=performer)
     stop_time = schedule(performer.world, performer.programs[wanted.text].plan.timed, asyncio.get_running_loop().time())
     try:

@@ -19,6 +19,8 @@ from contextlib import contextmanager, nullcontext
 from math import isfinite
 from typing import Any, Final, TypeVar, cast
 
+T = TypeVar("T")
+
 
 class TimeLimit:
     """Calls a function once so many seconds have been used up, on the clock of the event loop.
@@ -96,6 +98,21 @@ class TimeLimit:
             self._timer = None
 
 
+async def stop_then_cancel(work: Awaitable[T], stop: Callable[[], object]) -> T:
+    """Await work that can be ended in order, in a task of its own, and return its result.
+
+    Cancelling the caller once calls `stop`, which asks the work to come to its end, and goes on waiting for that; cancelling
+    it again cancels the work.
+    """
+    task = asyncio.ensure_future(work)
+    try:
+        await asyncio.wait((task,))
+    except asyncio.CancelledError:
+        cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
+        stop()
+    return await task
+
+
 _SELDOM: Final = 20_000
 """New objects after which garbage is looked for among them, in place of 700."""
 
@@ -112,25 +129,6 @@ def short_pauses() -> Iterator[None]:
     finally:
         gc.set_threshold(*usual)
         gc.unfreeze()
-
-
-T = TypeVar("T")
-
-
-async def stoppable(work: Awaitable[T], stop: Callable[[], None]) -> T:
-    """Await the work. The first cancellation of the caller calls `stop` and waits on; the second cancels the work and is raised."""
-    running, is_stopped = asyncio.ensure_future(work), False
-    while not running.done():
-        try:
-            await asyncio.wait((running,))
-        except asyncio.CancelledError:
-            if is_stopped:
-                running.cancel()
-                raise
-            is_stopped = True
-            cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
-            stop()
-    return running.result()
 
 
 class _Jumping(selectors.DefaultSelector):

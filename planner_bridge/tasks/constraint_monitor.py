@@ -12,15 +12,16 @@ from typing import Final
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.grounding import problem_now
-from planner_bridge.model.problem import Preference, Problem
+from planner_bridge.model.problem import Problem
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.replanning import Progress, why_not
 from planner_bridge.tasks.result import ConstraintResult, PreferenceResult, Violation
 from pnm.actions.backend import schedule
 from pnm.clock import TimeLimit
 from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.domain import Preference
 from pnm.core.logic.expressions import NOTHING, Environment, choices
-from pnm.core.logic.trajectory import Constraint, Watch, instances, is_fulfilled, names_in, seen_of, shifted
+from pnm.core.logic.trajectory import Constraint, ConstraintProgress, instances, is_fulfilled, names_in, observed_of, shifted
 from pnm.tasks import Code
 
 SETTLING: Final = 0.01
@@ -34,13 +35,13 @@ class _MonitoredConstraint:
     constraint: Constraint
     names: frozenset[str]
     """The predicates and functions it mentions."""
-    watch: Watch
+    progress: ConstraintProgress
     violation: Violation | None = None
 
     @property
     def untouched(self) -> bool:
         """Whether all of it is left. (Whether its one time has begun, the present state says as well.)"""
-        return tuple(replace(one, begun=False) for one in self.watch.rest) == (self.constraint,)
+        return tuple(replace(one, begun=False) for one in self.progress.rest) == (self.constraint,)
 
 
 class ConstraintMonitor:
@@ -59,7 +60,7 @@ class ConstraintMonitor:
         self._looked = False
 
     def _instance(self, constraint: Constraint, env: Environment = NOTHING) -> list[_MonitoredConstraint]:
-        return [_MonitoredConstraint(one, names_in(one), Watch((one,))) for one in instances(constraint, self._knowledge, env)]
+        return [_MonitoredConstraint(one, names_in(one), ConstraintProgress((one,))) for one in instances(constraint, self._knowledge, env)]
 
     def _instances(self, preference: Preference) -> list[list[_MonitoredConstraint]]:
         wanted = preference.wanted
@@ -92,12 +93,12 @@ class ConstraintMonitor:
 
     def _see(self, watched: _MonitoredConstraint, now: float) -> Violation | None:
         """Return the violation if this look finds it."""
-        before = watched.watch
-        watched.watch = before.seen(self._knowledge, now, self._lag(watched))
-        if before.violated or not watched.watch.violated:
+        before = watched.progress
+        watched.progress = before.seen(self._knowledge, now, self._lag(watched))
+        if before.violated or not watched.progress.violated:
             return None
         time = now if before.doubtful_since is None else before.doubtful_since
-        watched.violation = Violation(watched.constraint, time, seen_of(watched.constraint, self._knowledge))
+        watched.violation = Violation(watched.constraint, time, observed_of(watched.constraint, self._knowledge))
         return watched.violation
 
     def _lag(self, watched: _MonitoredConstraint) -> float:
@@ -105,15 +106,17 @@ class ConstraintMonitor:
 
     def next_look(self, now: float) -> float:
         """Return when to look again even if nothing changes; infinity if that is not needed."""
-        return min((one.watch.next_look(now, self._lag(one)) for one in self._all()), default=inf)
+        return min((one.progress.next_look(now, self._lag(one)) for one in self._all()), default=inf)
 
     def doubtful_until(self) -> float:
         """Return when, at the latest, it will be known of everything that looks violated now whether it is; 0 if nothing does."""
-        return max((one.watch.doubtful_since + self._lag(one) for one in self._all() if one.watch.doubtful_since is not None), default=0.0)
+        return max(
+            (one.progress.doubtful_since + self._lag(one) for one in self._all() if one.progress.doubtful_since is not None), default=0.0
+        )
 
     def missing(self, now: float) -> tuple[Constraint, ...]:
         """Return the ground constraints that would not be kept if the task ended now."""
-        return tuple(one.constraint for one in self._hard() if not is_fulfilled(one.watch.rest, self._knowledge, now))
+        return tuple(one.constraint for one in self._hard() if not is_fulfilled(one.progress.rest, self._knowledge, now))
 
     def rest_of(self, problem: Problem, now: float) -> Problem:
         """Return the problem from the world as it is with those constraints and preferences that are left."""
@@ -149,9 +152,9 @@ class ConstraintMonitor:
         return ConstraintResult(constraint, "violated" if found else "fulfilled", found)
 
     def _violation(self, watched: _MonitoredConstraint, now: float) -> Violation | None:
-        if watched.violation or is_fulfilled(watched.watch.rest, self._knowledge, now):
+        if watched.violation or is_fulfilled(watched.progress.rest, self._knowledge, now):
             return watched.violation
-        return Violation(watched.constraint, now, seen_of(watched.constraint, self._knowledge))
+        return Violation(watched.constraint, now, observed_of(watched.constraint, self._knowledge))
 
     def preference_results(self, now: float) -> tuple[PreferenceResult, ...]:
         """Return what became of the preferences of every name if the task ends now; those of actions are not monitored."""
@@ -171,7 +174,7 @@ class ConstraintMonitor:
 
 
 def _left(instance: list[_MonitoredConstraint], now: float) -> tuple[Constraint, ...]:
-    return tuple(shifted(left, now) for one in instance for left in one.watch.rest)
+    return tuple(shifted(left, now) for one in instance for left in one.progress.rest)
 
 
 class TaskMonitor:

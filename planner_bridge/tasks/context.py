@@ -14,7 +14,7 @@ from planner_bridge.tasks.scheduling.planning_queue import PlanningQueue
 from planner_bridge.tasks.scheduling.preemption import Preemption
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.tasks.task import Task
-from pnm.actions.backend import Site
+from pnm.actions.backend import Backend
 from pnm.core.execution.resources import Resources
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.knowledge.sources.source import Source
@@ -42,7 +42,7 @@ class TaskContext:
     task: Task
     problem: Problem
     knowledge: Layered
-    site: Site
+    site: Backend
     settings: Settings
     resources: Resources
     source: Source | None

@@ -21,7 +21,7 @@ from planner_bridge.tasks.plan_search import NoPlan, PlanSearch
 from planner_bridge.tasks.replanning import Decision, GiveUp, History, PlanAgain, Progress, Resume, decide, shortened, times_that_matter
 from planner_bridge.tasks.result import TaskLog, TaskResult, code_of_failures, code_of_planning, join_reasons, no_plan_reason, retry_reason
 from pnm.core.execution.resources import who_keeps
-from pnm.core.logic.conditions import evaluate
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import PlanGraph, PlanGraphError
 from pnm.core.machine.verification.explore import Unsound

@@ -14,7 +14,7 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus
 from planner_bridge.model.plan_simulation import after
 from planner_bridge.model.problem import Problem
-from planner_bridge.ordering.interference import around, at_best, footprint
+from planner_bridge.ordering.interference import around, footprint, optimistic_state
 from planner_bridge.ordering.plan_to_graph import calls_of, one_by_one
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
@@ -162,7 +162,7 @@ class PlanSearch:
         """Return the tasks after whose running calls there may be a plan: while a robot moves, it is nowhere."""
         if not running or found.status not in _NO_PLAN:
             return ()
-        optimistic = at_best(now, [call for one in running for call in one.calls])
+        optimistic = optimistic_state(now, [call for one in running for call in one.calls])
         other = await self._solve(optimistic)
         if other.plan is None:
             return ()

@@ -6,6 +6,7 @@ and what is merged first before what is merged later.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Final, TypeVar
 
 import yaml
 
-from pnm.errors import InputError, Position, meant
+from pnm.errors import InputError, Position, suggestion
 from pnm.files.text import read_text
 from pnm.files.yaml_loader import NO_ANCHORS, TEXTS, compose, is_null, kind, position
 
@@ -115,7 +116,7 @@ class Mapped:
         """Refuse every key but the known ones, naming the nearest."""
         for key, (where, _) in self.nodes.items():
             if key not in known:
-                hint = meant(key, known) or f"expected one of {', '.join(known)}"
+                hint = suggestion(key, known) or f"expected one of {', '.join(known)}"
                 raise InputError(f"unknown key {key!r}; {hint}", where)
 
     def position(self, key: str) -> Position:
@@ -216,6 +217,18 @@ class Node:
     def position(self) -> Position:
         """Where the value stands."""
         return position(self.raw, self.file)
+
+    def position_of(self, word: str) -> Position:
+        """Return where a word stands in the value, or where the value does if the file spells it in another way."""
+        start, end = self.raw.start_mark, self.raw.end_mark
+        written = (start.buffer or "")[start.pointer : start.pointer + end.index - start.index]
+        found = re.search(rf"(?<![^\s()\[\]{{}},'\"]){re.escape(word)}(?![^\s()\[\]{{}},:'\"])", written)
+        if found is None or word == self.text:
+            return self.position
+        before = written[: found.start()]
+        lines = before.count("\n")
+        column = len(before) - before.rfind("\n") if lines else start.column + len(before) + 1
+        return Position(self.file, start.line + 1 + lines, column)
 
     @property
     def is_null(self) -> bool:

@@ -14,9 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.expressions import Variable
 from pnm.core.machine.bindings import Binding
-from pnm.errors import InputError, Position, Tolerated, meant
+from pnm.errors import InputError, Position, Tolerated, suggestion
 from pnm.files.text import read_text
 from pnm.files.yaml_nodes import MAX_BYTES, Mapped, parse_yaml
 from pnm.language.actions import CLASSES, ActionKind, LanguageAction, read_class
@@ -50,11 +51,11 @@ def parse_documents(text: str, file: str) -> tuple[tuple[Mapped, ...], tuple[Tol
     try:
         return parse_yaml(text, file, ANCHORS), ()
     except InputError as error:
-        meant, changed = _as_meant(text) if len(text) <= MAX_EXCERPT else (text, [])
+        suggestion, changed = _as_meant(text) if len(text) <= MAX_EXCERPT else (text, [])
         if not changed:
             raise
         try:
-            found = parse_yaml(meant, file, ANCHORS)
+            found = parse_yaml(suggestion, file, ANCHORS)
         except InputError:
             raise error from None
         return found, tuple(Tolerated(message, Position(file, line, 1)) for line, message in changed)
@@ -120,7 +121,8 @@ class Draft:
     @property
     def action(self) -> LanguageAction:
         """The plan as an action that others call."""
-        return LanguageAction(self.name, ActionKind.PLAN, self.entry.start, self.parameters, binding=_CALLED)
+        schema = ActionSchema(self.name, self.parameters or ())
+        return LanguageAction(schema, ActionKind.PLAN, self.entry.start, self.parameters is None, binding=_CALLED)
 
 
 def read_domain(path: Path) -> LanguageDomain:
@@ -132,10 +134,10 @@ def read_domain(path: Path) -> LanguageDomain:
     documents, warnings = read_documents(path)
     for document in documents:
         _entries(document)
-    found = _domain_in(documents, warnings)
-    if found is None:
+    top = domain_document(documents)
+    if top is None:
         raise InputError("there is no domain in the file; expected the key 'actions'", Position(str(path), 1, 1))
-    return found
+    return domain_from(top, warnings)
 
 
 def drafts(path: Path, domain: LanguageDomain | None = None) -> list[Draft]:
@@ -149,7 +151,8 @@ def drafts(path: Path, domain: LanguageDomain | None = None) -> list[Draft]:
 
 def drafts_in(documents: tuple[Mapped, ...], warnings: tuple[Tolerated, ...], domain: LanguageDomain | None) -> list[Draft]:
     """Read the heads of all plans of a file's documents; see `drafts`."""
-    own = _domain_in(documents, warnings)
+    top = domain_document(documents)
+    own = None if top is None else domain_from(top, warnings)
     found: list[Draft] = []
     for document in documents:
         for name, entry in _entries(document):
@@ -188,15 +191,16 @@ def _entries(document: Mapped) -> list[tuple[str, Mapped]]:
     return found
 
 
-def _domain_in(documents: Iterable[Mapped], warnings: tuple[Tolerated, ...] = ()) -> LanguageDomain | None:
-    found: LanguageDomain | None = None
-    for document in documents:
-        if not document.nodes.keys() & _ONLY_DOMAINS:
-            continue
-        if found is not None:
-            raise InputError("there is a domain in this file already", document.start)
-        found = domain_from(document, warnings)
-    return found
+def domain_document(documents: Iterable[Mapped]) -> Mapped | None:
+    """Return the document that has a domain; None if none has.
+
+    Raises:
+        InputError: several have.
+    """
+    found = [document for document in documents if document.nodes.keys() & _ONLY_DOMAINS]
+    if len(found) > 1:
+        raise InputError("there is a domain in this file already", found[1].start)
+    return found[0] if found else None
 
 
 def _domain_of(entry: Mapped, own: LanguageDomain | None, given: LanguageDomain | None) -> LanguageDomain:
@@ -217,7 +221,7 @@ def beside(entry: Mapped, key: str, path: str) -> Path:
     found = Path(entry.file).parent / path
     if not found.is_file():
         others = sorted(one.name for one in found.parent.glob("*.y*ml")) if found.parent.is_dir() else []
-        hint = meant(found.name, others)
+        hint = suggestion(found.name, others)
         raise InputError(f"there is no file {path!r} beside this one{f'; {hint}' if hint else ''}", entry.position(key))
     return found
 

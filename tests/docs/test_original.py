@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from planner_bridge.pipeline import carry_out
-from planner_bridge.simulation import simulated_site
+from planner_bridge.simulation import simulated_backend
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.generate import generate
@@ -335,7 +335,7 @@ def test_p6_runs_that_are_over_are_forgotten(tmp_path: Path) -> None:
     plan = read(tmp_path, "[{a: {}}]")
 
     async def twice() -> list[object]:
-        performer = Performer({"plan": Program.of(plan)}, simulated_site(plan, plan.bindings), KnowledgeBase())
+        performer = Performer({"plan": Program.of(plan)}, simulated_backend(plan, plan.bindings), KnowledgeBase())
         await performer.site.open(performer.world)
         for _ in range(2):
             assert (await performer.execute(performer.perform("plan"))).goal

@@ -11,10 +11,10 @@ import pytest
 from planner_bridge.loading import load
 from planner_bridge.pddl import write_domain, write_problem
 from planner_bridge.pipeline import achieve_at
-from planner_bridge.simulation import SimulatedSite
+from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.clock import run_async
-from pnm.core.logic.conditions import evaluate
+from pnm.core.logic.evaluation import evaluate
 from pnm.errors import InputError
 from tests.support.files import SHARED
 
@@ -59,7 +59,7 @@ def pair(name: str) -> tuple[Path, Path]:
 def test_solved_pairs_reach_their_goal_in_the_world(name: str) -> None:
     problem = load(*pair(name))
     settings = Settings()
-    site = SimulatedSite(problem, settings.bindings)
+    site = simulated_backend(problem, settings.bindings)
     result = run_async(achieve_at(site, problem, settings, TaskObserver()), virtual=True)
     assert result.goal_reached, result.reason
     assert evaluate(problem.goal, site.robots.world.truth) is True
@@ -69,7 +69,7 @@ def test_solved_pairs_reach_their_goal_in_the_world(name: str) -> None:
 @present("name", NO_PLAN)
 def test_unsolvable_pairs_are_said_to_be(name: str) -> None:
     problem = load(*pair(name))
-    result = run_async(achieve_at(SimulatedSite(problem, Settings().bindings), problem, Settings(), TaskObserver()), virtual=True)
+    result = run_async(achieve_at(simulated_backend(problem, Settings().bindings), problem, Settings(), TaskObserver()), virtual=True)
     assert not result.goal_reached
     assert result.reason.startswith("no plan: proved unsolvable")
     assert result.calls == ()

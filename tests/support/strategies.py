@@ -16,10 +16,11 @@ from hypothesis import strategies as st
 
 from planner_bridge.model.grounding import initial_knowledge, modelled_duration
 from planner_bridge.model.plan import Plan, PlanStep
-from planner_bridge.model.problem import ActionSchema, Declaration, Domain, DurationConstraint, Problem
+from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.planning.validate import why_invalid
 from pnm.core.logic.conditions import TRUE, All, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
 from pnm.core.logic.conditions import Any as AnyOf
+from pnm.core.logic.domain import ActionSchema, Declaration, DurationConstraint
 from pnm.core.logic.effects import Effect, Effects, ForEach, Set, TimedChange, When
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, Value, ValueOf, Variable
 
@@ -230,7 +231,7 @@ def domains(draw: Draw, features: Features) -> Domain:
     requirements = (*REQUIREMENTS, *((":durative-actions", ":duration-inequalities", ":timed-initial-literals") if features.timed else ()))
     constants = {"c": ("u",)} if draw(st.booleans()) else {}
     facts, numbers = _declarations(draw, features, "p", 4, 2), _declarations(draw, features, "f", 2, 1)
-    domain = Domain("d", requirements, TYPES, constants, facts, numbers)
+    domain = Domain("d", TYPES, constants, facts, numbers, requirements=requirements)
     names = [f"a{number}" for number in range(draw(st.integers(1, 4)))]
     return replace(domain, actions={name: _action(draw, domain, features, name) for name in names})
 

@@ -25,9 +25,9 @@ from planner_bridge.tasks.scheduling.planning_queue import PlanningQueue
 from planner_bridge.tasks.scheduling.preemption import Preemption
 from planner_bridge.tasks.settings import OnChange, Settings, TaskObserver
 from planner_bridge.tasks.task import StartTask, Task
-from pnm.actions.backend import Site
+from pnm.actions.backend import Backend
 from pnm.broadcast import broadcast
-from pnm.clock import stoppable
+from pnm.clock import stop_then_cancel
 from pnm.core.execution.resources import Resources
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import TRUE, Condition
@@ -59,31 +59,6 @@ class TaskLimits:
     on_conflict: OnConflict = OnConflict.PLAN_AROUND
 
 
-class CurrentProblem:
-    """The problem that goals are about, until it is replaced. Everything in it is mutable state.
-
-    Args:
-        problem: the one to begin with.
-    """
-
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        self.began = asyncio.get_running_loop().time()
-        """When the world was as the problem begins, on the clock of the event loop."""
-        self.tasks: dict[UUID, Task] = {}
-        """The tasks in its world that are not over."""
-
-    def replace(self, problem: Problem) -> None:
-        """Have goals be about another problem from now on.
-
-        Raises:
-            InputError: there are tasks.
-        """
-        if self.tasks:
-            raise InputError(f"there are {len(self.tasks)} tasks; they must be over before another problem is loaded")
-        self.problem, self.began = problem, asyncio.get_running_loop().time()
-
-
 class TaskManager:
     """Carries out tasks in one world, as `pnm.tasks.Tasks`.
 
@@ -102,9 +77,9 @@ class TaskManager:
 
     def __init__(
         self,
-        problem: CurrentProblem,
+        problem: Problem,
         knowledge: KnowledgeBase,
-        site: Site,
+        site: Backend,
         settings: Settings,
         read_goal: Callable[[str], Condition],
         *,
@@ -112,7 +87,7 @@ class TaskManager:
         limits: TaskLimits | None = None,
         performer: Performer | None = None,
     ) -> None:
-        self._current = problem
+        self._problem = problem
         self._knowledge = knowledge
         self._site = site
         self._settings = settings
@@ -123,8 +98,9 @@ class TaskManager:
         self._resources = performer.resources if performer else Resources()
         self._prefix = performer.prefix if performer else os.urandom(4)
         self._loop = asyncio.get_running_loop()
+        self._began = self._loop.time()
         # state
-        self._tasks = problem.tasks
+        self._tasks: dict[UUID, Task] = {}
         self._past: list[Task] = []
         self._work: dict[UUID, asyncio.Task[None]] = {}
         self._listeners: list[TaskListener] = []
@@ -161,7 +137,7 @@ class TaskManager:
         task = Task(wanted, self._order, self._listener, self._loop.time, (observer,), stopwatch)
         self._begin(task)
         if work := self._work.get(task.id):
-            await stoppable(work, lambda: self._stop(task, Code.CANCELLED, "cancelled"))
+            await stop_then_cancel(work, lambda: self._stop(task, Code.CANCELLED, "cancelled"))
         if task.result is None:
             raise task.error or InputError(task.control.reason)
         return task.result
@@ -218,6 +194,16 @@ class TaskManager:
         return lambda: self._listeners.remove(listener)
 
     # --- for the node ---------------------------------------------------------------------------
+
+    def begin_anew(self, problem: Problem) -> None:
+        """Pursue goals in the world of another problem from now on.
+
+        Raises:
+            InputError: there are tasks.
+        """
+        if self._tasks:
+            raise InputError(f"there are {len(self._tasks)} tasks; they must be over before another problem is loaded")
+        self._problem, self._began = problem, self._loop.time()
 
     def knowledge_of(self, request: UUID) -> tuple[Layered, Asker] | None:
         """Return the knowledge of the run that has sent a request, and as whom it asks; None unless the request is open."""
@@ -285,7 +271,7 @@ class TaskManager:
         programs = self._performer.programs if self._performer else {}
         if self._performer and (task.wanted.text in programs or (programs and "(" not in task.wanted.text)):
             return PlanTask(self._performer, self._context(task, TRUE)).carry_out
-        if not self._current.problem.domain.actions:
+        if not self._problem.domain.actions:
             raise InputError("a plan that is sent as a text needs a domain with actions, and none is loaded")
         if task.wanted.parameters:
             raise InputError(f"a plan that is sent as a text has no parameters; found {', '.join(task.wanted.parameters)}")
@@ -293,7 +279,7 @@ class TaskManager:
         return lambda: GoalLoop(self._context(task, TRUE, on_change=OnChange.LAZY), given=plan).pursue()
 
     def _now(self) -> Problem:
-        return problem_now(self._current.problem, self._knowledge, self._loop.time() - self._current.began)
+        return problem_now(self._problem, self._knowledge, self._loop.time() - self._began)
 
     def _context(self, task: Task, goal: Condition, *, on_change: OnChange | None = None) -> TaskContext:
         return TaskContext(

@@ -230,3 +230,24 @@ def test_what_cannot_be_exported_or_imported(arguments: tuple[str, ...], status:
     done = pnm(*arguments)
     assert done.returncode == status
     assert done.stderr.startswith(message)
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["serve", "--help"]])
+def test_help_needs_no_ros(arguments: list[str]) -> None:
+    assert without_ros(arguments) == (0, "")
+
+
+@pytest.mark.parametrize("arguments", [["serve", *DELIVERY], ["simulate", *DELIVERY], ["run", *DELIVERY, "--actions", "ros2"]])
+def test_without_ros_a_command_that_needs_it_says_what_to_install(arguments: list[str]) -> None:
+    status, errors = without_ros(arguments)
+    assert status == 1
+    assert "`pip install 'petri-net-machines[ros2]'`" in errors
+    assert len(errors.splitlines()) == 1
+
+
+def without_ros(arguments: list[str]) -> tuple[int, str]:
+    """The exit status, and what is written to stderr, of a command where the packages of ROS 2 cannot be imported."""
+    missing = "sys.modules |= dict.fromkeys(('rclpy', 'rcl_interfaces', 'lifecycle_msgs', 'action_msgs'))"
+    program = f"import sys; {missing}; from planner_bridge.cli.commands import app; app(sys.argv[1:])"
+    done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=False, cwd=ROOT)
+    return done.returncode, done.stderr

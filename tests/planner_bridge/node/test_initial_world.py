@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.node.initial_world import common_knowledge
-from planner_bridge.node.problem_service import NOTHING, ServedProblem
-from planner_bridge.tasks.scheduling.task_manager import CurrentProblem
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.node.problem_service import NOTHING, CurrentProblem, ServedProblem
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async
 from pnm.errors import InputError
@@ -64,7 +63,8 @@ plan:
 def play(text: str, scene: Callable[[ServedProblem], Awaitable[None]]) -> None:
     async def whole() -> None:
         plans = parse_plans(text).values()
-        await scene(ServedProblem(CurrentProblem(NOTHING), common_knowledge(plans), {}, Settings(), Path(), plans))
+        current = CurrentProblem(NOTHING, initial_knowledge(*plans), {}, Settings(), plans)
+        await scene(ServedProblem(current, Path(), lambda _: None))
 
     run_async(whole(), virtual=True)
 
@@ -123,8 +123,16 @@ def test_declarations_of_plans_count_as_those_of_a_problem_do() -> None:
         with pytest.raises(InputError, match="'ready' is a derived predicate"):
             await world.update(["(ready r2)"], [], [])
         with pytest.raises(InputError, match="no domain and problem are loaded"):
-            world.read_goal("(open)")
-        with pytest.raises(InputError, match="no domain and problem are loaded"):
             await world.load("  ", "(define (problem p) (:domain plans) (:goal (open)))")
 
     play(DECLARED, scene)
+
+
+def test_without_a_problem_there_are_no_goals() -> None:
+    async def scene() -> None:
+        plans = parse_plans(DECLARED).values()
+        current = CurrentProblem(NOTHING, initial_knowledge(*plans), {}, Settings(), plans)
+        with pytest.raises(InputError, match="no domain and problem are loaded"):
+            current.read_goal("(open)")
+
+    run_async(scene(), virtual=True)

@@ -14,15 +14,14 @@ from hypothesis import strategies as st
 
 from planner_bridge.loading import load
 from planner_bridge.model.grounding import initial_knowledge, problem_now
-from planner_bridge.node.problem_service import ServedProblem, load_texts, write_inside
+from planner_bridge.node.problem_service import CurrentProblem, ServedProblem, load_texts, write_inside
 from planner_bridge.node.world_queries import MAX_LENGTH, MAX_TEXTS, SharedWorld, read_goals
 from planner_bridge.pddl import parse_domain, parse_problem, read_problem
-from planner_bridge.tasks.scheduling.task_manager import CurrentProblem
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async
-from pnm.core.knowledge_base import show_statement
+from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.conditions import TRUE
-from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, show
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, fluent_text
 from pnm.errors import InputError
 from tests.support.files import ROOT
 
@@ -220,7 +219,7 @@ def test_changes_are_told_as_texts():
 def test_the_object_that_a_function_no_longer_has_is_told_whatever_happened_before_anybody_followed():
     async def scene() -> None:
         knowledge, told = initial_knowledge(PROBLEM), []
-        served = ServedProblem(CurrentProblem(PROBLEM), knowledge, {}, Settings(), Path())
+        served = ServedProblem(CurrentProblem(PROBLEM, knowledge, {}, Settings()), Path(), lambda _: None)
         knowledge.update({("location", "a1"): "kitchen"})  # as sensors do while action servers are looked for
         stop = served.follow(lambda fields: told.append((fields["added"], fields["removed"], fields["unknown"])))
         for value in ("dock", UNKNOWN, UNDEFINED, "hall", UNDEFINED):
@@ -392,10 +391,10 @@ def test_what_is_told_is_what_is_answered(truths, battery, location):
     told = {**truths, **battery, **location}
     shared.update(
         [written(fluent, value) for fluent, value in told.items() if value is not UNKNOWN and value is not False],
-        [show(fluent) for fluent, value in told.items() if value is False],
-        [show(fluent) for fluent, value in told.items() if value is UNKNOWN],
+        [fluent_text(fluent) for fluent, value in told.items() if value is False],
+        [fluent_text(fluent) for fluent, value in told.items() if value is UNKNOWN],
     )
-    for fluent, (_, answer) in zip(told, shared.query([*map(show, told)]) if told else (), strict=True):
+    for fluent, (_, answer) in zip(told, shared.query([*map(fluent_text, told)]) if told else (), strict=True):
         value = told[fluent]
         if isinstance(value, float):
             assert float(answer) == value
@@ -404,7 +403,7 @@ def test_what_is_told_is_what_is_answered(truths, battery, location):
 
 
 def written(fluent, value):
-    return f"(= {show(fluent)} {value!r})" if isinstance(value, float) else show_statement(fluent, value)
+    return f"(= {fluent_text(fluent)} {value!r})" if isinstance(value, float) else statement_text(fluent, value)
 
 
 @given(st.lists(st.one_of(st.text(max_size=30), st.text("()= atr1dkhl?0.", max_size=20)), max_size=3))

@@ -11,13 +11,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from planner_bridge.model.problem import ActionSchema, Declaration, Domain, DurationConstraint, Metric, Preference, Problem
+from planner_bridge.model.problem import Domain, Metric, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
 from planner_bridge.pddl.read.symbols import CONSTRAINTS
 from planner_bridge.pddl.syntax.expressions import MAX_DEPTH
 from planner_bridge.pddl.syntax.words import MOMENTS, number_text
 from planner_bridge.pddl.write.writer import write_domain, write_problem
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
+from pnm.core.logic.domain import ActionSchema, Declaration, DurationConstraint, Preference
 from pnm.core.logic.effects import OPERATIONS, Effect, ForEach, Set, TimedChange, When
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
 from pnm.core.logic.rules import Rule
@@ -653,7 +654,6 @@ DURATIVE = st.builds(
 def domain_of(actions: list[ActionSchema]) -> Domain:
     return Domain(
         "d",
-        (":typing", ":adl"),
         TYPES,
         {"R1": ("robot",), "hall": ("dock",), "odd": ("robot", "place")},
         {
@@ -669,6 +669,7 @@ def domain_of(actions: list[ActionSchema]) -> Domain:
             "total-cost": Declaration("total-cost"),
         },
         {one.name: one for one in actions},
+        requirements=(":typing", ":adl"),
     )
 
 

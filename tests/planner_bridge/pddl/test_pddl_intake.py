@@ -8,9 +8,10 @@ import kairos
 import pytest
 
 from planner_bridge.loading import load, told
-from planner_bridge.model.problem import Borrowed, Declaration, Domain, DurationConstraint, Problem
+from planner_bridge.model.problem import Borrowed, Domain, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, write_domain, write_problem
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Holds, Not
+from pnm.core.logic.domain import Declaration, DurationConstraint
 from pnm.core.logic.expressions import Constant, ValueOf, Variable
 from pnm.errors import InputError, Position, Tolerated
 from tests.support.files import ROOT

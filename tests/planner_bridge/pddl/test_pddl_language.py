@@ -5,9 +5,10 @@ from __future__ import annotations
 import kairos
 import pytest
 
-from planner_bridge.model.problem import ActionSchema, Declaration, Domain, Metric, Preference, Problem
+from planner_bridge.model.problem import Domain, Metric, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain, write_problem
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not
+from pnm.core.logic.domain import ActionSchema, Declaration, Preference
 from pnm.core.logic.effects import Effect, ForEach, Set, TimedChange, When
 from pnm.core.logic.expressions import UNDEFINED, Arithmetic, Constant, ValueOf, Variable
 from pnm.core.logic.rules import Rule

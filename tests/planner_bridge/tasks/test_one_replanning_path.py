@@ -11,10 +11,12 @@ from uuid import UUID
 import pytest
 
 from planner_bridge.loading import load
-from planner_bridge.simulation import SimulatedSite
+from planner_bridge.model.problem import Problem
+from planner_bridge.simulation import robots_of
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import OnChange, Settings
 from planner_bridge.yaml.reader import read
+from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.bindings import Binding, Bindings
@@ -93,7 +95,7 @@ def test_a_task_can_be_paused_and_cancelled_during_the_back_off(goal: str) -> No
     play(scene, fleet(), faults=Faults((ALWAYS_ABORTED, NEVER_ENDS)), chosen=replace(SERVED, limits=PATIENT))
 
 
-class LateSite(SimulatedSite):
+class LateBackend(SimulatedBackend):
     """Simulated robots whose sensors report 0.3 s late."""
 
     async def open(self, knowledge: KnowledgeBase) -> None:
@@ -103,6 +105,10 @@ class LateSite(SimulatedSite):
         knowledge.replace(names, world.report(names))
         world.truth.listen(lambda _: loop.call_later(0.3, lambda: knowledge.replace(names, world.report(names))) and None)
         self.robots.begin()
+
+
+def late_backend(problem: Problem, bindings: Bindings, faults: Faults) -> LateBackend:
+    return LateBackend(robots_of(problem, bindings, faults))
 
 
 @pytest.mark.parametrize("on_change", OnChange)
@@ -119,7 +125,7 @@ def test_late_reports_are_waited_for_while_another_call_is_under_way(on_change: 
         assert not stage.seen(task, "ended", "move(r2"), "r2 is still on its way"
         await stage.reaches(task)
 
-    play(scene, problem, faults=faults, chosen=replace(SERVED, on_change=on_change), make_site=LateSite)
+    play(scene, problem, faults=faults, chosen=replace(SERVED, on_change=on_change), make_backend=late_backend)
 
 
 def test_a_plan_that_is_sent_as_a_text_is_not_replanned_while_its_other_calls_are_under_way() -> None:

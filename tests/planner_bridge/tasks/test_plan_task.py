@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from io import StringIO
 
-from planner_bridge.cli.console import TaskConsole, Terminal
+from planner_bridge.cli.console import SafeConsole
+from planner_bridge.cli.node_console import TaskConsole
 from planner_bridge.tasks.settings import Settings
 from pnm.language.plan import parse_plans
 from pnm.language.runner import Program
@@ -58,7 +59,7 @@ def test_people_read_with_which_parameters_a_plan_is_carried_out() -> None:
     shown = StringIO()
 
     async def scene(stage: Stage) -> None:
-        stage.master.listen(TaskConsole(Terminal(file=shown, width=200), stage.master))
+        stage.master.listen(TaskConsole(SafeConsole(file=shown, width=200), stage.master))
         one = stage.want("trip", is_plan=True, parameters={"robot": "r0", "far": ["a1", 2]})
         other, goal = stage.want("trip", is_plan=True), stage.want("(at r0 a0)")
         await stage.ended_with(one, other, goal)

@@ -11,17 +11,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner_bridge.node.initial_world import common_knowledge
+from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.node.problem_service import NOTHING
-from planner_bridge.simulation import simulated_site
-from planner_bridge.tasks.scheduling.task_manager import CurrentProblem, TaskManager
+from planner_bridge.simulation import simulated_backend
+from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
 from pnm.errors import InputError
-from pnm.language.plan import all_bindings, read_plans
+from pnm.language.plan import merge_bindings, read_plans
 from pnm.language.runner import Performer, Program
 from pnm.ros.tasks.task_messages import Ending, read_parameters
 from pnm.tasks import Code, TaskEnding, TaskListener, Wanted
@@ -90,7 +90,7 @@ def test_calls_and_restarts_of_a_plan_are_counted_and_told(tmp_path: Path) -> No
     )
     (plan,) = read_plans(file).values()
     faults = Faults((Fault("go(b)", FaultKind.ABORT, times=1),))
-    performer = Performer({"tour": Program.of(plan)}, simulated_site(plan, all_bindings([plan]), faults), KnowledgeBase())
+    performer = Performer({"tour": Program.of(plan)}, simulated_backend(plan, merge_bindings([plan]), faults), KnowledgeBase())
     tour = Wanted(UUID(int=1), "tour", is_plan=True)
 
     class Told(TaskListener):
@@ -110,7 +110,7 @@ def test_calls_and_restarts_of_a_plan_are_counted_and_told(tmp_path: Path) -> No
 
     async def go() -> Told:
         await performer.site.open(performer.world)
-        master = TaskManager(CurrentProblem(NOTHING), performer.world, performer.site, Settings(), _no_goal, performer=performer)
+        master = TaskManager(NOTHING, performer.world, performer.site, Settings(), _no_goal, performer=performer)
         told = Told(master)
         master.listen(told)
         master.begin(tour)
@@ -130,7 +130,7 @@ def test_a_pause_does_not_use_up_the_time_of_a_plan(tmp_path: Path) -> None:
     file = tmp_path / "plan.yaml"
     file.write_text("actions: {go: {params: [place], duration: 5}}\nname: tour\ntimeout: 20\nplan: [go: {place: a}, go: {place: b}]\n")
     (plan,) = read_plans(file).values()
-    performer = Performer({"tour": Program.of(plan)}, simulated_site(plan, all_bindings([plan])), KnowledgeBase())
+    performer = Performer({"tour": Program.of(plan)}, simulated_backend(plan, merge_bindings([plan])), KnowledgeBase())
     over: list[Code] = []
 
     class Told(TaskListener):
@@ -139,7 +139,7 @@ def test_a_pause_does_not_use_up_the_time_of_a_plan(tmp_path: Path) -> None:
 
     async def go() -> None:
         await performer.site.open(performer.world)
-        master = TaskManager(CurrentProblem(NOTHING), performer.world, performer.site, Settings(), _no_goal, performer=performer)
+        master = TaskManager(NOTHING, performer.world, performer.site, Settings(), _no_goal, performer=performer)
         master.listen(Told())
         master.begin(Wanted(UUID(int=1), "tour", is_plan=True))
         await asyncio.sleep(1.0)
@@ -161,7 +161,7 @@ def _no_goal(text: str) -> Condition:
 def test_a_world_begins_as_all_of_its_plans_say(tmp_path: Path) -> None:
     file = tmp_path / "plan.yaml"
     file.write_text("one: {facts: [(open door1)], plan: []}\ntwo: {facts: [(open door1), (= (n) 2)], plan: []}\n")
-    assert common_knowledge(read_plans(file).values()).facts() == {("open", "door1"): True, ("n",): 2.0}
+    assert initial_knowledge(*read_plans(file).values()).facts() == {("open", "door1"): True, ("n",): 2.0}
     file.write_text("one: {facts: [(open door1)], plan: []}\ntwo: {facts: [(not (open door1))], plan: []}\n")
     with pytest.raises(InputError, match=r"one and two begin with different values of \(open door1\): True, False"):
-        common_knowledge(read_plans(file).values())
+        initial_knowledge(*read_plans(file).values())

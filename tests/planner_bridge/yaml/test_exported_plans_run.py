@@ -9,14 +9,14 @@ import pytest
 
 from planner_bridge.loading import load
 from planner_bridge.pipeline import achieve_at
-from planner_bridge.simulation import SimulatedSite, simulated_site
+from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.yaml.convert import exported
 from pnm.clock import run_async
 from pnm.core.execution.call_results import CallResult
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import Fluent, Unknown, Value
-from pnm.language.plan import HandWrittenPlan, all_bindings, read_plans
+from pnm.language.plan import HandWrittenPlan, merge_bindings, read_plans
 from pnm.language.runner import Performer, Program
 from tests.support.files import ROOT
 
@@ -43,13 +43,13 @@ def told(calls: tuple[CallResult, ...]) -> list[tuple[str, ...]]:
 
 def planned(domain: Path, problem: Path) -> Told:
     loaded = load(domain, problem)
-    site = SimulatedSite(loaded, Settings().bindings)
+    site = simulated_backend(loaded, Settings().bindings)
     result = run_async(achieve_at(site, loaded, Settings(), TaskObserver()), virtual=True)
     return result.goal_reached, told(result.calls), site.robots.world.truth.facts()
 
 
 def written(plan: HandWrittenPlan) -> Told:
-    site = simulated_site(plan, all_bindings([plan]))
+    site = simulated_backend(plan, merge_bindings([plan]))
 
     async def performed() -> Told:
         performer = Performer({plan.name: Program.of(plan)}, site, KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules))

@@ -11,11 +11,11 @@ from uuid import uuid4
 
 import pytest
 
-from planner_bridge.cli.console import Terminal
+from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.options import Files
 from planner_bridge.cli.run import run_written
 from planner_bridge.pipeline import carry_out
-from planner_bridge.simulation import simulated_site
+from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.backend import schedule
@@ -29,7 +29,7 @@ from pnm.errors import InputError
 from pnm.knowledge.sources.memory import MemoryKnowledge
 from pnm.knowledge.sources.router import Sources
 from pnm.knowledge.sources.source import Asker
-from pnm.language.plan import all_bindings, chosen_plan, read_plans
+from pnm.language.plan import chosen_plan, merge_bindings, read_plans
 from pnm.language.runner import Performer, Program, check_values
 from pnm.tasks import Code
 
@@ -144,7 +144,7 @@ def test_names_of_plans_and_parameters_are_checked(tmp_path: Path) -> None:
 
 def test_two_runs_of_a_plan_go_on_side_by_side_with_their_own_knowledge(tmp_path: Path) -> None:
     plans = read_plans(written(tmp_path, GUIDE))
-    site = simulated_site(plans["inner"], all_bindings(plans.values()))
+    site = simulated_backend(plans["inner"], merge_bindings(plans.values()))
     performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, site, KnowledgeBase(), MemoryKnowledge())
 
     async def both() -> None:
@@ -167,7 +167,7 @@ def test_two_runs_of_a_plan_go_on_side_by_side_with_their_own_knowledge(tmp_path
 
 def test_cancelling_a_plan_cancels_the_plan_it_calls(tmp_path: Path) -> None:
     plans = read_plans(written(tmp_path, GUIDE))
-    site = simulated_site(plans["outer"], all_bindings(plans.values()))
+    site = simulated_backend(plans["outer"], merge_bindings(plans.values()))
     performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, site, KnowledgeBase())
 
     async def stopped() -> None:
@@ -347,7 +347,7 @@ class Cancelled:
 @pytest.mark.parametrize("operation", ["{LocalUpdate: [v, {RemoteQuery: w}]}", "{RemoteUpdate: [v, 1]}"])
 def test_a_source_that_was_cancelled_by_somebody_else_is_a_failure(tmp_path: Path, operation: str) -> None:
     (plan,) = read_plans(written(tmp_path, f"actions: {{note: {{type: kb_action}}}}\nplan: [note: {{operation: {operation}}}]")).values()
-    site = simulated_site(plan, plan.bindings)
+    site = simulated_backend(plan, plan.bindings)
     performer = Performer({plan.name: Program.of(plan)}, site, KnowledgeBase(), Sources([Cancelled()]))
 
     async def performed() -> None:
@@ -432,7 +432,7 @@ def test_a_planner_that_is_not_there_is_refused_before_the_plan_begins(tmp_path:
 
 def test_a_terminal_is_told_nothing_that_makes_it_do_something() -> None:
     shown = StringIO()
-    Terminal(file=shown).print("start\n  go(\x1b[31m\ud800)", markup=False)
+    SafeConsole(file=shown).print("start\n  go(\x1b[31m\ud800)", markup=False)
     assert shown.getvalue() == "start\n  go(\ufffd[31m\ufffd)\n"
 
 

@@ -7,5 +7,5 @@ from planner_bridge.node import serve as serving
 from tests.support.tasks.scripted_tasks import open_scripted
 
 if __name__ == "__main__":
-    serving.open_tasks = open_scripted
+    serving.make_task_manager = open_scripted
     main()

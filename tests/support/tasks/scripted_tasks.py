@@ -14,9 +14,9 @@ from functools import partial
 from pathlib import Path
 from uuid import UUID
 
-from planner_bridge.node.serve import Opened, Room, open_tasks
+from planner_bridge.node.serve import NodeApi, NodeContext, make_task_manager
 from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
-from pnm.core.logic.expressions import Fluent, Unknown, Value, show
+from pnm.core.logic.expressions import Fluent, Unknown, Value, fluent_text
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.net.net import Marking
@@ -188,14 +188,14 @@ class ScriptedWorld:
         return self.knowledge.listen(lambda batch: tell(self._fields(batch)))
 
     def _fields(self, batch: Mapping[Fluent, Value | Unknown]) -> Mapping[str, object]:
-        numbers = {show(fluent): value for fluent, value in batch.items() if isinstance(value, float)}
-        added = [show(fluent) for fluent, value in batch.items() if value is True]
+        numbers = {fluent_text(fluent): value for fluent, value in batch.items() if isinstance(value, float)}
+        added = [fluent_text(fluent) for fluent, value in batch.items() if value is True]
         return {"added": added, "fluents": [*numbers], "values": [*numbers.values()]}
 
 
-async def open_scripted(room: Room) -> Opened:
-    """Stand in for `planner_bridge.node.serve.open_tasks` where there are goals to be pursued."""
-    if room.problem is None:
-        return await open_tasks(room)
-    tasks = ScriptedTasks(room.options.max_queue)
-    return Opened(tasks, scripted_search, ScriptedWorld(room.knowledge), lambda _: None, partial(asyncio.sleep, 0))
+async def open_scripted(context: NodeContext) -> NodeApi:
+    """Stand in for `planner_bridge.node.serve.make_task_manager` where there are goals to be pursued."""
+    if context.problem is None:
+        return await make_task_manager(context)
+    tasks = ScriptedTasks(context.options.max_queue)
+    return NodeApi(tasks, scripted_search, ScriptedWorld(context.knowledge), lambda _: None, partial(asyncio.sleep, 0))

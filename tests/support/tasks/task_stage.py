@@ -11,12 +11,14 @@ from uuid import UUID, uuid4
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_problem
-from planner_bridge.simulation import SimulatedSite
-from planner_bridge.tasks.scheduling.task_manager import CurrentProblem, TaskLimits, TaskManager
+from planner_bridge.simulation import simulated_backend
+from planner_bridge.tasks.scheduling.task_manager import TaskLimits, TaskManager
 from planner_bridge.tasks.settings import Settings
+from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
-from pnm.core.logic.conditions import Condition, evaluate
+from pnm.core.logic.conditions import Condition
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError
 from pnm.knowledge.sources.source import Source
@@ -39,14 +41,14 @@ class Stage(TaskListener):
         limits: TaskLimits,
         programs: Mapping[str, Program] | None = None,
         source: Source | None = None,
-        make_site: Callable[[Problem, Bindings, Faults], SimulatedSite] = SimulatedSite,
+        make_backend: Callable[[Problem, Bindings, Faults], SimulatedBackend] = simulated_backend,
     ) -> None:
         self.problem = problem
-        self.site = make_site(problem, chosen.bindings, faults)
+        self.site = make_backend(problem, chosen.bindings, faults)
         self.knowledge = initial_knowledge(problem)
         self.performer = None if programs is None else Performer(programs, self.site, self.knowledge, source)
         self.master = TaskManager(
-            CurrentProblem(problem), self.knowledge, self.site, chosen, self.read, source=source, limits=limits, performer=self.performer
+            problem, self.knowledge, self.site, chosen, self.read, source=source, limits=limits, performer=self.performer
         )
         self.master.listen(self)
         self.goals: dict[UUID, str] = {}
@@ -183,7 +185,7 @@ def play(
     limits: TaskLimits | None = None,
     programs: Mapping[str, Program] | None = None,
     source: Source | None = None,
-    make_site: Callable[[Problem, Bindings, Faults], SimulatedSite] = SimulatedSite,
+    make_backend: Callable[[Problem, Bindings, Faults], SimulatedBackend] = simulated_backend,
 ) -> None:
     """Play a scene, close the master, and see that nothing was against the rules."""
     errors = _Errors()
@@ -191,7 +193,7 @@ def play(
     async def whole() -> None:
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(lambda _, context: errors.found.append(str(context)))
-        stage = Stage(problem or fleet(), faults, chosen, limits or TaskLimits(), programs, source, make_site)
+        stage = Stage(problem or fleet(), faults, chosen, limits or TaskLimits(), programs, source, make_backend)
         await stage.site.open(stage.knowledge)
         try:
             await scene(stage)

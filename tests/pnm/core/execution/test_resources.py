@@ -18,9 +18,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner_bridge.node.simulate import LoggedRobots
-from planner_bridge.simulation import simulated_site
+from planner_bridge.simulation import simulated_backend
 from pnm.actions.simulated_robots import SimulatedRobots
-from pnm.actions.simulated_world import World
+from pnm.actions.simulated_world import SimulatedWorld
 from pnm.clock import run_async
 from pnm.core.execution.events import Answered, Ask, Begin, Command, KnowledgeChanged, Pause, ResourcesChanged, Resume, Send, Stop, Tick
 from pnm.core.execution.resources import Claim, Resources
@@ -34,7 +34,7 @@ from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, P
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
 from pnm.errors import InputError
 from pnm.executor import Executor
-from pnm.language.plan import all_bindings, read_plans
+from pnm.language.plan import merge_bindings, read_plans
 from pnm.language.runner import Performer, Program
 from tests.support.runs.plan_graphs import ordering
 
@@ -483,7 +483,7 @@ def test_resources_are_named_after_robots_also_when_the_robot_is_known_late() ->
 
 def clashes(bindings: Bindings, shared: Callable[[], Resources | None]) -> list[str]:
     """Two runs of one action each with the same robots: what the robots notice."""
-    robots = SimulatedRobots(World(KnowledgeBase(), frozenset()), bindings=bindings)
+    robots = SimulatedRobots(SimulatedWorld(KnowledgeBase(), frozenset()), bindings=bindings)
     machine = generate(calls(GroundAction("move", ("r1",), ("robot",), duration=5.0)), bindings)
 
     async def main() -> None:
@@ -513,7 +513,7 @@ def test_a_clash_is_written_down_by_simulated_servers() -> None:
     log = StringIO()
 
     async def main() -> None:
-        robots = LoggedRobots(SimulatedRobots(World(KnowledgeBase(), frozenset()), bindings=bindings), log)
+        robots = LoggedRobots(SimulatedRobots(SimulatedWorld(KnowledgeBase(), frozenset()), bindings=bindings), log)
         for number in range(2):
             robots.send(Request(UUID(int=number), GroundAction("move", ("r1",), ("robot",), duration=5.0), {}, 1), lambda _: None)
         await asyncio.sleep(10)
@@ -535,7 +535,7 @@ def test_all_plans_of_a_performer_share_resources(tmp_path: Path) -> None:
     file = tmp_path / "plan.yaml"
     file.write_text(NESTED, encoding="utf-8")
     plans = read_plans(file)
-    site = simulated_site(plans["inner"], all_bindings(plans.values()))
+    site = simulated_backend(plans["inner"], merge_bindings(plans.values()))
     performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, site, KnowledgeBase())
 
     async def main() -> None:

@@ -469,7 +469,7 @@ def test_the_status_says_that_a_task_is_over_before_its_client_is_told(two, monk
         )
 
     note(TaskTopics, "_tell_status", "status")
-    note(GoalServer, "answer", "answer")
+    note(GoalServer, "end", "answer")
 
     async def main():
         async with scene(two) as one:
