@@ -1,7 +1,4 @@
-"""The course of a plan: the states that the starts and ends of its calls lead through.
-
-The world as it will be after what is under way, if that goes well.
-"""
+"""Simulation of a plan: the states that the starts and ends of its calls lead through, and the progression of constraints."""
 
 from __future__ import annotations
 
@@ -16,6 +13,7 @@ from pnm.core.logic.effects import Changes, Effects, changes, decided
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.explain import failing, observed
 from pnm.core.logic.expressions import Fluent, Value
+from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
 from pnm.errors import PnmError
 
@@ -86,6 +84,29 @@ class Course:
     def _demand(self, call: int, deed: Deed, condition: Condition) -> None:
         if evaluate(condition, self.state) is not True:
             raise Denied(call, deed, condition, self.state)
+
+
+class ConstraintProgression:
+    """What is left of trajectory constraints at the state that a simulated plan has come to. The mutable state is that.
+
+    Args:
+        constraints: of domain and problem.
+        state: the first one.
+        time: of the first state, in seconds.
+    """
+
+    def __init__(self, constraints: Iterable[Constraint], state: KnowledgeBase, time: float = 0.0) -> None:
+        ground = (one for constraint in constraints for one in instances(constraint, state))
+        self._rest = {constraint: progressed((constraint,), state, time) for constraint in ground}
+
+    def advance(self, state: KnowledgeBase, time: float = 0.0) -> Constraint | None:
+        """Progress the constraints to the next state; return one that is violated there, if there is any."""
+        self._rest = {constraint: progressed(rest, state, time) for constraint, rest in self._rest.items()}
+        return next((constraint for constraint, rest in self._rest.items() if IMPOSSIBLE in rest), None)
+
+    def unfulfilled(self, state: KnowledgeBase, time: float = 0.0) -> tuple[Constraint, ...]:
+        """Return the constraints that are not fulfilled if this state is the last one."""
+        return tuple(constraint for constraint, rest in self._rest.items() if not is_fulfilled(rest, state, time))
 
 
 class Unforeseeable(PnmError):

@@ -20,9 +20,8 @@ from planner_bridge.node.options import PARAMETERS, Options
 from planner_bridge.node.problem_service import NOTHING, CurrentProblem, ServedProblem
 from planner_bridge.node.world_queries import read_goals
 from planner_bridge.planning.solve import check_planner
-from planner_bridge.tasks.plan_task import merge_bindings, sources_of
 from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.scheduling.task_manager import Room, TaskMaster
+from planner_bridge.tasks.scheduling.task_manager import TaskLimits, TaskManager
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.bindings_file import read_bindings
 from pnm.clock import short_pauses
@@ -35,7 +34,7 @@ from pnm.knowledge.sensor_model import NO_SENSING
 from pnm.knowledge.sources.registry import Surroundings, open_sources
 from pnm.knowledge.sources.router import Sources
 from pnm.knowledge.sources.source import Asker
-from pnm.language.plan import read_world
+from pnm.language.plan import merge_bindings, read_world, sources_of
 from pnm.language.runner import Performer, Program
 from pnm.ros.backend import Ros2Backend
 from pnm.ros.node.parameters import ParameterValue
@@ -120,14 +119,14 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
         current = CurrentProblem(context.problem or NOTHING, context.knowledge, goals, settings, plans)
     except InputError as error:
         raise InputError(f"{options.goals}: {error}") from error
-    manager = TaskMaster(
+    manager = TaskManager(
         current.problem,
         context.knowledge,
         context.site,
         settings,
         current.read_goal,
         source=context.sources,
-        room=Room(options.max_tasks, options.max_queue, options.on_conflict),
+        limits=TaskLimits(options.max_tasks, options.max_queue, options.on_conflict),
         performer=context.performer,
     )
     world = ServedProblem(current, options.problems, manager.begin_anew)

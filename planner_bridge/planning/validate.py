@@ -35,7 +35,7 @@ import kairos
 
 from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
-from planner_bridge.model.plan_simulation import Course, Denied, expected_and_observed, snapshot
+from planner_bridge.model.plan_simulation import ConstraintProgression, Course, Denied, expected_and_observed, snapshot
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.plan_text import plan_text
@@ -44,7 +44,7 @@ from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import assignments, possible_assignments
 from pnm.core.logic.evaluation import TOLERANCE, evaluate
 from pnm.core.logic.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, fluent_text, value_of
-from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, moments, observed_of, progressed
+from pnm.core.logic.trajectory import Constraint, moments, observed_of
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
 from pnm.errors import PnmError
 
@@ -84,17 +84,14 @@ def trace(problem: Problem, plan: Plan) -> tuple[tuple[float, KnowledgeBase], ..
 def _kept(constraints: Iterable[Constraint], course: Iterator[tuple[float, KnowledgeBase]]) -> Iterator[tuple[float, KnowledgeBase]]:
     """Yield the course as it is while it keeps the trajectory constraints."""
     time, state = next(course)
-    left = {one: progressed((one,), state, time) for constraint in constraints for one in instances(constraint, state)}
+    progression = ConstraintProgression(constraints, state, time)
     yield time, state
     for time, state in course:
-        left = {constraint: progressed(rest, state, time) for constraint, rest in left.items()}
-        for constraint, rest in left.items():
-            if IMPOSSIBLE in rest:
-                raise InvalidPlan(f"{constraint} is violated at {time:g} s: {observed_of(constraint, state)}")
+        if violated := progression.advance(state, time):
+            raise InvalidPlan(f"{violated} is violated at {time:g} s: {observed_of(violated, state)}")
         yield time, state
-    for constraint, rest in left.items():
-        if not is_fulfilled(rest, state, time):
-            raise InvalidPlan(f"{constraint} is not fulfilled at the end: {observed_of(constraint, state)}")
+    for constraint in progression.unfulfilled(state, time):
+        raise InvalidPlan(f"{constraint} is not fulfilled at the end: {observed_of(constraint, state)}")
 
 
 def _course(problem: Problem, plan: Plan, looks: Iterable[float] = ()) -> Iterator[tuple[float, KnowledgeBase]]:
