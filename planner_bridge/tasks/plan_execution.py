@@ -56,7 +56,8 @@ def make_run(graph: PlanGraph, mission: Mission, alarm: Callable[[], None], orig
         Unsound: the plan cannot be carried out.
     """
     with mission.seconds.of("translate"):
-        machine = generate(graph, mission.settings.bindings, on_failure=mission.settings.on_failure)
+        settings, capacities = mission.settings, mission.circumstances.resources.capacities
+        machine = generate(graph, settings.bindings, on_failure=settings.on_failure, capacities=capacities)
     with mission.seconds.of("verify"):
         proof = verify(machine)
     mission.observer.generated(machine, proof)
