@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from itertools import chain
 from typing import Final, TypeAlias
 
-from planner_bridge.model.problem import Declaration, Domain
+from planner_bridge.model.problem import Domain
 from planner_bridge.pddl.read.requirements import Requirements
 from planner_bridge.pddl.read.symbols import Names
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, tolerate, where, wrong
 from planner_bridge.pddl.syntax.words import CONNECTIVES, Types, new_name, one, runs, show_types, type_words
+from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Variable
 
 Lists: TypeAlias = Iterable[Sequence[Node]]
@@ -83,7 +84,7 @@ def objects(lists: Lists, names: Names) -> dict[str, Types]:
                 found[key] = name, given
                 continue
             tolerate(word, f"the object {name!r} is declared twice{_and(given, before[1])}")
-            both = names.joined(before[1], given)
+            both = names.domain.joined(before[1], given)
             if both != before[1]:
                 found[key] = before[0], both
     return dict(found.values())
@@ -103,7 +104,7 @@ def borrow(own: dict[str, Types], names: Names, whole: Node) -> dict[str, Types]
     for name, here in borrowed.items():
         if name not in found:
             raise wrong(whole, f"the object {name!r} is not declared; the domain names it at {here.position}")
-        if not names.matches(found[name], here.types):
+        if not names.domain.matches(found[name], here.types):
             raise wrong(whole, f"{name!r} is of type {show_types(found[name])}; the domain expects {show_types(here.types)}")
     return found
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final, Literal, NoReturn, TypeAlias
 
-from planner_bridge.model.problem import Borrowed, Declaration, Domain
+from planner_bridge.model.problem import Borrowed, Domain
 from planner_bridge.pddl.read.requirements import Requirements
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, tolerate, where, wrong
 from planner_bridge.pddl.syntax.words import (
@@ -23,6 +23,7 @@ from planner_bridge.pddl.syntax.words import (
     unknown,
     unsupported,
 )
+from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Variable
 
 _Kind: TypeAlias = Literal["predicate", "function"]
@@ -106,22 +107,6 @@ class Names:
                 seen.add(name.key)
                 found.append(Variable(name.text, given))
         return tuple(found)
-
-    def joined(self, *types: Types) -> Types:
-        """Return the types of something that is of all of these, without those that follow from another."""
-        every = tuple(dict.fromkeys(kind for some in types for kind in some))
-        return tuple(kind for kind in every if not any(kind in self._supertypes[other] for other in every if other != kind))
-
-    def matches(self, given: Types, needed: Types) -> bool:
-        """Tell whether an object of these types can stand where the others are needed."""
-        return given == needed or any(not self._supertypes[one].isdisjoint(needed) for one in given)
-
-    def may_match(self, given: Types, needed: Types) -> bool:
-        """Tell whether some object that fits the given types also fits the needed ones."""
-        if self.matches(given, needed):
-            return True
-        below = [self._subtypes[one] for one in needed]
-        return any(not self._subtypes[one].isdisjoint(other) for one in given for other in below)
 
     # --- objects ---
 
@@ -237,11 +222,3 @@ class Names:
     @cached_property
     def _objects(self) -> dict[str, tuple[str, Types]]:
         return {name.lower(): (name, types) for name, types in self.objects.items()}
-
-    @cached_property
-    def _supertypes(self) -> dict[str, frozenset[str]]:
-        return {name: self.domain.supertypes(name) for name in self._types.values()}
-
-    @cached_property
-    def _subtypes(self) -> dict[str, frozenset[str]]:
-        return {name: frozenset(below for below, above in self._supertypes.items() if name in above) for name in self._types.values()}

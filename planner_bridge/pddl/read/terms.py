@@ -7,10 +7,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from planner_bridge.model.problem import Declaration
 from planner_bridge.pddl.read.symbols import Names
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, wrong
 from planner_bridge.pddl.syntax.words import Types, counted, is_number, number, operands, show_types, unknown, unsupported
+from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
 from pnm.errors import InputError
 
@@ -67,10 +67,10 @@ class Scope:
         match node:
             case Atom(text) if text[0] != "?":
                 name, types = self.names.object(node, needed)
-                fits = self.names.matches(types, needed)
+                fits = self.names.domain.matches(types, needed)
             case Atom() if node.key in self.variables:
                 name, types = self.variables[node.key].name, self.variables[node.key].types
-                fits = self.names.may_match(types, needed)
+                fits = self.names.domain.may_match(types, needed)
             case Atom():
                 raise unknown("variable", node, [variable.name for variable in self.variables.values()])
             case Group() if (declared := self.names.find_function(node)) and declared.values:
@@ -100,7 +100,7 @@ class Scope:
         if declared is None or not declared.values or (isinstance(node, Atom) and self.names.find_object(node.text)):
             return Constant(self._argument(node, needed))
         fluent = self.function(node)
-        if not self.names.may_match(declared.values, needed):
+        if not self.names.domain.may_match(declared.values, needed):
             raise _ill_typed(node, declared.name, declared.values, needed)
         return ValueOf(fluent)
 
