@@ -551,25 +551,6 @@ def test_all_plans_of_a_performer_share_resources(tmp_path: Path) -> None:
     assert site.robots.clashes == []
 
 
-def test_every_plan_of_a_performer_shares_what_one_of_them_says_of_a_resource(tmp_path: Path) -> None:
-    file = tmp_path / "plan.yaml"
-    text = "actions: {lift: {params: [what], duration: 2, resources: [arm]}}\n"
-    branches = "plan: [{concurrent_actions: [{lift: {what: plate}}, {lift: {what: spoon}}]}]"
-    file.write_text(f"{text}one: {{resources: {{arm: 2}}, {branches}}}\nother: {{{branches}}}\n", encoding="utf-8")
-    plans = read_plans(file)
-    site = simulated_site(plans["one"], together(plans.values()))
-    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, site, KnowledgeBase())
-
-    async def main() -> None:
-        await site.open(performer.world)
-        assert (await performer.execute(performer.perform("other"))).goal
-        assert asyncio.get_running_loop().time() == pytest.approx(2.0, abs=0.1)
-        await site.close()
-
-    run_async(main(), virtual=True)
-    assert site.robots.clashes == []
-
-
 def test_a_machine_made_for_other_capacities_is_refused() -> None:
     graph = PlanGraph((ActionCall(0, GroundAction("act", resources=("arm",))),))
     shared = Resources({"arm": 2})
@@ -596,3 +577,22 @@ def test_a_plan_that_is_called_has_no_resources_itself(tmp_path: Path) -> None:
     file.write_text(NESTED.replace("{LocalQuery: what}}}]", "{LocalQuery: what}}, resources: [arm]}]"), encoding="utf-8")
     with pytest.raises(InputError, match=r"inner is a plan and has no resources \(arm\)"):
         Program.of(read_plans(file)["outer"])
+
+
+def test_every_plan_of_a_performer_shares_what_one_of_them_says_of_a_resource(tmp_path: Path) -> None:
+    file = tmp_path / "plan.yaml"
+    text = "actions: {lift: {params: [what], duration: 2, resources: [arm]}}\n"
+    branches = "plan: [{concurrent_actions: [{lift: {what: plate}}, {lift: {what: spoon}}]}]"
+    file.write_text(f"{text}one: {{resources: {{arm: 2}}, {branches}}}\nother: {{{branches}}}\n", encoding="utf-8")
+    plans = read_plans(file)
+    site = simulated_backend(plans["one"], merge_bindings(plans.values()))
+    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, site, KnowledgeBase())
+
+    async def main() -> None:
+        await site.open(performer.world)
+        assert (await performer.execute(performer.perform("other"))).goal
+        assert asyncio.get_running_loop().time() == pytest.approx(2.0, abs=0.1)
+        await site.close()
+
+    run_async(main(), virtual=True)
+    assert site.robots.clashes == []
