@@ -217,7 +217,8 @@ class PlanExecution(Observer):
         """Generate and verify the machine of a plan, and return its run, which takes over requests."""
         context, stopwatch = self._context, self._context.task.stopwatch
         with stopwatch.of("translate"):
-            machine = generate(graph, context.settings.bindings, on_failure=context.settings.on_failure)
+            settings, capacities = context.settings, context.resources.capacities
+            machine = generate(graph, settings.bindings, on_failure=settings.on_failure, capacities=capacities)
         with stopwatch.of("verify"):
             proof = verify(machine)
         context.observer.generated(machine, proof)
