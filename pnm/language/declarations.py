@@ -15,7 +15,7 @@ from typing import Final
 from pnm.core.knowledge_base import parse_statement
 from pnm.core.logic.domain import Declaration, DomainModel, ProblemModel, Types
 from pnm.core.logic.effects import TimedChange
-from pnm.core.logic.expressions import Constant, Fluent, Value, Variable, show
+from pnm.core.logic.expressions import Constant, Fluent, Value, Variable, fluent_text
 from pnm.core.logic.rules import Rule, Rules, UnstratifiedError
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Mapped, Node
@@ -146,7 +146,7 @@ def read_facts(nodes: Iterable[Node], scope: Scope) -> dict[Fluent, Value]:
     for node in nodes:
         fluent, value = _statement(node, scope)
         if scope.strict and found.get(fluent, value) != value:
-            raise node.wrong(f"{show(fluent)} has another value before; expected one value")
+            raise node.wrong(f"{fluent_text(fluent)} has another value before; expected one value")
         found[fluent] = value
     return found
 
