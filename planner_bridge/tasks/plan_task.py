@@ -38,7 +38,7 @@ from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import CallOutcome, OnFailure
 from pnm.core.machine.plan_graph import ActionCall, Cause
 from pnm.errors import InputError, Tolerated
-from pnm.knowledge.sources.registry import Choice, Surroundings, open_sources
+from pnm.knowledge.sources.registry import SourceChoice, Surroundings, open_sources
 from pnm.knowledge.sources.router import Sources
 from pnm.language.plan import HandWrittenPlan, read_plans
 from pnm.language.runner import Performance, Performer, Program
@@ -329,9 +329,9 @@ def merge_bindings(plans: Iterable[HandWrittenPlan]) -> Bindings:
     return reduce(Bindings.before, (plan.bindings for plan in plans), Bindings())
 
 
-def sources_of(plans: Iterable[HandWrittenPlan]) -> tuple[Choice, ...]:
+def sources_of(plans: Iterable[HandWrittenPlan]) -> tuple[SourceChoice, ...]:
     """Return the sources of knowledge that any of the plans chose, each once."""
-    found: dict[str, Choice] = {}
+    found: dict[str, SourceChoice] = {}
     for choice in (choice for plan in plans for choice in plan.sources):
         found.setdefault(f"{choice.name} {choice.options}", choice)
     return tuple(found.values())

@@ -57,7 +57,7 @@ def write_original(problem: Problem, plan: Plan) -> str:
         InputError: the domain, the problem or the plan has what cannot be said; the message names it.
     """
     _refuse(problem, plan)
-    writer = _Writer(problem, initial_knowledge(problem))
+    writer = _UnrolledPlan(problem, initial_knowledge(problem))
     for step in plan.steps:
         writer.call(step)
     writer.check(problem.goal, "goal")
@@ -80,7 +80,7 @@ def _refuse(problem: Problem, plan: Plan) -> None:
 
 
 @dataclass
-class _Writer:
+class _UnrolledPlan:
     """Writes the steps. The mutable state is what has been written."""
 
     problem: Problem

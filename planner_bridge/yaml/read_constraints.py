@@ -15,7 +15,7 @@ from pnm.errors import InputError, suggestion
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language.declarations import listed
 from pnm.language.formulas.conditions import read_condition, read_expression, read_quantified
-from pnm.language.formulas.scope import Scope, read_typed
+from pnm.language.formulas.scope import FormulaScope, read_typed
 from pnm.language.formulas.words import needed_form
 
 CONSTRAINT_WORDS: Final[Mapping[str, tuple[int, int]]] = {**CONSTRAINTS, "at_end": (0, 1)}
@@ -30,7 +30,7 @@ _TOTAL_TIME: Final = "total-time"
 _IS_VIOLATED: Final = "is-violated"
 
 
-def read_constraint(node: Node, scope: Scope, variables: tuple[Variable, ...] = ()) -> Constraint:
+def read_constraint(node: Node, scope: FormulaScope, variables: tuple[Variable, ...] = ()) -> Constraint:
     """Read a constraint, around which these variables are bound.
 
     Raises:
@@ -57,7 +57,7 @@ def _time(node: Node) -> float:
     return float(value)
 
 
-def read_preference(node: Node, scope: Scope, *, timed: bool = False) -> Preference:
+def read_preference(node: Node, scope: FormulaScope, *, timed: bool = False) -> Preference:
     """Read a preference.
 
     Args:
@@ -95,7 +95,7 @@ def is_about_states(node: Node) -> bool:
     return "constraints" not in node.mapped().nodes
 
 
-def read_metric(entry: Mapped, scope: Scope, preferences: Collection[str]) -> Metric | None:
+def read_metric(entry: Mapped, scope: FormulaScope, preferences: Collection[str]) -> Metric | None:
     """Read the key ``metric``; the names are those of the preferences that it may count.
 
     Raises:

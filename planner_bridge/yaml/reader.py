@@ -28,7 +28,7 @@ from pnm.files.yaml_nodes import MAX_BYTES, Mapped, Node
 from pnm.language.declarations import listed
 from pnm.language.domain import DOMAIN_KEYS, read_model
 from pnm.language.files import ANCHORS, PLAN_KEYS, domain_document
-from pnm.language.formulas.scope import Scope, shown
+from pnm.language.formulas.scope import FormulaScope, shown
 
 _LEFT_OUT: Final = ("instances", "external_knowledge_base", "knowledge", "action_types")
 """The keys of a domain that PDDL has nothing like."""
@@ -80,7 +80,7 @@ def parse(text: str, file: str) -> Contents:
 
 
 def _domain(model: ProblemModel, top: Mapped) -> Domain:
-    scope = Scope(model, {}, strict=True, borrows="problem" not in top.nodes)
+    scope = FormulaScope(model, {}, strict=True, borrows="problem" not in top.nodes)
     actions = {name: _with_preferences(schema, top.mapping("actions")[name], scope) for name, schema in model.domain.actions.items()}
     for preference in listed(top.node("preferences")):
         preference.mapped().needed("constraints")  # no state that could be preferred is known here
@@ -95,7 +95,7 @@ def _domain(model: ProblemModel, top: Mapped) -> Domain:
 
 
 def _problem(model: ProblemModel, domain: Domain, section: Mapped) -> Problem:
-    scope = Scope(model, {}, strict=True)
+    scope = FormulaScope(model, {}, strict=True)
     nodes = listed(section.node("preferences"))
     soft = [read_preference(node, scope) for node in sorted(nodes, key=is_about_states, reverse=True)]
     every = (*soft, *domain.preferences, *(preference for schema in domain.actions.values() for preference in schema.preferences))
@@ -116,7 +116,7 @@ def _fields(model: DomainModel | ProblemModel) -> Mapping[str, Any]:
     return {name: getattr(model, name) for name in kind.__dataclass_fields__}
 
 
-def _with_preferences(schema: ActionSchema, entry: Mapped, scope: Scope) -> ActionSchema:
+def _with_preferences(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> ActionSchema:
     timed = schema.duration is not None
     inner = scope.inside((*schema.parameters, *((Variable(DURATION[0]),) if timed else ())))
     found: list[Preference] = []

@@ -25,12 +25,12 @@ def plan_entries(graph: PlanGraph, domain: Domain) -> list[Entry]:
     """Return what a file says of a plan that a planner has made."""
     if not graph.calls:
         return [_NO_PLAN]
-    writer = _Writer(graph, domain)
+    writer = _StepWriter(graph, domain)
     return [Entry(Sequence(tuple([Entry(step) for step in writer.steps()])), "plan", apart=True)]
 
 
 @dataclass(frozen=True)
-class _Writer:
+class _StepWriter:
     graph: PlanGraph
     domain: Domain
 

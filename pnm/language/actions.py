@@ -17,7 +17,7 @@ from pnm.core.machine.bindings import DEFAULT, Binding
 from pnm.errors import InputError, Position
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language.formulas.effects import read_conditions, read_duration, read_timed_effects
-from pnm.language.formulas.scope import Scope, read_typed, shown, unknown
+from pnm.language.formulas.scope import FormulaScope, read_typed, shown, unknown
 from pnm.language.formulas.values import read_data
 
 
@@ -115,7 +115,7 @@ def _in_effects(effects: Effects, *, values: bool = False) -> frozenset[str]:
     return frozenset(found)
 
 
-def read_schema(name: str, entry: Mapped, scope: Scope) -> ActionSchema:
+def read_schema(name: str, entry: Mapped, scope: FormulaScope) -> ActionSchema:
     """Read the schema of an action.
 
     Args:
@@ -161,7 +161,7 @@ def _check_moments(schema: ActionSchema, entry: Mapped) -> None:
         raise InputError("only an effect at the end of an action with a duration can be tested at its start", entry.position("effects"))
 
 
-def read_action(schema: ActionSchema, entry: Mapped, scope: Scope) -> LanguageAction:
+def read_action(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> LanguageAction:
     """Read how an action is executed.
 
     Raises:
@@ -198,7 +198,7 @@ def _kind(entry: Mapped) -> ActionKind:
     return known[name]
 
 
-def _simulated(entry: Mapped, scope: Scope) -> tuple[tuple[str, Data], ...]:
+def _simulated(entry: Mapped, scope: FormulaScope) -> tuple[tuple[str, Data], ...]:
     """Read what a simulated server answers; like a real one it knows its goal and the world, but no variables."""
     node = entry.node("simulated")
     found: list[tuple[str, Data]] = []

@@ -109,7 +109,7 @@ _CALLED: Final = Binding(retries=0, timeout=86_400.0, cancel=60.0)
 
 
 @dataclass(frozen=True)
-class Draft:
+class PlanHead:
     """A plan of which only the head has been read: what others need to know in order to call it."""
 
     name: str
@@ -140,27 +140,27 @@ def read_domain(path: Path) -> LanguageDomain:
     return domain_from(top, warnings)
 
 
-def drafts(path: Path, domain: LanguageDomain | None = None) -> list[Draft]:
+def plan_heads(path: Path, domain: LanguageDomain | None = None) -> list[PlanHead]:
     """Read the heads of all plans of a file.
 
     Raises:
         InputError: there is none, or something is malformed.
     """
-    return drafts_in(*read_documents(path), domain)
+    return plan_heads_in(*read_documents(path), domain)
 
 
-def drafts_in(documents: tuple[Mapped, ...], warnings: tuple[Tolerated, ...], domain: LanguageDomain | None) -> list[Draft]:
-    """Read the heads of all plans of a file's documents; see `drafts`."""
+def plan_heads_in(documents: tuple[Mapped, ...], warnings: tuple[Tolerated, ...], domain: LanguageDomain | None) -> list[PlanHead]:
+    """Read the heads of all plans of a file's documents; see `plan_heads`."""
     top = domain_document(documents)
     own = None if top is None else domain_from(top, warnings)
-    found: list[Draft] = []
+    found: list[PlanHead] = []
     for document in documents:
         for name, entry in _entries(document):
             _check_classes(entry)
             params = entry.node("params")
             parameters = None if params is None or params.is_null else read_typed(params)
             chosen = _domain_of(entry, own, domain)
-            found.append(Draft(name, entry, chosen, parameters, tuple(dict.fromkeys((*warnings, *chosen.warnings)))))
+            found.append(PlanHead(name, entry, chosen, parameters, tuple(dict.fromkeys((*warnings, *chosen.warnings)))))
     if not found:
         raise InputError("there is no plan in the file; expected the key 'plan'", documents[0].start)
     return found

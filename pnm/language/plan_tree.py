@@ -20,7 +20,7 @@ from pnm.errors import InputError, Position
 from pnm.files.yaml_nodes import Node
 from pnm.language.actions import LanguageAction
 from pnm.language.formulas.conditions import read_condition
-from pnm.language.formulas.scope import Scope, unknown
+from pnm.language.formulas.scope import FormulaScope, unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Wait:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class StepPlacement:
     """Where a step stands."""
 
     position: Position
@@ -47,7 +47,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
+class GivenValue:
     """What a step says about a parameter."""
 
     data: Data
@@ -72,9 +72,9 @@ class WrittenRecovery:
 class CallStep:
     """An action is called."""
 
-    place: Place
+    place: StepPlacement
     action: LanguageAction
-    given: Mapping[str, Given] = field(default_factory=dict)
+    given: Mapping[str, GivenValue] = field(default_factory=dict)
     """By parameter, without ``?``."""
     operation: KnowledgeOperation | None = None
     recoveries: tuple[WrittenRecovery, ...] | None = None
@@ -96,7 +96,7 @@ class CallStep:
 class SequenceStep:
     """Steps one after the other, or in the order that their ``after`` says."""
 
-    place: Place
+    place: StepPlacement
     steps: tuple[WrittenStep, ...]
 
 
@@ -104,7 +104,7 @@ class SequenceStep:
 class ConcurrentStep:
     """Steps at the same time."""
 
-    place: Place
+    place: StepPlacement
     branches: tuple[WrittenStep, ...]
 
 
@@ -112,7 +112,7 @@ class ConcurrentStep:
 class LoopStep:
     """Steps that are repeated as long as a condition holds."""
 
-    place: Place
+    place: StepPlacement
     condition: Condition
     body: SequenceStep
     limit: int
@@ -122,7 +122,7 @@ class LoopStep:
 class ChoiceStep:
     """Steps that are done if a condition holds, and others that are done if not."""
 
-    place: Place
+    place: StepPlacement
     condition: Condition
     then: SequenceStep
     otherwise: SequenceStep
@@ -150,7 +150,7 @@ ReadSteps: TypeAlias = Callable[[tuple[Node, ...], Position], SequenceStep]
 """Reads steps that follow each other."""
 
 
-def read_recoveries(node: Node, scope: Scope, read_steps: ReadSteps) -> tuple[WrittenRecovery, ...]:
+def read_recoveries(node: Node, scope: FormulaScope, read_steps: ReadSteps) -> tuple[WrittenRecovery, ...]:
     """Read what is done when a call fails.
 
     Args:
@@ -188,7 +188,7 @@ def _is_long(node: Node) -> bool:
     return node.is_mapping and "do" in node.mapped().nodes
 
 
-def _recovery(node: Node, usual: frozenset[Cause], own: Cause | None, scope: Scope, read_steps: ReadSteps) -> WrittenRecovery:
+def _recovery(node: Node, usual: frozenset[Cause], own: Cause | None, scope: FormulaScope, read_steps: ReadSteps) -> WrittenRecovery:
     entry = node.mapped() if _is_long(node) else None
     when: Condition | None = None
     times: int | None = None

@@ -16,16 +16,16 @@ from pnm.errors import InputError, Position
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language.actions import OPERATION, RESERVED, ActionKind, LanguageAction
 from pnm.language.formulas.conditions import read_condition
-from pnm.language.formulas.scope import Scope, shown, unknown
+from pnm.language.formulas.scope import FormulaScope, shown, unknown
 from pnm.language.formulas.values import read_data, read_operation
 from pnm.language.plan_tree import (
     CallStep,
     ChoiceStep,
     ConcurrentStep,
-    Given,
+    GivenValue,
     LoopStep,
-    Place,
     SequenceStep,
+    StepPlacement,
     Wait,
     WrittenRecovery,
     WrittenStep,
@@ -51,9 +51,9 @@ class StepReader:
     """In a chain of recovery, the parameters of the call that recovers."""
 
     @cached_property
-    def scope(self) -> Scope:
+    def scope(self) -> FormulaScope:
         """What values and conditions may use."""
-        return Scope(self.declared, dict.fromkeys(self.variables, ("object",)))
+        return FormulaScope(self.declared, dict.fromkeys(self.variables, ("object",)))
 
     def steps(self, node: Node) -> SequenceStep:
         """Read a list of steps.
@@ -69,7 +69,7 @@ class StepReader:
         """Read steps that follow each other."""
         steps = tuple([self.step(node) for node in nodes])
         _check_ids(steps)
-        return SequenceStep(Place(position), steps)
+        return SequenceStep(StepPlacement(position), steps)
 
     def step(self, node: Node) -> WrittenStep:
         """Read one step; a list of steps is a sequence."""
@@ -111,7 +111,7 @@ class StepReader:
         message = f"a step does one thing; {strange!r} is a second one, and none of the options: {', '.join(OPTIONS)}"
         raise InputError(message, entry.nodes[strange][0])
 
-    def _loop(self, entry: Mapped, place: Place) -> LoopStep:
+    def _loop(self, entry: Mapped, place: StepPlacement) -> LoopStep:
         entry.only("condition", "actions", "limit")
         limit = entry.whole("limit", DEFAULT_LIMIT)
         if not 1 <= limit <= MAX_LIMIT:
@@ -121,10 +121,10 @@ class StepReader:
             raise InputError("a loop repeats at least one step", entry.position("actions"))
         return LoopStep(place, read_condition(entry.needed("condition"), self.scope), body, limit)
 
-    def _choice(self, entry: Mapped, place: Place) -> ChoiceStep:
+    def _choice(self, entry: Mapped, place: StepPlacement) -> ChoiceStep:
         condition = read_condition(entry.needed("if"), self.scope)
         otherwise = entry.node("else")
-        nothing = SequenceStep(Place(entry.start), ())
+        nothing = SequenceStep(StepPlacement(entry.start), ())
         return ChoiceStep(place, condition, self.steps(entry.needed("then")), nothing if otherwise is None else self.steps(otherwise))
 
     # --- calls ---
@@ -136,7 +136,7 @@ class StepReader:
             )
         return unknown("action", name, self.actions.keys() | RESERVED - {"then", "else"}, position)
 
-    def _call(self, name: str, entry: Mapped, place: Place) -> CallStep:
+    def _call(self, name: str, entry: Mapped, place: StepPlacement) -> CallStep:
         if name not in self.actions:
             raise self._unknown_action(name, entry.nodes[name][0])
         action = self.actions[name]
@@ -165,14 +165,14 @@ class StepReader:
         inner = StepReader(self.actions, self.declared, frozenset(variable.name for variable in action.schema.parameters))
         return read_recoveries(node, inner.scope, inner.sequence)
 
-    def _given(self, action: LanguageAction, key: str, where: Position, node: Node) -> Given:
+    def _given(self, action: LanguageAction, key: str, where: Position, node: Node) -> GivenValue:
         parameters = [variable.name[1:] for variable in action.schema.parameters]
         if not action.is_open and key not in parameters:
             raise unknown(f"parameter of {action.name}", key, parameters, where)
         data = read_data(node, self.scope)
         if f"?{key}" in action.objects:
             _check_object(action, key, node, self.declared)
-        return Given(data, node.position)
+        return GivenValue(data, node.position)
 
     def _operation(self, action: LanguageAction, told: Mapped) -> KnowledgeOperation:
         node = told.node(OPERATION)
@@ -202,10 +202,10 @@ def _check_object(action: LanguageAction, key: str, node: Node, declared: Proble
         raise unknown(f"object for {key} of {action.name} (one of type {' or '.join(types)})", name, fitting, node.position)
 
 
-def _place(entry: Mapped) -> Place:
+def _place(entry: Mapped) -> StepPlacement:
     after, end_after = entry.node("after"), entry.node("end_after")
     start = None if after is None else _waits(after)
-    return Place(entry.start, entry.string("id"), start, () if end_after is None else _waits(end_after))
+    return StepPlacement(entry.start, entry.string("id"), start, () if end_after is None else _waits(end_after))
 
 
 def _waits(node: Node) -> tuple[Wait, ...]:

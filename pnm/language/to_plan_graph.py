@@ -40,7 +40,7 @@ MAX_STEPS: Final = 10_000
 MAX_NESTING: Final = 50
 
 
-class Ends(NamedTuple):
+class PartEnds(NamedTuple):
     """The steps of a part that nothing in it comes before, and those that nothing in it comes after."""
 
     first: tuple[int, ...]
@@ -65,7 +65,7 @@ class _Region:
         return Flow(tuple(self.steps), tuple(self.orderings))
 
 
-class Lowering:
+class PlanGraphBuilder:
     """Makes the graph of one plan. The mutable state is how many steps there are so far, where calls stand, and which say how to recover.
 
     Args:
@@ -114,7 +114,7 @@ class Lowering:
 
     # --- blocks ---
 
-    def _place(self, step: WrittenStep, region: _Region) -> Ends:
+    def _place(self, step: WrittenStep, region: _Region) -> PartEnds:
         """Put a step into the flow; return where it begins and ends there."""
         position = step.place.position
         if region.depth > MAX_NESTING:
@@ -137,10 +137,10 @@ class Lowering:
     def _inside(self, steps: SequenceStep, region: _Region) -> Flow:
         return self._flow(steps, _Region(region.outer, region.depth + 1, region.recovering))
 
-    def _sequence(self, sequence: SequenceStep, region: _Region) -> Ends:
+    def _sequence(self, sequence: SequenceStep, region: _Region) -> PartEnds:
         return self._ordered(sequence.steps, region, in_sequence=True)
 
-    def _ordered(self, steps: tuple[WrittenStep, ...], region: _Region, *, in_sequence: bool) -> Ends:
+    def _ordered(self, steps: tuple[WrittenStep, ...], region: _Region, *, in_sequence: bool) -> PartEnds:
         """Put the steps of a list into the flow: in the order that ``after`` says, or else in sequence or at the same time."""
         parts = [self._place(step, region) for step in steps]
         if any(step.place.after is not None or step.place.end_after for step in steps):
@@ -156,7 +156,7 @@ class Lowering:
                 if not one.is_plain:
                     region.orderings += _special(one, parts[one.step], part)
         waited = {one.step for before in waits for one in before if one.moment is Moment.END}
-        return Ends(
+        return PartEnds(
             tuple(first for part, before in zip(parts, waits, strict=True) if not _is_late(before) for first in part.first),
             tuple(last for number, part in enumerate(parts) if number not in waited for last in part.last),
         )
@@ -170,12 +170,12 @@ class Lowering:
         else:
             region.orderings += [Ordering(PlanEvent(one, Moment.END), PlanEvent(two, Moment.START)) for one in before for two in after]
 
-    def _junction(self, position: Position | None, region: _Region) -> Ends:
+    def _junction(self, position: Position | None, region: _Region) -> PartEnds:
         return self._alone(Junction(self._number(position)), region)
 
-    def _alone(self, step: Step, region: _Region) -> Ends:
+    def _alone(self, step: Step, region: _Region) -> PartEnds:
         region.steps.append(step)
-        return Ends((step.index,), (step.index,))
+        return PartEnds((step.index,), (step.index,))
 
     def _number(self, position: Position | None) -> int:
         self._made += 1
@@ -239,7 +239,7 @@ def _is_late(waits: tuple[_After, ...]) -> bool:
     return any(one.own is Moment.START for one in waits)
 
 
-def _special(after: _After, earlier: Ends, part: Ends) -> list[Ordering]:
+def _special(after: _After, earlier: PartEnds, part: PartEnds) -> list[Ordering]:
     before = earlier.last if after.moment is Moment.END else earlier.first
     own = part.first if after.own is Moment.START else part.last
     return [Ordering(PlanEvent(one, after.moment), PlanEvent(two, after.own), delay=after.delay) for one in before for two in own]
