@@ -48,14 +48,14 @@ def quoted(text: str) -> str:
 
 
 def is_plain(text: str, *, in_flow: bool = False) -> bool:
-    """Tell whether the text needs no quotes, inside brackets and braces or elsewhere."""
+    """Return whether the text needs no quotes, inside brackets and braces or elsewhere."""
     if not any(map(str.isalnum, text)) or _PLAIN.fullmatch(text) is None or _BREAKING.search(text) or (in_flow and _IN_FLOW.search(text)):
         return False
     return text not in _LETTERS and _NEWER.fullmatch(text) is None and not _means_something(text)
 
 
 def _means_something(text: str) -> bool:
-    """Tell whether YAML 1.1 takes the text for a number, a truth value, a date or the like."""
+    """Return whether YAML 1.1 takes the text for a number, a truth value, a date or the like."""
     return any(pattern.match(text) for _, pattern in (*_RESOLVERS.get(text[0], ()), *_RESOLVERS.get(None, ())))
 
 

@@ -61,7 +61,7 @@ def written(entries: Iterable[Entry]) -> str:
 
 
 def domain_entries(domain: Domain, notes: Notes) -> list[Entry]:
-    """Return what a file says of a domain."""
+    """Return the keys of a file with a domain."""
     own = notes.at("domain")
     root = own.take().joined(notes.take())
     lines = [("types", ((name, above or ("object",)) for name, above in domain.types.items())), ("constants", domain.constants.items())]

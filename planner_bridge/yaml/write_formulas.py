@@ -31,7 +31,7 @@ def conditions(condition: Condition, notes: Notes) -> Value:
 
 
 def one_or_list(entries: list[Entry]) -> Value:
-    """Return the value itself if there is one and nothing is said about it."""
+    """Return the one value, if it has no comments, or a list."""
     return entries[0].value if len(entries) == 1 and not entries[0].note else Sequence(tuple(entries))
 
 

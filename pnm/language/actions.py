@@ -1,4 +1,4 @@
-"""The actions of a domain: from YAML to schemas, which `pnm.language.ground_calls` makes ground actions from."""
+"""The actions of a domain: from YAML to schemas, which `pnm.language.ground_calls` grounds, and to how they are executed."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from pnm.language.formulas.values import read_data
 
 
 class ActionKind(Enum):
-    """Who carries an action out."""
+    """How an action is executed."""
 
     ROS = "ros_action"
     """An action server."""
     RPN = "rpn_action"
     """An action server that asks for knowledge, and changes it, while it runs."""
     KB = "kb_action"
-    """Nobody: it works on knowledge alone."""
+    """Without a server: it works on knowledge alone."""
     PLAN = "plan"
     """Another plan, which is an action server as well."""
 
@@ -37,7 +37,7 @@ class ActionKind(Enum):
 CLASSES: Final = {"ROSAtomicAction": ActionKind.ROS, "RPNAtomicAction": ActionKind.RPN, "KBAction": ActionKind.KB}
 """The classes that files for the original implementation name; none of them is imported."""
 OPERATION: Final = "operation"
-"""The parameter under which the step of a `ActionKind.KB` action says what is done."""
+"""The parameter of an `ActionKind.KB` action that has the operation on knowledge."""
 ACTION_KEYS: Final = (
     *("instances", "type", "params", "preconditions", "effects", "duration", "preferences", "recoveries", "resources"),
     *("server", "ros_type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "simulated"),
@@ -184,7 +184,7 @@ def read_action(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> Lan
 
 
 def _kind(entry: Mapped) -> ActionKind:
-    """Return who carries the action out; an action server, if the file does not say."""
+    """Return how the action is executed; by an action server, without the key."""
     node = entry.node("type")
     if node is None or node.is_null:
         return ActionKind.ROS

@@ -152,7 +152,7 @@ def read_facts(nodes: Iterable[Node], scope: FormulaScope) -> dict[Fluent, Value
 
 
 def read_initial(problem: Mapped, scope: FormulaScope) -> tuple[dict[Fluent, Value], tuple[TimedChange, ...]]:
-    """Read ``init``: the initial facts, and, as ``{at: 5, facts: [...]}``, timed ones, after so many seconds.
+    """Read ``init``: the initial facts, and timed ones: ``{at: 5, facts: [...]}``, in seconds.
 
     Raises:
         InputError: it is something else, or has names that are not there.

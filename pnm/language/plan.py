@@ -1,6 +1,6 @@
-"""Plans that people write: files with a plan, with recipes, with a domain, or with all of these.
+"""Hand-written plans: files with a plan, with recipes, with a domain, or with all of these.
 
-Worlds: a domain and the plans that are offered together, each of which becomes an action server.
+A world is a domain and the plans that are served together, each as an action server.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ from pnm.language.to_plan_graph import PlanGraphBuilder
 
 @dataclass(frozen=True)
 class HandWrittenPlan:
-    """A plan, ready for `pnm.core.machine.generate`, and what it is carried out with."""
+    """A plan graph, ready for `pnm.core.machine.generate`, with its bindings, parameters and initial knowledge."""
 
     name: str
     graph: PlanGraph
     bindings: Bindings
     parameters: tuple[str, ...] | None = ()
-    """Variables that whoever starts the plan gives; any if None."""
+    """Variables that are given when the plan is started; any if None."""
     results: tuple[str, ...] = ()
-    """Variables that whoever started the plan is told at the end."""
+    """Variables whose values are the result of the plan."""
     variables: Mapping[str, object] = field(default_factory=dict)
-    """What the run knows at the beginning; parameters come before it."""
+    """The local knowledge at the beginning; parameters come before it."""
     facts: Mapping[Fluent, Value] = field(default_factory=dict)
-    """What is so in the world at the beginning, as far as files say."""
+    """The initial facts, as far as files have them."""
     timed: tuple[TimedChange, ...] = ()
-    """What changes in the world by itself."""
+    """Timed facts."""
     objects: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """By type."""
     timeout: float | None = None
@@ -60,7 +60,7 @@ class HandWrittenPlan:
     calls: frozenset[str] = frozenset()
     """The other plans it calls."""
     warnings: tuple[Tolerated, ...] = ()
-    """What in the files was not as it should be."""
+    """What in the files was tolerated though it is not as it should be."""
     declared: ProblemModel = NOTHING_DECLARED
     """The model of its domain."""
     domain_file: str = ""
@@ -82,7 +82,7 @@ def read_plans(path: Path, domain: Path | None = None) -> dict[str, HandWrittenP
 
     Args:
         path: the file.
-        domain: the file with the domain, for plans that do not say it themselves.
+        domain: the file with the domain, for plans that do not name one themselves.
 
     Raises:
         InputError: there is none, something is malformed, or has names that are not there.
@@ -177,7 +177,7 @@ def _capacities(entry: Mapped) -> dict[str, int]:
 
 
 def _check_capacities(entry: Mapped, graph: PlanGraph, actions: Mapping[str, LanguageAction]) -> None:
-    """Refuse what is said of a resource that neither the plan nor any action of the domain uses."""
+    """Refuse the capacity of a resource that neither the plan nor any action of the domain uses."""
     described = {name for action in actions.values() for name in action.resources}
     used = described | {name for call in graph.calls for name in call.action.resources}
     for name in graph.capacities:

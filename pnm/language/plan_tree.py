@@ -1,9 +1,9 @@
-"""Plans as they are written: a tree of steps that says the same as the file.
+"""Plans as they are written: the syntax tree of their steps, and of the recoveries in them.
 
 What is done when a call fails, as it is written: ``before``, ``during`` and ``after``, each with chains of steps.
 
 A chain is a list of steps that ends in a command. In its long form, ``{when: condition, do: chain, times: n}``, it has
-a condition of its own and says how often it may be used; there may be a list of these.
+a condition of its own and a limit of how often it may be used; there may be a list of these.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class StepPlacement:
 
 @dataclass(frozen=True, slots=True)
 class GivenValue:
-    """What a step says about a parameter."""
+    """The value that a step gives a parameter."""
 
     data: Data
     position: Position
@@ -63,7 +63,7 @@ class WrittenRecovery:
     chain: SequenceStep
     then: Then
     times: int | None = None
-    """None if the file does not say."""
+    """None if the file gives no number."""
     when: Condition | None = None
     """For checks of its own, before or after."""
 
@@ -78,7 +78,7 @@ class CallStep:
     """By parameter, without ``?``."""
     operation: KnowledgeOperation | None = None
     recoveries: tuple[WrittenRecovery, ...] | None = None
-    """In place of what the action says; None if the step says nothing."""
+    """In place of those of the action; None if the step has none of its own."""
     retries: int | None = None
     timeout: float | None = None
     duration: float | None = None
@@ -94,7 +94,7 @@ class CallStep:
 
 @dataclass(frozen=True, slots=True)
 class SequenceStep:
-    """Steps one after the other, or in the order that their ``after`` says."""
+    """Steps one after the other, or in the partial order that their ``after`` gives."""
 
     place: StepPlacement
     steps: tuple[WrittenStep, ...]

@@ -33,12 +33,12 @@ from pnm.language.plan_tree import (
 )
 
 DEFAULT_LIMIT: Final = 1000
-"""How often a loop is repeated at most when the plan does not say."""
+"""How often a loop is repeated at most, without a limit in the plan."""
 MAX_LIMIT: Final = 1_000_000
 _PLACE: Final = ("id", "after")
 _CALL: Final = ("recoveries", "retries", "timeout", "resources", "store", "end_after", "duration", "release", "deadline")
 OPTIONS: Final = (*_PLACE, *_CALL)
-"""What may be said of a step beside what it does."""
+"""The keys of a step beside the one that names its action or block."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class StepReader:
                 return self._call(name, entry, place)
 
     def _head(self, entry: Mapped) -> str:
-        """Return the key that says what the step does."""
+        """Return the key that names the action or the block of the step."""
         for word in ("if", "while", "concurrent_actions", "sequence"):
             if word in entry.nodes:
                 return word
@@ -141,15 +141,15 @@ class StepReader:
             raise self._unknown_action(name, entry.nodes[name][0])
         action = self.actions[name]
         argument = entry.needed(name)
-        told = Mapped(entry.file, entry.start, {}) if argument.is_null else argument.mapped()
-        given = {key: self._given(action, key, where, node) for key, where, node in told.entries() if not _is_operation(action, key)}
+        arguments = Mapped(entry.file, entry.start, {}) if argument.is_null else argument.mapped()
+        given = {key: self._given(action, key, where, node) for key, where, node in arguments.entries() if not _is_operation(action, key)}
         options = Mapped(entry.file, entry.start, {key: value for key, value in entry.nodes.items() if key != name})
         recoveries = options.node("recoveries")
         return CallStep(
             place,
             action,
             given,
-            operation=self._operation(action, told) if action.kind is ActionKind.KB else None,
+            operation=self._operation(action, arguments) if action.kind is ActionKind.KB else None,
             recoveries=None if recoveries is None else self.recoveries(action, recoveries),
             retries=options.whole("retries", None),
             timeout=options.number("timeout", None),
@@ -174,10 +174,10 @@ class StepReader:
             _check_object(action, key, node, self.declared)
         return GivenValue(data, node.position)
 
-    def _operation(self, action: LanguageAction, told: Mapped) -> KnowledgeOperation:
-        node = told.node(OPERATION)
+    def _operation(self, action: LanguageAction, arguments: Mapped) -> KnowledgeOperation:
+        node = arguments.node(OPERATION)
         if node is None:
-            raise InputError(f"{action.name} works on knowledge; expected the key {OPERATION!r}", told.start)
+            raise InputError(f"{action.name} works on knowledge; expected the key {OPERATION!r}", arguments.start)
         return read_operation(node, self.scope.inside(action.schema.parameters))
 
 

@@ -1,4 +1,4 @@
-"""From the steps as they are written to a `PlanGraph`: which step waits for which.
+"""From the syntax tree of a plan to a `PlanGraph`: its steps and their partial order.
 
 Every list is walked once; what is inside of blocks that are done in sequence or at the same time ends up in the same
 flow, with orderings from the steps that are last in one to those that are first in the next. Where several meet
@@ -41,7 +41,7 @@ MAX_NESTING: Final = 50
 
 
 class PartEnds(NamedTuple):
-    """The steps of a part that nothing in it comes before, and those that nothing in it comes after."""
+    """The first and the last steps of a part: its sources and sinks."""
 
     first: tuple[int, ...]
     last: tuple[int, ...]
@@ -66,12 +66,12 @@ class _Region:
 
 
 class PlanGraphBuilder:
-    """Makes the graph of one plan. The mutable state is how many steps there are so far, where calls stand, and which say how to recover.
+    """Makes the graph of one plan. The mutable state is the number of steps so far, where calls stand, and which have recoveries.
 
     Args:
-        recoveries: gives what the domain says about recovering when calls of an action fail.
+        recoveries: gives the recoveries of an action, from the domain.
         facts: what is so at the beginning.
-        restarts: how often the plan may begin anew when a recovery does not say.
+        restarts: how often the plan may begin anew, where a recovery gives no number.
     """
 
     def __init__(self, recoveries: Callable[[LanguageAction], tuple[WrittenRecovery, ...]], facts: Facts, restarts: int = 1) -> None:
@@ -141,7 +141,7 @@ class PlanGraphBuilder:
         return self._ordered(sequence.steps, region, in_sequence=True)
 
     def _ordered(self, steps: tuple[WrittenStep, ...], region: _Region, *, in_sequence: bool) -> PartEnds:
-        """Put the steps of a list into the flow: in the order that ``after`` says, or else in sequence or at the same time."""
+        """Put the steps of a list into the flow: in the order that ``after`` gives, or else in sequence or at the same time."""
         parts = [self._place(step, region) for step in steps]
         if any(step.place.after is not None or step.place.end_after for step in steps):
             parts = [part if part.first else self._junction(step.place.position, region) for part, step in zip(parts, steps, strict=True)]
@@ -220,7 +220,7 @@ class PlanGraphBuilder:
 
 @dataclass(frozen=True, slots=True)
 class _After:
-    """That a step waits for another of its list."""
+    """An ordering of two steps of a list: one waits for the other."""
 
     step: int
     moment: Moment = Moment.END

@@ -1,7 +1,6 @@
 """Conditions and expressions: from YAML to `pnm.core.logic.conditions`, every shape of them.
 
-What speaks of facts, functions and objects alone becomes PDDL's own kinds of conditions; what speaks of
-variables is `Computed`.
+Those over facts, functions and objects alone become PDDL's own kinds of conditions; those over variables are `Computed`.
 """
 
 from __future__ import annotations
@@ -77,7 +76,7 @@ def _condition(found: Form, scope: FormulaScope) -> Condition:
 
 
 def read_quantified(found: Form, inner: str, scope: FormulaScope) -> tuple[tuple[Variable, ...], Node]:
-    """Return the variables of a quantifier, and what is said of them under the key."""
+    """Return the variables of a quantifier, and its body, which stands under the key."""
     entry = found.argument.mapped()
     entry.only("variables", inner)
     return read_typed(entry.needed("variables"), scope), entry.needed(inner)

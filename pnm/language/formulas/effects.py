@@ -1,7 +1,7 @@
-"""What actions do: from YAML to `pnm.core.logic.effects`, and what is tested rather than done; durations and moments.
+"""Effects, durations and moments of actions: from YAML to `pnm.core.logic.effects`.
 
-An effect on facts and functions is done. A test of variables, which action servers write, is expected to hold
-once the action is done.
+An effect on facts and functions is applied. A test of variables, which action servers write, is an expected condition:
+it should hold once the action is done.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MOMENTS: Final = ("at_start", "over_all", "at_end")
 
 @dataclass(frozen=True, slots=True)
 class WrittenEffects:
-    """What an action does, and what is expected besides."""
+    """The effects of an action, and the condition that is expected besides."""
 
     effects: Effects = ()
     expected: Condition = TRUE

@@ -28,7 +28,7 @@ _ANY: Final = ("object",)
 class FormulaScope:
     """The names that a formula may use: what is declared, and the variables bound around it.
 
-    Names of a kind of which none is declared are not checked, unless the scope is strict.
+    Where no names of a kind are declared, any will do, unless the scope is strict.
     """
 
     declared: ProblemModel = NOTHING_DECLARED
@@ -148,7 +148,7 @@ def unknown(what: str, name: str, known: Collection[str], position: Position | N
 
 
 def is_variable(text: str) -> bool:
-    """Tell whether the text names a parameter: ``?x``."""
+    """Return whether the text names a parameter: ``?x``."""
     return _VARIABLE.match(text) is not None
 
 
@@ -184,7 +184,7 @@ def read_typed(node: Node, scope: FormulaScope = ANYTHING) -> tuple[Variable, ..
 
 
 def read_typed_text(text: str, node: Node, scope: FormulaScope = ANYTHING, *, distinct: bool = True) -> tuple[Variable, ...]:
-    """Read variables with their types from a part of the node's text; where they only say how many there are, names may repeat."""
+    """Read variables with their types from a part of the node's text; names that only give the arity may repeat."""
     return _variables(_typed(text, node, scope), node, distinct=distinct)
 
 
@@ -246,7 +246,7 @@ def _types(tokens: deque[str], node: Node) -> tuple[str, ...]:
 
 
 def shown(node: Node) -> str:
-    """Say what stands there, in few words."""
+    """Return what stands there, in few words, for errors."""
     if node.text is not None:
         return repr(node.text if len(node.text) < 60 else f"{node.text[:59]}…")
     return "a mapping" if node.is_mapping else "a list" if node.items is not None else node.written or "nothing"

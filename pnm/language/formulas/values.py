@@ -1,4 +1,4 @@
-"""Values that are computed from what a run knows, and what a step does to knowledge: from YAML to `pnm.core.logic.computed_values`.
+"""Computed values, and operations on knowledge: from YAML to `pnm.core.logic.computed_values`.
 
 A text that begins with ``?`` is a parameter of the action, and ``(battery r1)`` the value of a function or the
 truth of a fact; any other text, number, list or mapping stands for itself, and ``{Literal: x}`` does whatever x is.
@@ -136,7 +136,7 @@ def _is_flag(data: Data) -> bool:
 
 
 def _truth(data: Data) -> Data:
-    """Return the truth of a fact, which is false when nobody has recorded it; anything else as it is."""
+    """Return the truth of a fact, which is false when it is not recorded; anything else as it is."""
     return Operation("truth", (data,)) if isinstance(data, ValueOf) else data
 
 
@@ -178,7 +178,7 @@ def _assertion(found: Form, scope: FormulaScope) -> Operation:
 
 
 def read_operation(node: Node, scope: FormulaScope = ANYTHING) -> KnowledgeOperation:
-    """Read what a step does to knowledge: an update, a query, or an operation.
+    """Read an operation on knowledge: an update, a query, or an operator that changes it.
 
     Raises:
         InputError: it is something else, malformed, or has names that are not there.
