@@ -13,7 +13,6 @@ from pnm.core.logic.expressions import Constant, Variable, expression_fluents
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError, suggestion
 from pnm.files.yaml_nodes import Mapped, Node
-from pnm.language.declarations import listed
 from pnm.language.formulas.conditions import read_condition, read_expression, read_quantified
 from pnm.language.formulas.scope import FormulaScope, read_typed
 from pnm.language.formulas.words import needed_form
@@ -71,12 +70,12 @@ def read_preference(node: Node, scope: FormulaScope, *, timed: bool = False) -> 
     entry = node.mapped()
     entry.only("name", "variables", "moment", "condition", "constraints")
     variables: tuple[Variable, ...] = ()
-    for quantifier in listed(entry.node("variables")):  # one for each text, which may hide variables of those before it
+    for quantifier in entry.listed("variables"):  # one for each text, which may hide variables of those before it
         variables += read_typed(quantifier, scope)
     scope = scope.inside(variables)
     wanted: Condition | tuple[Constraint, ...]
     if "constraints" in entry.nodes:
-        wanted = tuple([read_constraint(constraint, scope) for constraint in listed(entry.node("constraints"))])
+        wanted = tuple([read_constraint(constraint, scope) for constraint in entry.listed("constraints")])
     else:
         wanted = read_condition(entry.needed("condition"), scope)
     moment = entry.string("moment")
@@ -101,8 +100,8 @@ def read_metric(entry: Mapped, scope: FormulaScope, preferences: Collection[str]
     Raises:
         InputError: it is malformed, or has names that are not there.
     """
-    node = entry.node("metric")
-    if node is None or node.is_null:
+    node = entry.filled("metric")
+    if node is None:
         return None
     found = needed_form(node, _DIRECTIONS, "a metric")
     argument = found.argument

@@ -127,14 +127,13 @@ def read_schema(name: str, entry: Mapped, scope: FormulaScope) -> ActionSchema:
         InputError: it has an unknown key, something malformed, or names that are not there.
     """
     entry.only(*ACTION_KEYS)
-    params, duration = entry.node("params"), entry.node("duration")
-    is_open = params is None or params.is_null
-    parameters = () if params is None or params.is_null else read_typed(params, scope)
-    bound = replace(scope, variables=None if is_open and not scope.strict else {}).inside(parameters)
-    bounds = None if duration is None or duration.is_null else read_duration(duration, bound)
+    params, duration = entry.filled("params"), entry.filled("duration")
+    parameters = () if params is None else read_typed(params, scope)
+    bound = replace(scope, variables=None if params is None and not scope.strict else {}).inside(parameters)
+    bounds = None if duration is None else read_duration(duration, bound)
     inner = bound.inside((Variable(DURATION[0]),)) if scope.strict and bounds is not None else bound
-    conditions = read_conditions(entry.node("preconditions"), inner)
-    start_effects, end = read_timed_effects(entry.node("effects"), inner)
+    conditions = read_conditions(entry.filled("preconditions"), inner)
+    start_effects, end = read_timed_effects(entry.filled("effects"), inner)
     schema = ActionSchema(
         name,
         parameters,
@@ -169,8 +168,7 @@ def read_action(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> Lan
     """
     if schema.name in RESERVED:
         raise InputError(f"{schema.name!r} is a word of the language; an action cannot be called so", entry.start)
-    params = entry.node("params")
-    is_open = params is None or params.is_null
+    is_open = entry.filled("params") is None
     return LanguageAction(
         schema,
         _kind(entry),
@@ -185,8 +183,8 @@ def read_action(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> Lan
 
 def _kind(entry: Mapped) -> ActionKind:
     """Return how the action is executed; by an action server, without the key."""
-    node = entry.node("type")
-    if node is None or node.is_null:
+    node = entry.filled("type")
+    if node is None:
         return ActionKind.ROS
     kinds: dict[str, ActionKind] = {kind.value: kind for kind in CLASSES.values()}
     name = read_class(node)[1] if node.is_mapping else node.text
@@ -200,9 +198,8 @@ def _kind(entry: Mapped) -> ActionKind:
 
 def _simulated(entry: Mapped, scope: FormulaScope) -> tuple[tuple[str, Data], ...]:
     """Read what a simulated server answers; like a real one it knows its goal and the world, but no variables."""
-    node = entry.node("simulated")
     found: list[tuple[str, Data]] = []
-    for name, _, value in () if node is None or node.is_null else node.mapped().entries():
+    for name, _, value in entry.section("simulated").entries():
         data = read_data(value, scope)
         if any(isinstance(part, Query) for part in parts(data)):
             raise value.wrong(f"a simulated server knows its goal, not the variables of the run; expected something like ?{name}")

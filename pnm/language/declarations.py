@@ -27,16 +27,16 @@ _DECLARED: Final = re.compile(r"\(\s*([^\s()?-][^\s()?]*)\s*((?:[^()]|\([^()]*\)
 
 def read_declarations(top: Mapped, problem: Mapped | None, *, strict: bool = False) -> ProblemModel:
     """Read ``types``, ``constants``, ``predicates`` and ``functions``, and the ``objects`` of a problem."""
-    domain = DomainModel(top.string("name") or "", _types(top.node("types")))
+    domain = DomainModel(top.string("name") or "", _types(top.filled("types")))
     problem_name = None if problem is None else problem.string("name")
     scope = FormulaScope(ProblemModel("", domain), strict=strict)
     domain = replace(
         domain,
-        constants=_names(top.node("constants"), scope),
-        predicates=_declarations(top.node("predicates"), "predicate", scope),
-        functions=_declarations(top.node("functions"), "function", scope),
+        constants=_names(top.filled("constants"), scope),
+        predicates=_declarations(top.listed("predicates"), "predicate", scope),
+        functions=_declarations(top.listed("functions"), "function", scope),
     )
-    objects = {} if problem is None else _names(problem.node("objects"), scope)
+    objects = {} if problem is None else _names(problem.filled("objects"), scope)
     return ProblemModel(problem_name or domain.name, domain, objects)
 
 
@@ -48,12 +48,12 @@ def _types(node: Node | None) -> dict[str, Types]:
 
 
 def _names(node: Node | None, scope: FormulaScope) -> dict[str, Types]:
-    return {} if node is None or node.is_null else read_names(node, scope)
+    return {} if node is None else read_names(node, scope)
 
 
-def _declarations(node: Node | None, kind: str, scope: FormulaScope) -> dict[str, Declaration]:
+def _declarations(nodes: Iterable[Node], kind: str, scope: FormulaScope) -> dict[str, Declaration]:
     found: dict[str, Declaration] = {}
-    for item in listed(node):
+    for item in nodes:
         name, parameters, after = declaration_parts(item)
         values = tuple(after.strip("()").split())
         values = values[values[:1] == ("either",) :]
@@ -79,11 +79,6 @@ def declaration_parts(node: Node) -> tuple[str, str, str]:
     return found[1], found[2], found[3] or ""
 
 
-def listed(node: Node | None) -> tuple[Node, ...]:
-    """Return the items of a list, or the one value that stands for itself."""
-    return () if node is None or node.is_null else (node,) if node.items is None else node.items
-
-
 # --- derived facts -------------------------------------------------------------------------
 
 
@@ -93,7 +88,7 @@ def read_derived(top: Mapped, scope: FormulaScope) -> Rules:
     Raises:
         InputError: it is malformed, or a fact would depend on its own negation.
     """
-    rules = [read_rule(node, scope) for node in listed(top.node("derived"))]
+    rules = [read_rule(node, scope) for node in top.listed("derived")]
     try:
         return Rules(tuple(rules))
     except UnstratifiedError as error:
@@ -157,12 +152,12 @@ def read_initial(problem: Mapped, scope: FormulaScope) -> tuple[dict[Fluent, Val
     Raises:
         InputError: it is something else, or has names that are not there.
     """
-    items = listed(problem.node("init"))
+    items = problem.listed("init")
     timed: list[TimedChange] = []
     for entry in [item.mapped() for item in items if item.is_mapping]:
         entry.only("at", "facts")
         entry.needed("at")
-        timed.append(TimedChange(entry.number("at", 0.0), read_facts(listed(entry.node("facts")), scope)))
+        timed.append(TimedChange(entry.number("at", 0.0), read_facts(entry.listed("facts"), scope)))
     facts = read_facts([item for item in items if not item.is_mapping], scope)
     return facts, tuple(sorted(timed, key=lambda change: change.time))
 

@@ -55,7 +55,7 @@ def domain_from(top: Mapped, warnings: tuple[Tolerated, ...] = ()) -> LanguageDo
         model,
         {name: read_action(schema, entries[name], FormulaScope(model)) for name, schema in model.domain.actions.items()},
         rules,
-        sources=(*_external(top), *_chosen(top)),
+        sources=_read_sources(top),
         warnings=warnings,
         file=top.file,
     )
@@ -90,8 +90,8 @@ def problem_section(top: Mapped) -> Mapped | None:
     Raises:
         InputError: it has an unknown key.
     """
-    node = top.node("problem")
-    if node is None or node.is_null:
+    node = top.filled("problem")
+    if node is None:
         return None
     section = node.mapped()
     section.only(*PROBLEM_KEYS)
@@ -100,25 +100,22 @@ def problem_section(top: Mapped) -> Mapped | None:
 
 def read_goal(entry: Mapped, scope: FormulaScope) -> Condition:
     """Read the key ``goal``; true when it is not there."""
-    node = entry.node("goal")
-    return TRUE if node is None or node.is_null else read_condition(node, scope)
+    node = entry.filled("goal")
+    return TRUE if node is None else read_condition(node, scope)
 
 
-def _external(top: Mapped) -> tuple[SourceChoice, ...]:
-    """Read which source stands for the class that a file for the original implementation names."""
-    node = top.node("external_knowledge_base")
-    if node is None or node.is_null:
-        return ()
-    module, name = read_class(node)
-    return (SourceChoice(check_source(f"{module}.{name}", node.position), {}, node.position),)
+def _read_sources(top: Mapped) -> tuple[SourceChoice, ...]:
+    """Read the sources of knowledge that a file chooses.
 
-
-def _chosen(top: Mapped) -> tuple[SourceChoice, ...]:
-    """Read ``knowledge``: names of sources, or ``{name: {option: value}}``; one, or a list of them."""
-    node = top.node("knowledge")
-    if node is None or node.is_null:
-        return ()
-    return tuple([choice for item in ((node,) if node.items is None else node.items) for choice in _choices(item)])
+    ``external_knowledge_base`` has a class of the original implementation, for which a registered source stands; ``knowledge``
+    has names of sources, or ``{name: {option: value}}``: one, or a list of them.
+    """
+    found: list[SourceChoice] = []
+    external = top.filled("external_knowledge_base")
+    if external is not None:
+        name = check_source(".".join(read_class(external)), external.position)
+        found.append(SourceChoice(name, {}, external.position))
+    return (*found, *(choice for node in top.listed("knowledge") for choice in _choices(node)))
 
 
 def _choices(node: Node) -> list[SourceChoice]:

@@ -157,8 +157,8 @@ def plan_heads_in(documents: tuple[Mapped, ...], warnings: tuple[Tolerated, ...]
     for document in documents:
         for name, entry in _entries(document):
             _check_classes(entry)
-            params = entry.node("params")
-            parameters = None if params is None or params.is_null else read_typed(params)
+            params = entry.filled("params")
+            parameters = None if params is None else read_typed(params)
             chosen = _domain_of(entry, own, domain)
             found.append(PlanHead(name, entry, chosen, parameters, tuple(dict.fromkeys((*warnings, *chosen.warnings)))))
     if not found:
@@ -228,13 +228,13 @@ def beside(entry: Mapped, key: str, path: str) -> Path:
 
 def _check_classes(entry: Mapped) -> None:
     """Refuse what the original implementation would import, unless it is what every plan has here."""
-    server, message = entry.node("server"), entry.node("action")
-    if server is not None and not server.is_null:
+    server, message = entry.filled("server"), entry.filled("action")
+    if server is not None:
         _, name = read_class(server)
         if name not in _SERVERS:
             error = unknown("kind of server", name, _SERVERS, server.position)
             raise InputError(f"{error.message}; every plan becomes a ROS 2 action server, so the key may be left out", server.position)
-    if message is not None and not message.is_null:
+    if message is not None:
         module, _ = read_class(message)
         if not module.endswith(".msg"):
             raise message.wrong(f"{module!r} has no messages; expected a module such as 'rpn_recipe_planner_msgs.msg', or no key 'action'")

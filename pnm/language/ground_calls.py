@@ -66,7 +66,7 @@ class Substitution:
         plain = {f"?{name}": data.value for name, data in given.items() if isinstance(data, Literal)}
         return Substitution(
             {f"?{name}": data for name, data in given.items()},
-            {name: value for name, value in plain.items() if _is_name(value) or is_number(value)},
+            {name: value for name, value in plain.items() if is_number(value) or (isinstance(value, str) and value[:1] != "?")},
         )
 
     def condition(self, condition: Condition) -> Condition:
@@ -76,10 +76,6 @@ class Substitution:
     def argument(self, name: str) -> str:
         """Return the argument for a parameter without ``?``: the name or number it is given, or ``?name``."""
         return text_of(self.env.get(f"?{name}", f"?{name}"))
-
-
-def _is_name(value: object) -> bool:
-    return isinstance(value, str) and not value.startswith("?")
 
 
 def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tuple[GroundAction, Substitution]:
@@ -95,12 +91,13 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tu
     """
     given = {name: filled_data(one.data, outer) for name, one in step.given.items()}
     for name, data in given.items():
-        if left := _unfilled(data):
+        if left := {parameter for part in parts(data) if isinstance(part, ValueOf) for parameter in parameters_in(part)}:
             raise InputError(
                 f"{min(left)} is not known in the plan; a fact in a value needs the name of an object", step.given[name].position
             )
     own = Substitution.of(given)
-    operation = _operation(step, outer)
+    unbound = {name: data for name, data in outer.items() if name not in {variable.name for variable in step.action.schema.parameters}}
+    operation = None if step.operation is None else filled_operation(step.operation, unbound)
     names = _parameters(step, operation)
     duration = _duration(step.action, own, facts) if step.duration is None else step.duration
     action = ground_schema(step.action.schema, tuple(map(own.argument, names)), own.env, duration)
@@ -118,10 +115,6 @@ def outer_values(action: LanguageAction, own: Substitution) -> dict[str, Data]:
     return {**found, **own.values}
 
 
-def _unfilled(data: Data) -> frozenset[str]:
-    return frozenset(name for part in parts(data) if isinstance(part, ValueOf) for name in parameters_in(part))
-
-
 def _parameters(step: CallStep, operation: KnowledgeOperation | None) -> tuple[str, ...]:
     """Return the names of the parameters: of an action on knowledge, those that are used or given."""
     if step.action.is_open:
@@ -129,20 +122,9 @@ def _parameters(step: CallStep, operation: KnowledgeOperation | None) -> tuple[s
     names = tuple(variable.name[1:] for variable in step.action.schema.parameters)
     if operation is None:
         return names
-    used = step.action.mentioned | _mentioned(operation)
+    datas = (operation.name, operation.value, operation.meta) if isinstance(operation, Update) else (operation,)
+    used = step.action.mentioned.union(*map(parameters_in, datas))
     return tuple(name for name in names if name != OPERATION and (name in step.given or f"?{name}" in used))
-
-
-def _mentioned(operation: KnowledgeOperation) -> frozenset[str]:
-    if isinstance(operation, Update):
-        return parameters_in(operation.name) | parameters_in(operation.value) | parameters_in(operation.meta)
-    return parameters_in(operation)
-
-
-def _operation(step: CallStep, outer: Mapping[str, Data]) -> KnowledgeOperation | None:
-    own = {variable.name for variable in step.action.schema.parameters}
-    values = {name: data for name, data in outer.items() if name not in own}
-    return None if step.operation is None else filled_operation(step.operation, values)
 
 
 def _duration(action: LanguageAction, own: Substitution, facts: Facts) -> float | None:

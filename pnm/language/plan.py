@@ -22,7 +22,7 @@ from pnm.errors import InputError, Tolerated
 from pnm.files.yaml_nodes import Mapped
 from pnm.knowledge.sources.registry import SourceChoice
 from pnm.language.actions import LanguageAction
-from pnm.language.declarations import listed, read_facts
+from pnm.language.declarations import read_facts
 from pnm.language.domain import LanguageDomain, read_goal
 from pnm.language.files import PlanHead, beside, parse_documents, plan_heads, plan_heads_in, read_documents, read_domain
 from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, unknown
@@ -129,7 +129,7 @@ def _plan(head: PlanHead, others: Mapping[str, PlanHead]) -> HandWrittenPlan:
     reader = StepReader(actions, domain.model)
     steps = reader.steps(entry.needed("plan"))
     scope = FormulaScope(domain.model, {})
-    facts = {**domain.model.init, **read_facts(listed(entry.node("facts")), scope)}
+    facts = {**domain.model.init, **read_facts(entry.listed("facts"), scope)}
     recoveries: dict[str, tuple[WrittenRecovery, ...]] = {
         name: reader.recoveries(action, action.recoveries) for name, action in actions.items() if action.recoveries is not None
     }
@@ -143,7 +143,7 @@ def _plan(head: PlanHead, others: Mapping[str, PlanHead]) -> HandWrittenPlan:
         Bindings({name: action.binding for name, action in actions.items()}),
         parameters=None if head.parameters is None else tuple(variable.name[1:] for variable in head.parameters),
         results=tuple(entry.strings("results")),
-        variables=_variables(entry),
+        variables={name: read_literal(value).value for name, _, value in entry.section("initial_knowledge").entries()},
         facts=facts,
         timed=domain.model.timed,
         objects=domain.model.objects_by_type,
@@ -157,23 +157,13 @@ def _plan(head: PlanHead, others: Mapping[str, PlanHead]) -> HandWrittenPlan:
     )
 
 
-def _variables(entry: Mapped) -> dict[str, object]:
-    node = entry.node("initial_knowledge")
-    if node is None or node.is_null:
-        return {}
-    return {name: read_literal(value).value for name, _, value in node.mapped().entries()}
-
-
 def _capacities(entry: Mapped) -> dict[str, int]:
-    node = entry.node("resources")
-    if node is None or node.is_null:
-        return {}
-    resources = node.mapped()
-    found = {name: resources.whole(name, 1) for name in resources.nodes}
-    for name, capacity in found.items():
+    resources = entry.section("resources")
+    capacities = {name: resources.whole(name, 1) for name in resources.nodes}
+    for name, capacity in capacities.items():
         if capacity < 1:
             raise InputError(f"expected how many calls may have {name} at the same time, at least 1", resources.position(name))
-    return found
+    return capacities
 
 
 def _check_capacities(entry: Mapped, graph: PlanGraph, actions: Mapping[str, LanguageAction]) -> None:

@@ -165,14 +165,12 @@ def read_recoveries(node: Node, scope: FormulaScope, read_steps: ReadSteps) -> t
         return ()
     entry = node.mapped()
     entry.only("before", "during", "after")
-    found = [_recovery(long, _BEFORE, Cause.BEFORE, scope, read_steps) for long in _each(entry.node("before"))]
-    during = entry.node("during")
-    if during is not None and not during.is_null:
-        outcomes = during.mapped()
-        outcomes.only(*_DURING)
-        for outcome, _, chains in outcomes.entries():
-            found += [_recovery(long, frozenset({_DURING[outcome]}), None, scope, read_steps) for long in _each(chains)]
-    return (*found, *(_recovery(long, _AFTER, Cause.AFTER, scope, read_steps) for long in _each(entry.node("after"))))
+    found = [_recovery(long, _BEFORE, Cause.BEFORE, scope, read_steps) for long in _each(entry.filled("before"))]
+    outcomes = entry.section("during")
+    outcomes.only(*_DURING)
+    for outcome, _, chains in outcomes.entries():
+        found += [_recovery(long, frozenset({_DURING[outcome]}), None, scope, read_steps) for long in _each(chains)]
+    return (*found, *(_recovery(long, _AFTER, Cause.AFTER, scope, read_steps) for long in _each(entry.filled("after"))))
 
 
 def _each(node: Node | None) -> tuple[Node, ...]:

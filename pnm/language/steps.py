@@ -79,7 +79,8 @@ class StepReader:
             hint = f"; write '- {node.text}:'" if node.text else ""
             raise node.wrong(f"expected a step such as '- action: {{parameter: value}}', found {shown(node)}{hint}")
         entry = node.mapped()
-        place = _place(entry)
+        after, end_after = _waits(entry.node("after")), _waits(entry.node("end_after"))
+        place = StepPlacement(entry.start, entry.string("id"), after, end_after or ())
         match self._head(entry):
             case "concurrent_actions":
                 entry.only("concurrent_actions", *_PLACE)
@@ -92,7 +93,14 @@ class StepReader:
                 return self._loop(entry.needed("while").mapped(), place)
             case "if":
                 entry.only("if", "then", "else", *_PLACE)
-                return self._choice(entry, place)
+                condition = read_condition(entry.needed("if"), self.scope)
+                then = self.steps(entry.needed("then"))
+                return ChoiceStep(
+                    place,
+                    condition,
+                    then,
+                    self.steps(entry.needed("else")) if "else" in entry.nodes else SequenceStep(StepPlacement(entry.start), ()),
+                )
             case name:
                 entry.only(name, *OPTIONS)
                 return self._call(name, entry, place)
@@ -121,12 +129,6 @@ class StepReader:
             raise InputError("a loop repeats at least one step", entry.position("actions"))
         return LoopStep(place, read_condition(entry.needed("condition"), self.scope), body, limit)
 
-    def _choice(self, entry: Mapped, place: StepPlacement) -> ChoiceStep:
-        condition = read_condition(entry.needed("if"), self.scope)
-        otherwise = entry.node("else")
-        nothing = SequenceStep(StepPlacement(entry.start), ())
-        return ChoiceStep(place, condition, self.steps(entry.needed("then")), nothing if otherwise is None else self.steps(otherwise))
-
     # --- calls ---
 
     def _unknown_action(self, name: str, position: Position) -> InputError:
@@ -142,7 +144,8 @@ class StepReader:
         action = self.actions[name]
         argument = entry.needed(name)
         arguments = Mapped(entry.file, entry.start, {}) if argument.is_null else argument.mapped()
-        given = {key: self._given(action, key, where, node) for key, where, node in arguments.entries() if not _is_operation(action, key)}
+        entries = [entry for entry in arguments.entries() if action.kind is not ActionKind.KB or entry[0] != OPERATION]
+        given = {key: self._given(action, key, where, node) for key, where, node in entries}
         options = Mapped(entry.file, entry.start, {key: value for key, value in entry.nodes.items() if key != name})
         recoveries = options.node("recoveries")
         return CallStep(
@@ -181,10 +184,6 @@ class StepReader:
         return read_operation(node, self.scope.inside(action.schema.parameters))
 
 
-def _is_operation(action: LanguageAction, key: str) -> bool:
-    return action.kind is ActionKind.KB and key == OPERATION
-
-
 def _check_object(action: LanguageAction, key: str, node: Node, declared: ProblemModel) -> None:
     """Refuse what cannot be the name of an object, such as an ``on`` without quotes, and objects that are not there."""
     if node.is_mapping:
@@ -202,14 +201,8 @@ def _check_object(action: LanguageAction, key: str, node: Node, declared: Proble
         raise unknown(f"object for {key} of {action.name} (one of type {' or '.join(types)})", name, fitting, node.position)
 
 
-def _place(entry: Mapped) -> StepPlacement:
-    after, end_after = entry.node("after"), entry.node("end_after")
-    start = None if after is None else _waits(after)
-    return StepPlacement(entry.start, entry.string("id"), start, () if end_after is None else _waits(end_after))
-
-
-def _waits(node: Node) -> tuple[Wait, ...]:
-    return tuple(map(_wait, (node,) if node.items is None else node.items))
+def _waits(node: Node | None) -> tuple[Wait, ...] | None:
+    return None if node is None else tuple(map(_wait, (node,) if node.items is None else node.items))
 
 
 def _wait(node: Node) -> Wait:

@@ -157,7 +157,12 @@ class PlanGraphBuilder:
                     region.orderings += _special(one, parts[one.step], part)
         waited = {one.step for before in waits for one in before if one.moment is Moment.END}
         return PartEnds(
-            tuple(first for part, before in zip(parts, waits, strict=True) if not _is_late(before) for first in part.first),
+            tuple(
+                first
+                for part, before in zip(parts, waits, strict=True)
+                if all(after.own is Moment.END for after in before)
+                for first in part.first
+            ),
             tuple(last for number, part in enumerate(parts) if number not in waited for last in part.last),
         )
 
@@ -233,10 +238,6 @@ class _After:
     def is_plain(self) -> bool:
         """Whether its start waits for the end of the other, and for nothing more."""
         return self == _After(self.step)
-
-
-def _is_late(waits: tuple[_After, ...]) -> bool:
-    return any(one.own is Moment.START for one in waits)
 
 
 def _special(after: _After, earlier: PartEnds, part: PartEnds) -> list[Ordering]:

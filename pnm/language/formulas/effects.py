@@ -135,14 +135,14 @@ def read_conditions(node: Node | None, scope: FormulaScope = ANYTHING) -> TimedC
     Raises:
         InputError: they are something else, malformed, or have names that are not there.
     """
-    if node is None or node.is_null:
+    if node is None:
         return TimedConditions()
     if not _has_moments(node):
         return TimedConditions(read_condition(node, scope))
     entry = node.mapped()
     entry.only(*MOMENTS)
-    found = [entry.node(moment) for moment in MOMENTS]
-    start, always, end = (TRUE if one is None or one.is_null else read_condition(one, scope) for one in found)
+    found = [entry.filled(moment) for moment in MOMENTS]
+    start, always, end = (TRUE if condition is None else read_condition(condition, scope) for condition in found)
     if any(isinstance(part, Query) and part.layer is not Layer.LOCAL for data in data_in(always) for part in parts(data)):
         message = "what must hold over all is watched, and nobody is asked all the time; expected LocalQuery, facts or functions"
         raise InputError(message, entry.position("over_all"))
@@ -155,16 +155,16 @@ def read_timed_effects(node: Node | None, scope: FormulaScope = ANYTHING) -> tup
     Raises:
         InputError: they are something else, malformed, or have names that are not there.
     """
-    if node is None or node.is_null:
+    if node is None:
         return (), WrittenEffects()
     if not _has_moments(node):
         return (), read_effects(node, scope)
     entry = node.mapped()
     entry.only("at_start", "at_end")
-    start, end = entry.node("at_start"), entry.node("at_end")
+    start, end = entry.filled("at_start"), entry.filled("at_end")
     return (
-        () if start is None or start.is_null else _only_effects(start, scope),
-        WrittenEffects() if end is None or end.is_null else read_effects(end, scope),
+        () if start is None else _only_effects(start, scope),
+        WrittenEffects() if end is None else read_effects(end, scope),
     )
 
 

@@ -82,10 +82,11 @@ def read_form(found: Form, scope: FormulaScope) -> Data:
         case "imply":
             left, right = (read_data(one, scope) for one in found.items(2))
             return Operation("or", (Operation("not", (left,)), right))
-        case "exists":
-            return _exists(found, scope)
+        case "exists":  # ``Exists: [Query: v]`` or ``Exists: {Query: v}``
+            return Operation("exists", (_query(needed_form(found.items(1)[0], QUERIES, "a query"), scope),))
         case "comparison":
-            return _compared(found, scope)
+            operator, first, second = comparison_parts(found)
+            return Operation(read_operator(operator), _compared_values(read_data(first, scope), read_data(second, scope)))
         case "operation":
             return _operation(found, scope)
         case "booleanAssertion":
@@ -112,18 +113,6 @@ def _name(node: Node, scope: FormulaScope) -> Data:
         hint = f"; write {node.written!r} with quotes" if node.written else ""
         raise node.wrong(f"expected the name of a variable{hint}")
     return found
-
-
-def _exists(found: Form, scope: FormulaScope) -> Operation:
-    """Read whether a variable has a value: ``Exists: [Query: v]`` or ``Exists: {Query: v}``."""
-    (inner,) = found.items(1)
-    return Operation("exists", (_query(needed_form(inner, QUERIES, "a query"), scope),))
-
-
-def _compared(found: Form, scope: FormulaScope) -> Operation:
-    """Read ``Comparison: [operator, [a, b]]``."""
-    name, left, right = comparison_parts(found)
-    return Operation(read_operator(name), _compared_values(read_data(left, scope), read_data(right, scope)))
 
 
 def _compared_values(left: Data, right: Data) -> tuple[Data, Data]:

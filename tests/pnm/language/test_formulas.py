@@ -230,7 +230,7 @@ def test_conditions_and_effects_by_moment() -> None:
         Holds(("a",)), Holds(("b",)), Not(Holds(("c",)))
     )
     assert read_conditions(node("(a)")) == TimedConditions(Holds(("a",)))
-    assert read_conditions(node("")) == TimedConditions() == read_conditions(None)
+    assert read_conditions(None) == TimedConditions()
     start, end = read_timed_effects(node("{at_start: {not: (free)}, at_end: [(free), {Query: time}]}"))
     assert start == (Set(("free",), Constant(False)),)
     assert end == WrittenEffects((Set(("free",), Constant(True)),), Computed(TIME))
