@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 from planner_bridge.model.problem import Problem
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import ground
 from pnm.core.logic.domain import ActionSchema
-from pnm.core.logic.effects import TimedChange, ground_effects, names_written
-from pnm.core.logic.expressions import DURATION, UNKNOWN, Environment, Fluent, State, Unknown, Value, fluent_text, value_of
+from pnm.core.logic.effects import TimedChange, names_written
+from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, State, Unknown, Value, fluent_text, value_of
 from pnm.core.logic.rules import Rule, Rules
+from pnm.core.machine.grounding import ground_schema
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError
 
@@ -33,20 +33,9 @@ def ground_action(schema: ActionSchema, arguments: tuple[str, ...], duration: fl
     if len(arguments) != len(schema.parameters):
         expected = " ".join(variable.name for variable in schema.parameters) or "none"
         raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(arguments)}")
-    env: dict[str, object] = {variable.name: argument for variable, argument in zip(schema.parameters, arguments, strict=True)}
-    if duration is not None:
-        env[DURATION[0]] = duration
-    return GroundAction(
-        name=schema.name,
-        arguments=arguments,
-        parameters=tuple(variable.name[1:] for variable in schema.parameters),
-        precondition=ground(schema.precondition, env),
-        invariant=ground(schema.invariant, env),
-        end_condition=ground(schema.end_condition, env),
-        start_effects=ground_effects(schema.start_effects, env),
-        end_effects=ground_effects(schema.end_effects, env),
-        duration=duration if schema.duration is not None else None,
-    )
+    env: Environment = {variable.name: argument for variable, argument in zip(schema.parameters, arguments, strict=True)}
+    action = ground_schema(schema, arguments, env, duration)
+    return action if schema.duration is not None or duration is None else replace(action, duration=None)
 
 
 def modelled_duration(schema: ActionSchema, arguments: tuple[str, ...], state: State) -> float | None:

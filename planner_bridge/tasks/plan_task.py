@@ -152,5 +152,5 @@ class PlanTask:
         if not plan.domain_file:
             raise InputError(f"the plan {plan.name} has no domain")
         contents = await asyncio.to_thread(read, Path(plan.domain_file))
-        described = contents.problem or Problem(plan.name, contents.domain, plan.declared.objects)
+        described = contents.problem or Problem(plan.name, contents.domain)
         return replace(problem_now(replace(described, timed=()), self._context.world), goal=plan.goal)

@@ -24,7 +24,7 @@ from planner_bridge.yaml.write_domain import SCHEMA_MARK
 from pnm.core.logic.domain import ActionSchema
 from pnm.errors import Position
 from pnm.files.yaml_nodes import Mapped, Node
-from pnm.language.declarations import declaration_parts, listed, read_facts
+from pnm.language.declarations import declaration_parts, read_facts
 from pnm.language.formulas.conditions import read_condition
 from pnm.language.formulas.effects import MOMENTS, read_effects
 from pnm.language.formulas.scope import ANYTHING, read_names
@@ -129,7 +129,7 @@ class _Anchors:
 
     def _sections(self, entry: Mapped, path: Path) -> Iterator[Item]:
         for key, where, node in entry.entries():
-            section, items = (*path, f":{key}"), listed(node)
+            section, items = (*path, f":{key}"), node.listed
             match key:
                 case "requirements" | "types" | "constants" | "objects" | "predicates" | "functions" | "init" | "goal" | "metric":
                     yield self._item(section, where)
@@ -160,7 +160,7 @@ class _Anchors:
         """Yield the things in a section that has names, declarations, facts or a formula."""
         if key == "goal" and not node.is_null:
             yield from self._formulas(node, path, _condition)
-        for item in listed(node):
+        for item in node.listed:
             match key:
                 case "types" | "constants" | "objects" if not item.is_null:
                     yield from (self._item((*path, name.lower()), item.position_of(name)) for name in read_names(item))
@@ -168,7 +168,7 @@ class _Anchors:
                     yield self._item((*path, declaration_parts(item)[0].lower()), item.position)
                 case "init" if item.is_mapping:
                     time = item.mapped().needed("at").written
-                    for fact in listed(item.mapped().node("facts")):
+                    for fact in item.mapped().listed("facts"):
                         yield self._item((*path, fact_said(["at", time, _fact(fact)])), fact.position)
                 case "init":
                     yield self._item((*path, fact_said(_fact(item))), item.position)
@@ -186,7 +186,7 @@ class _Anchors:
             if key == "preferences":
                 if "preconditions" not in action.mapped().nodes:
                     yield self._item((*inner, "condition"), where)
-                for item in listed(node):
+                for item in node.listed:
                     preference = read_preference(item, ANYTHING, timed=schema.duration is not None)
                     yield self._item((*inner, "condition", said(preference_form(preference))), item.position)
 

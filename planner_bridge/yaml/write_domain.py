@@ -61,7 +61,7 @@ def written(entries: Iterable[Entry]) -> str:
 
 
 def domain_entries(domain: Domain, notes: Notes) -> list[Entry]:
-    """Return what a file says of a domain."""
+    """Return the keys of a file with a domain."""
     own = notes.at("domain")
     root = own.take().joined(notes.take())
     lines = [("types", ((name, above or ("object",)) for name, above in domain.types.items())), ("constants", domain.constants.items())]
@@ -74,7 +74,7 @@ def domain_entries(domain: Domain, notes: Notes) -> list[Entry]:
         _constraints(domain, own),
         Entry(preferences(domain.preferences, NO_NOTES, own.at(":constraints")), "preferences"),
         Entry(Sequence(tuple(Entry(text, note=own.at(*hierarchy_said(text)).take()) for text in domain.hierarchy)), "hierarchy"),
-        Entry(Mapping(_spaced(_action(schema, own) for schema in domain.actions.values())), "actions"),
+        Entry(_actions(domain.actions.values(), own), "actions"),
     ]
     return [
         Entry(domain.name, "name", root),
@@ -98,13 +98,12 @@ def _names(key: str, pairs: Iterable[tuple[str, tuple[str, ...]]], notes: Notes)
 
 def _declarations(key: str, declared: Iterable[Declaration], notes: Notes) -> Entry:
     own = notes.at(f":{key}")
-    lines = tuple([Entry(_declaration(one), note=own.at(one.name.lower()).take()) for one in declared])
-    return Entry(Sequence(lines), key, own.take())
-
-
-def _declaration(declared: Declaration) -> str:
-    text = flat([declared.name, *variables_form(declared.parameters)])
-    return f"{text} - {flat(types_form(declared.values))}" if declared.values else text
+    lines: list[Entry] = []
+    for declaration in declared:
+        text = flat([declaration.name, *variables_form(declaration.parameters)])
+        values = f" - {flat(types_form(declaration.values))}" if declaration.values else ""
+        lines.append(Entry(f"{text}{values}", note=own.at(declaration.name.lower()).take()))
+    return Entry(Sequence(tuple(lines)), key, own.take())
 
 
 def _rule(rule: Rule, notes: Notes) -> Entry:
@@ -121,14 +120,12 @@ def _constraints(whole: Domain | Problem, notes: Notes) -> Entry:
     return Entry(found, "constraints", note) if note else Entry(found, "constraints")
 
 
-def _action(schema: ActionSchema, notes: Notes) -> Entry:
-    own = notes.at(ACTION, schema.name.lower())
-    return Entry(Mapping(tuple(_parts(schema, own))), schema.name, own.take())
-
-
-def _spaced(entries: Iterable[Entry]) -> tuple[Entry, ...]:
-    """Put empty lines between entries."""
-    return tuple([replace(entry, apart=number > 0) for number, entry in enumerate(entries)])
+def _actions(schemas: Iterable[ActionSchema], notes: Notes) -> Mapping:
+    entries: list[Entry] = []
+    for schema in schemas:
+        own = notes.at(ACTION, schema.name.lower())
+        entries.append(Entry(Mapping(tuple(_parts(schema, own))), schema.name, own.take(), apart=bool(entries)))
+    return Mapping(tuple(entries))
 
 
 def _parts(schema: ActionSchema, notes: Notes) -> Iterator[Entry]:

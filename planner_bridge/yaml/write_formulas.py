@@ -31,7 +31,7 @@ def conditions(condition: Condition, notes: Notes) -> Value:
 
 
 def one_or_list(entries: list[Entry]) -> Value:
-    """Return the value itself if there is one and nothing is said about it."""
+    """Return the one value, if it has no comments, or a list."""
     return entries[0].value if len(entries) == 1 and not entries[0].note else Sequence(tuple(entries))
 
 
@@ -103,12 +103,11 @@ def expression(value: Expression) -> Value:
 
 def effects(found: Effects, notes: Notes) -> Sequence:
     """Write effects, each an item of a list."""
-    return Sequence(tuple([_effect_noted(effect, notes) for effect in found]))
-
-
-def _effect_noted(effect: Effect, notes: Notes) -> Entry:
-    own = notes.at(said(effects_form((effect,)))) if notes else NO_NOTES
-    return Entry(_effect(effect, own), note=own.take())
+    entries: list[Entry] = []
+    for effect in found:
+        own = notes.at(said(effects_form((effect,)))) if notes else NO_NOTES
+        entries.append(Entry(_effect(effect, own), note=own.take()))
+    return Sequence(tuple(entries))
 
 
 def _effect(effect: Effect, notes: Notes) -> Value:

@@ -42,7 +42,7 @@ Factory: TypeAlias = Callable[[Mapping[str, object], Surroundings], Source]
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class SourceChoice:
     """A source that a file names, and what it says about it."""
 
     name: str
@@ -65,7 +65,7 @@ _OWN: Final = {
     "topics": ("pnm.ros.knowledge.person_source:topics", Layer.PERSON),
 }
 """Built in, and loaded like those of others: nothing here imports ROS 2."""
-_DEFAULTS: Final = {Layer.GLOBAL: Choice("sqlite"), Layer.PERSON: Choice("person")}
+_DEFAULTS: Final = {Layer.GLOBAL: SourceChoice("sqlite"), Layer.PERSON: SourceChoice("person")}
 """What is used when nothing is chosen."""
 _ORIGINAL: Final = dict.fromkeys(("RPKnowledgeBase", "ROSExternalKnowledgeBase", "ExternalKnowledgeBase"), _DEFAULTS[Layer.GLOBAL].name)
 """Classes that files for the original implementation name, and what they get here."""
@@ -106,7 +106,7 @@ def check_source(name: str, position: Position | None = None) -> str:
     raise InputError(f"there is no source of knowledge {name!r}; {hint}; {how}", position)
 
 
-def open_sources(choices: Sequence[Choice], surroundings: Surroundings, file: Path | None = None) -> Sources:
+def open_sources(choices: Sequence[SourceChoice], surroundings: Surroundings, file: Path | None = None) -> Sources:
     """Make the sources that were chosen, and the default ones where none was: the file of this user, and a person.
 
     Nothing is opened or asked yet: what a source lacks is said when it is needed.
@@ -120,9 +120,9 @@ def open_sources(choices: Sequence[Choice], surroundings: Surroundings, file: Pa
         InputError: a name or an option is wrong, or there are two people.
         SourceError: a source cannot be made here.
     """
-    chosen: dict[Layer, list[Choice]] = {layer: [] for layer in _DEFAULTS}
+    chosen: dict[Layer, list[SourceChoice]] = {layer: [] for layer in _DEFAULTS}
     if file is not None:
-        chosen[Layer.GLOBAL].append(Choice("sqlite", {"file": str(file.absolute())}))
+        chosen[Layer.GLOBAL].append(SourceChoice("sqlite", {"file": str(file.absolute())}))
     for choice in choices:
         layer = _all()[check_source(choice.name, choice.position)].layer
         if layer is Layer.PERSON and chosen[layer]:
@@ -138,13 +138,13 @@ def open_sources(choices: Sequence[Choice], surroundings: Surroundings, file: Pa
     )
 
 
-def _patience(choices: Sequence[Choice], default: float) -> float:
+def _patience(choices: Sequence[SourceChoice], default: float) -> float:
     """Return the seconds to wait for any of them: a ``limit`` that is chosen is theirs to keep."""
     limits = (choice.options.get("limit") for choice in choices)
     return max([default, *(limit + GRACE for limit in limits if isinstance(limit, int | float))])
 
 
-def make_source(choice: Choice, surroundings: Surroundings) -> Source:
+def make_source(choice: SourceChoice, surroundings: Surroundings) -> Source:
     """Make one source.
 
     Raises:
@@ -189,7 +189,7 @@ def terminal(options: Mapping[str, object], surroundings: Surroundings) -> Sourc
 def person(options: Mapping[str, object], surroundings: Surroundings) -> Source:
     """Make a person at the terminal if there is one, or no ROS 2; otherwise one behind topics. Options are theirs."""
     found = "terminal" if is_terminal() or surroundings.ros is None else "topics"
-    return make_source(Choice(found, options), surroundings)
+    return make_source(SourceChoice(found, options), surroundings)
 
 
 # --- options -------------------------------------------------------------------------------
