@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, cast
+from typing import Any, Literal, TypeAlias
 
 from planner_bridge.loading import load
 from planner_bridge.model.grounding import initial_knowledge
@@ -17,7 +17,7 @@ from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.backend import Backend
 from pnm.actions.faults import NO_FAULTS, Faults
-from pnm.clock import run_async
+from pnm.clock import run_async, stop_then_cancel
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.ros.backend import Ros2Backend
 from pnm.tasks import Code
@@ -85,15 +85,4 @@ async def pursue_on(
 
 async def _stoppable(pursuit: Pursuit, *, opens: bool = False) -> TaskResult:
     """Pursue a goal. Cancelling this stops the task: what is under way is cancelled and waited for; cancelling it again leaves it alone."""
-    pursuing, is_stopped = asyncio.ensure_future(pursuit.pursue(opens=opens)), False
-    while not pursuing.done():
-        try:
-            await asyncio.wait((pursuing,))
-        except asyncio.CancelledError:
-            if is_stopped:
-                pursuing.cancel()
-                raise
-            is_stopped = True
-            cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
-            pursuit.stop(Code.CANCELLED, "cancelled")
-    return pursuing.result()
+    return await stop_then_cancel(pursuit.pursue(opens=opens), partial(pursuit.stop, Code.CANCELLED, "cancelled"))

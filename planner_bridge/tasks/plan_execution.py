@@ -262,7 +262,7 @@ class Relay:
         finally:
             trouble.cancel()
         self._trouble.clear()
-        return not execution.done()
+        return not self.executor.ended
 
     def _advice(self) -> _Advice:
         progress, has_failed = self.progress, bool(self.run.told().failures)
@@ -356,7 +356,7 @@ class Relay:
 
     async def _at_rest(self, execution: asyncio.Future[RunResult]) -> bool:
         """Wait until everything that is under way can be handed over; tell whether the run is still going on then."""
-        while not execution.done():
+        while not self.executor.ended:
             is_settled = all(one.kind is not CallOutcome.RUNNING for one in self.run.told().calls)
             if is_settled and set(self.run.open_requests) == {one.request for one in self.run.under_way()}:
                 return True

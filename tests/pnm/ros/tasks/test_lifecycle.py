@@ -15,7 +15,7 @@ import pytest
 from pnm.errors import InputError, RosError
 from pnm.ros.node import service_server as request_services
 from pnm.ros.node.lifecycle import Lifecycle
-from pnm.ros.node.parameters import Parameter, declare
+from pnm.ros.node.parameters import NodeParameter, declare
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.ros.scripts import run
 from tests.support.ros.task_client import TaskClient
@@ -203,11 +203,11 @@ def test_the_node_is_finalized_when_it_is_closed():
 # --- parameters ------------------------------------------------------------------------------
 
 PARAMETERS = (
-    Parameter("planner", "kairos", "who looks for plans"),
-    Parameter("limit", 2.5, "seconds", least=0.5),
-    Parameter("tasks", 8, "so many", least=1),
-    Parameter("on_failure", "drain", "what is done", choices=("drain", "cancel")),
-    Parameter("autostart", True, "whether"),
+    NodeParameter("planner", "kairos", "who looks for plans"),
+    NodeParameter("limit", 2.5, "seconds", least=0.5),
+    NodeParameter("tasks", 8, "so many", least=1),
+    NodeParameter("on_failure", "drain", "what is done", choices=("drain", "cancel")),
+    NodeParameter("autostart", True, "whether"),
 )
 
 
