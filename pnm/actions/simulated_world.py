@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from typing import Final
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TRUE, Computed, Condition, every_part
+from pnm.core.logic.conditions import TRUE, Condition, data_in
 from pnm.core.logic.effects import Changes, changes, decided, undo, values_before
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.explain import failing
@@ -92,11 +92,7 @@ class Activity:
 def _denied(condition: Condition, truth: KnowledgeBase) -> str:
     """Return the conjuncts that do not hold. The world has no variables: conditions on these are left to the run."""
     parts = () if condition == TRUE else failing(condition, truth)
-    return " ".join(str(part) for part in parts if evaluate(part, truth) is False or not _is_computed(part))
-
-
-def _is_computed(condition: Condition) -> bool:
-    return any(isinstance(part, Computed) for part in every_part(condition))
+    return " ".join(str(part) for part in parts if evaluate(part, truth) is False or not any(data_in(part)))
 
 
 LAG: Final = 0.01

@@ -126,9 +126,9 @@ class _Reader:
         if not _NAME.fullmatch(name):
             raise InputError(f"not a name in ROS: {name!r}; expected something like /{{robot}}/battery", where)
         self._placeholders(name, variables, where)
-        told = {*placeholders(name), *(_terms(way.request) if isinstance(way, ByService) else ())}
+        distinguished = {*placeholders(name), *(_terms(way.request) if isinstance(way, ByService) else ())}
         for variable in variables:
-            if variable.name[1:] not in told:
+            if variable.name[1:] not in distinguished:
                 also = "" if isinstance(way, ByTopic) else ", nor the request"
                 raise InputError(f"{name!r} does not name {{{variable.name[1:]}}}{also}, so all would be told the same", where)
         return name

@@ -134,7 +134,7 @@ class DerivedFacts:
                     seen.add(below)
                 elif names(part):
                     reasons[str(ground(part, env))] = None
-        # where the last possibility ended tells more than where the first did
+        # the last attempt explains more than the first: it usually got furthest
         return _listed("because of", list(reasons)) if truth else _listed("for want of", list(reversed(reasons)))
 
     def _grounds(self, fluent: Fluent) -> Iterator[tuple[Condition, Environment]]:

@@ -92,7 +92,8 @@ class Rules:
 
     def __post_init__(self) -> None:
         for name in self.derived:
-            if name in self._negated_below(name):
+            negated = (other for other, is_negated in self._mentioned[name] if is_negated)
+            if any(name in self._below(other) for other in negated):
                 raise UnstratifiedError(f"whether ({name} …) holds would depend on its own negation")
 
     @cached_property
@@ -151,10 +152,6 @@ class Rules:
                     below.add(other)
                     waiting.append(other)
         return frozenset(below)
-
-    def _negated_below(self, name: str) -> frozenset[str]:
-        """Return the derived names that the name depends on through a negation in its own rules."""
-        return frozenset().union(*(self._below(other) for other, negated in self._mentioned[name] if negated))
 
 
 NO_RULES: Final = Rules()
