@@ -1,6 +1,6 @@
 """An action schema and objects → a ground action of the neutral plan.
 
-Knowledge ↔ initial state: what a problem says at first, and the problem as the world now is.
+Knowledge ↔ initial state: the initial knowledge of problems and plans, and the problem from the current state.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def dynamic_names(problem: Problem) -> frozenset[str]:
 
 
 def problem_now(problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0) -> Problem:
-    """Return the problem that starts from what is known, so many seconds after the original one.
+    """Return the problem whose initial state is the current knowledge, `elapsed` seconds after the original one.
 
     What sensors report about things that the problem does not declare is left out, and so are numbers that are none.
     """
@@ -99,7 +99,7 @@ def problem_now(problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0
 
 
 class _Declared:
-    """Tells what an initial state of a problem may say. The mutable state is what was looked up so far."""
+    """A predicate: whether a fluent and its value are declared in a problem. The mutable state is a cache of the objects by types."""
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem

@@ -78,7 +78,7 @@ class Ros2Backend:
             **dict.fromkeys(self._bindings.assumed, ""),
         }
         self._reports = StateReports(knowledge, ignored, lag, sensing.stale, sensing.signatures)
-        self._sensed = SensedReports(self.ros, loop, self._reports.tell)
+        self._sensed = SensedReports(self.ros, loop, self._reports.record)
         await self._sensors.open()
         await self._sensed.first(DISCOVERY)
 

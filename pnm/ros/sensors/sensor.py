@@ -36,7 +36,7 @@ class Sense:
         self._knowledge = knowledge
         self._unread: frozenset[int] = frozenset()
         self._closed = False
-        self._silence = Watchdog(instance.sensor.stale, self._fall_silent)
+        self._watchdog = Watchdog(instance.sensor.stale, self._fall_silent)
 
     def hear(self, look: Look) -> None:
         """Record what a message says."""
@@ -48,7 +48,7 @@ class Sense:
                 _log.warning("%s: %s; %s is unknown", self.instance.name, reason, self._about(number))
         self._unread = frozenset(reading.unread)
         self._record(reading)
-        self._silence.heard()
+        self._watchdog.reset()
         self.heard.set()
 
     def refuse(self, error: InputError) -> None:
@@ -61,7 +61,7 @@ class Sense:
     def close(self) -> None:
         """Hear nothing more, and fall silent no more."""
         self._closed = True
-        self._silence.close()
+        self._watchdog.close()
 
     def _fall_silent(self) -> None:
         _log.warning("nothing was heard on %s for %g s; what it tells is unknown", self.instance.name, self.instance.sensor.stale)
