@@ -1,7 +1,6 @@
 """The `pnm` command. Exit status: 0 the goal holds, 1 it does not, 2 the input is wrong.
 
-Commands import what they need themselves: the first thing a person notices is how long a command
-takes to begin.
+Commands import what they need in their functions, so that each starts as fast as it can.
 """
 
 from __future__ import annotations
@@ -37,14 +36,14 @@ if TYPE_CHECKING:
 
 
 class Commands(click.Group):
-    """The commands, of which `serve` is looked for only when somebody asks for it: its options tell of much that others do not need."""
+    """The commands. `serve` is imported when it is looked up: its options come from modules that no other command needs."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return their names."""
+        """Return the names of the commands."""
         return sorted((*super().list_commands(ctx), "serve"))
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Return a command by its name."""
+        """Return a command by name."""
         if cmd_name != "serve":
             return super().get_command(ctx, cmd_name)
         from planner_bridge.cli.serve import serve

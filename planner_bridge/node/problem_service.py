@@ -1,6 +1,6 @@
-"""The problem of a node, as its services tell of it: `pnm.tasks.ServedWorld`.
+"""The problem of a node and the services about it, as `pnm.tasks.ServedWorld`.
 
-Files of domains and problems that others name: inside one folder, and never half written.
+Clients name files of domains and problems; these stay inside one folder, and are never half written.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from pnm.tasks import MadePlan
 
 
 def inside(folder: Path, name: str) -> Path:
-    """Return the path of a file in the folder, whatever links are on the way.
+    """Return the path of a file in the folder, symbolic links resolved.
 
     Raises:
-        InputError: it is none, or is outside of the folder.
+        InputError: this is no path, or one outside of the folder.
     """
     root = folder.resolve()
     if not name.strip() or "\0" in name:
@@ -47,7 +47,7 @@ def inside(folder: Path, name: str) -> Path:
 
 
 def write_inside(folder: Path, name: str, text: str) -> Path:
-    """Write a file in the folder, whole or not at all, and return its path.
+    """Write a file in the folder atomically, and return its path.
 
     Raises:
         InputError: the path leads out of the folder, or cannot be written.
@@ -75,13 +75,13 @@ def write_inside(folder: Path, name: str, text: str) -> Path:
 
 
 def load_texts(domain: str, problem: str, folder: Path, loaded: Domain) -> Problem:
-    """Return a problem, of which domain and problem are each given as PDDL or as the path of a file in the folder.
+    """Return a problem, given as a domain and a problem: each as PDDL, or as the path of a file in the folder.
 
     Args:
-        domain: empty for the one that is loaded.
+        domain: empty for `loaded`.
         problem: the problem.
-        folder: what paths are relative to.
-        loaded: the domain that is loaded.
+        folder: the folder of all paths.
+        loaded: the current domain.
 
     Raises:
         InputError: one of them cannot be read.
@@ -91,16 +91,16 @@ def load_texts(domain: str, problem: str, folder: Path, loaded: Domain) -> Probl
             raise InputError(f"{len(text)} characters; expected {MAX_BYTES} at most")
     chosen = loaded
     if domain.strip():
-        chosen = parse_domain(domain, "domain") if _is_text(domain) else read_domain(inside(folder, domain))
-    return parse_problem(problem, chosen, "problem") if _is_text(problem) else read_problem(inside(folder, problem), chosen)
+        chosen = parse_domain(domain, "domain") if _is_pddl(domain) else read_domain(inside(folder, domain))
+    return parse_problem(problem, chosen, "problem") if _is_pddl(problem) else read_problem(inside(folder, problem), chosen)
 
 
-def _is_text(given: str) -> bool:
-    return given.lstrip()[:1] in ("(", ";")
+def _is_pddl(text: str) -> bool:
+    return text.lstrip()[:1] in ("(", ";")
 
 
 NOTHING: Final = Problem("nothing", Domain("nothing"))
-"""The problem of a node that has none, and carries out plans only."""
+"""The problem of a node that has only hand-written plans."""
 
 
 class CurrentProblem:
