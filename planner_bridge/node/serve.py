@@ -14,13 +14,13 @@ from typing import Any, Final
 from uuid import UUID
 
 from planner_bridge.loading import load
+from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
-from planner_bridge.node.initial_world import common_knowledge
 from planner_bridge.node.options import PARAMETERS, Options
 from planner_bridge.node.problem_service import NOTHING, CurrentProblem, ServedProblem
 from planner_bridge.node.world_queries import read_goals
 from planner_bridge.planning.solve import check_planner
-from planner_bridge.tasks.plan_task import sources_of, together
+from planner_bridge.tasks.plan_task import merge_bindings, sources_of
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.scheduling.task_manager import Room, TaskMaster
 from planner_bridge.tasks.settings import Settings
@@ -37,7 +37,7 @@ from pnm.knowledge.sources.router import Sources
 from pnm.knowledge.sources.source import Asker
 from pnm.language.plan import read_world
 from pnm.language.runner import Performer, Program
-from pnm.ros.backend import Ros2Site
+from pnm.ros.backend import Ros2Backend
 from pnm.ros.node.parameters import ParameterValue
 from pnm.tasks import Make, ServedWorld, TaskListener, Tasks
 
@@ -57,7 +57,7 @@ class NodeContext:
     performer: Performer
     """Runs the plans of the world."""
     bindings: Bindings
-    site: Ros2Site
+    site: Ros2Backend
     knowledge: KnowledgeBase
     sources: Sources
 
@@ -230,10 +230,10 @@ class ServingNode:
         programs = {plan.name: Program.of(plan) for plan in plans}
         for name, program in programs.items():
             self._observer.proved(name, program.proof)
-        bindings = _bindings(options, problem).before(together(plans))
-        knowledge = common_knowledge(plans, problem)
+        bindings = _bindings(options, problem).before(merge_bindings(plans))
+        knowledge = initial_knowledge(*((problem,) if problem else ()), *plans)
         sensing = read_sensing(options.sensing, problem.vocabulary if problem else None) if options.sensing else NO_SENSING
-        site = Ros2Site(bindings, sensing, self._ros)
+        site = Ros2Backend(bindings, sensing, self._ros)
         stack.push_async_callback(site.close)
         await site.open(knowledge)
         folder = (options.world or options.domain or Path()).parent

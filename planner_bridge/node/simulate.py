@@ -20,7 +20,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.simulation import robots_of
 from pnm.actions.faults import Faults
 from pnm.actions.simulated_robots import SimulatedRobots
-from pnm.core.knowledge_base import show_statement
+from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.bindings import Bindings, placeholders
@@ -68,7 +68,7 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
         await SimulatedServers(ros, logged, robots.progress).open([Offer(model.server, model.type, model.decode) for model in models])
         print(f"ready: {len(models)} action servers: {', '.join(model.server for model in models)}", flush=True)
         await stopped.wait()
-        logged.write("state", facts=sorted(starmap(show_statement, robots.world.truth.facts().items())))
+        logged.write("state", facts=sorted(starmap(statement_text, robots.world.truth.facts().items())))
     finally:
         await asyncio.to_thread(ros.close)  # not on this thread: the ROS thread may be waiting for this loop
 
@@ -196,4 +196,4 @@ class LoggedRobots:
         self._clashes = len(self.robots.clashes)
 
     def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
-        self.write("change", facts=sorted(starmap(show_statement, changes.items())))
+        self.write("change", facts=sorted(starmap(statement_text, changes.items())))

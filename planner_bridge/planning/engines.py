@@ -16,7 +16,7 @@ from typing import Final
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.normal_form import conditions_of, doings, functions_in_use, is_whole
-from pnm.core.logic.conditions import All, Any, Condition, Exists, ForAll, Implies, Not
+from pnm.core.logic.conditions import Exists, ForAll, every_part
 from pnm.errors import InputError
 
 
@@ -51,7 +51,7 @@ def _features(problem: Problem) -> Iterator[Feature]:
         yield Feature.FRACTIONS
     if any(domain.functions[name].values for name in used):
         yield Feature.OBJECT_FLUENTS
-    if any(map(_quantifies, conditions_of(problem))):
+    if any(isinstance(part, ForAll | Exists) for condition in conditions_of(problem) for part in every_part(condition)):
         yield Feature.QUANTIFIERS
     if not all(one.is_plain for one in doings(problem) if one.fluent[0] in domain.predicates or one.fluent[0] in used):
         yield Feature.CONDITIONAL_EFFECTS
@@ -63,20 +63,6 @@ def _features(problem: Problem) -> Iterator[Feature]:
         yield Feature.PREFERENCES
     if domain.hierarchy or problem.network:
         yield Feature.TASKS
-
-
-def _quantifies(condition: Condition) -> bool:
-    match condition:
-        case ForAll() | Exists():
-            return True
-        case Not(operand):
-            return _quantifies(operand)
-        case All(operands) | Any(operands):
-            return any(map(_quantifies, operands))
-        case Implies(left, right):
-            return _quantifies(left) or _quantifies(right)
-        case _:
-            return False
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ from planner_bridge.planning.engines import ENGINES, Feature, features, require
 from planner_bridge.planning.kairos import DEFAULT_PLANNER
 from planner_bridge.planning.search import search
 from planner_bridge.planning.validate import validated
-from pnm.errors import InputError, meant
+from pnm.errors import InputError, suggestion
 
 _GRACE: Final = 2.0
 """Seconds that a process gets to end by itself when the race is over."""
@@ -164,7 +164,7 @@ def _known(planners: tuple[str, ...]) -> tuple[str, ...]:
     for name in planners:
         if name != DEFAULT_PLANNER and name not in ENGINES:
             able = (DEFAULT_PLANNER, *ENGINES)
-            hint = meant(name, able)
+            hint = suggestion(name, able)
             raise InputError(f"{name!r} cannot take part in a race; these can: {', '.join(able)}{f'; {hint}' if hint else ''}")
     return tuple(dict.fromkeys(planners))
 

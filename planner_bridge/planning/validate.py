@@ -40,11 +40,11 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.plan_text import plan_text
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TOLERANCE, evaluate
 from pnm.core.logic.domain import ActionSchema
-from pnm.core.logic.effects import assignments, unconditional
-from pnm.core.logic.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, show, value_of
-from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, moments, progressed, seen_of
+from pnm.core.logic.effects import assignments, possible_assignments
+from pnm.core.logic.evaluation import TOLERANCE, evaluate
+from pnm.core.logic.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, fluent_text, value_of
+from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, moments, observed_of, progressed
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
 from pnm.errors import PnmError
 
@@ -90,11 +90,11 @@ def _kept(constraints: Iterable[Constraint], course: Iterator[tuple[float, Knowl
         left = {constraint: progressed(rest, state, time) for constraint, rest in left.items()}
         for constraint, rest in left.items():
             if IMPOSSIBLE in rest:
-                raise InvalidPlan(f"{constraint} is violated at {time:g} s: {seen_of(constraint, state)}")
+                raise InvalidPlan(f"{constraint} is violated at {time:g} s: {observed_of(constraint, state)}")
         yield time, state
     for constraint, rest in left.items():
         if not is_fulfilled(rest, state, time):
-            raise InvalidPlan(f"{constraint} is not fulfilled at the end: {seen_of(constraint, state)}")
+            raise InvalidPlan(f"{constraint} is not fulfilled at the end: {observed_of(constraint, state)}")
 
 
 def _course(problem: Problem, plan: Plan, looks: Iterable[float] = ()) -> Iterator[tuple[float, KnowledgeBase]]:
@@ -120,7 +120,7 @@ def _course(problem: Problem, plan: Plan, looks: Iterable[float] = ()) -> Iterat
             raise InvalidPlan(f"{steps[denied.call]} cannot {denied.deed}{when}: {denied}") from denied
         for fluent, value in changes.items():
             if value is UNKNOWN and fluent[0].lower() != _MAY_BE_UNSET:
-                raise InvalidPlan(f"{show(fluent)} is changed{when}, but it has no value, or is given none")
+                raise InvalidPlan(f"{fluent_text(fluent)} is changed{when}, but it has no value, or is given none")
         yield happening.time, course.state
     if evaluate(problem.goal, course.state) is not True:
         raise InvalidPlan(f"the goal does not hold at the end: {expected_and_observed(problem.goal, course.state)}")
@@ -245,7 +245,7 @@ def _check_interference(happening: _Happening, steps: Sequence[_Step], course: C
         effects = action.start_effects if starts else action.end_effects
         for fluent, effect, _ in assignments(effects, watched):
             writers.setdefault(fluent, []).append((event.call, _way(effect.operation, effect.value)))
-        for _, effect, env in assignments(unconditional(effects), watched):
+        for _, effect, env in possible_assignments(effects, watched):
             value_of(effect.value, watched, env)
         for fluent in watched.seen:
             readers.setdefault(fluent, []).append(event.call)
@@ -257,7 +257,9 @@ def _check_interference(happening: _Happening, steps: Sequence[_Step], course: C
         ways = {way for _, way in written}
         if len(involved) > 1 and (read or len(ways) > 1 or ways == {"assign"}):
             first, second = ("what changes by itself" if one == _BY_ITSELF else f"{steps[one]}" for one in sorted(involved)[:2])
-            raise InvalidPlan(f"{first} and {second} get in each other's way{when}: both have to do with {show(fluent)}, which changes")
+            raise InvalidPlan(
+                f"{first} and {second} get in each other's way{when}: both have to do with {fluent_text(fluent)}, which changes"
+            )
 
 
 def _way(operation: str, value: Expression) -> str:

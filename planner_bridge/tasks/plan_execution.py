@@ -29,8 +29,9 @@ from pnm.core.execution.call_requests import UnderWay
 from pnm.core.execution.call_results import Failure, RunResult
 from pnm.core.execution.events import Observer
 from pnm.core.execution.run import Run
-from pnm.core.logic.conditions import evaluate, names
-from pnm.core.logic.effects import assignments, names_written, unconditional
+from pnm.core.logic.conditions import names
+from pnm.core.logic.effects import names_written, possible_assignments
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import CallOutcome, OnFailure, Rule
@@ -121,8 +122,7 @@ def is_foreseen(progress: Progress, changed: Mapping[Fluent, Value | Unknown], s
     begun = [one.call for one in progress.calls if one.kind is not CallOutcome.WAITING and _writes(one.call) & mentioned]
     written: dict[Fluent, list[Value | None]] = {}
     for call in begun:
-        effects = unconditional((*call.action.start_effects, *call.action.end_effects))
-        for fluent, effect, _ in assignments(effects, state):
+        for fluent, effect, _ in possible_assignments((*call.action.start_effects, *call.action.end_effects), state):
             written.setdefault(fluent, []).append(effect.value.value if isinstance(effect.value, Constant) else None)
     return all(value in written.get(fluent, ()) or None in written.get(fluent, ()) for fluent, value in changed.items())
 
@@ -262,7 +262,7 @@ class Relay:
         finally:
             trouble.cancel()
         self._trouble.clear()
-        return not execution.done()
+        return not self.executor.ended
 
     def _advice(self) -> _Advice:
         progress, has_failed = self.progress, bool(self.run.told().failures)
@@ -356,7 +356,7 @@ class Relay:
 
     async def _at_rest(self, execution: asyncio.Future[RunResult]) -> bool:
         """Wait until everything that is under way can be handed over; tell whether the run is still going on then."""
-        while not execution.done():
+        while not self.executor.ended:
             is_settled = all(one.kind is not CallOutcome.RUNNING for one in self.run.told().calls)
             if is_settled and set(self.run.open_requests) == {one.request for one in self.run.under_way()}:
                 return True

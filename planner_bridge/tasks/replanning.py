@@ -16,7 +16,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import in_causal_order
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import evaluate
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Cause, Moment, PlanEvent, PlanGraph

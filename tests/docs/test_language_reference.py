@@ -11,7 +11,7 @@ import pytest
 from pnm.core.execution.questions import Consultation
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import compute
-from pnm.core.logic.conditions import evaluate
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.logic.operators import CHANGING, OPERATORS
 from pnm.errors import InputError

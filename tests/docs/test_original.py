@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.tasks.plan_task import carry_out, simulated_site
+from planner_bridge.simulation import simulated_backend
+from planner_bridge.tasks.plan_task import carry_out
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.generate import generate
@@ -334,7 +335,7 @@ def test_p6_runs_that_are_over_are_forgotten(tmp_path: Path) -> None:
     plan = read(tmp_path, "[{a: {}}]")
 
     async def twice() -> list[object]:
-        performer = Performer({"plan": Program.of(plan)}, simulated_site(plan, plan.bindings), KnowledgeBase())
+        performer = Performer({"plan": Program.of(plan)}, simulated_backend(plan, plan.bindings), KnowledgeBase())
         await performer.site.open(performer.world)
         for _ in range(2):
             assert (await performer.execute(performer.perform("plan"))).goal

@@ -19,7 +19,7 @@ from planner_bridge.pddl.syntax.words import MOMENTS, Moment, new_name, operands
 from pnm.core.logic.conditions import TRUE, Condition, ForAll, conjunction
 from pnm.core.logic.domain import ActionSchema, DurationConstraint, Preference
 from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, When
-from pnm.core.logic.expressions import Arithmetic, Expression, ValueOf, Variable
+from pnm.core.logic.expressions import Variable, expression_fluents
 
 T = TypeVar("T")
 Timed: TypeAlias = dict[Moment, list[T]]
@@ -185,17 +185,13 @@ def _bound(node: Group, scope: Scope) -> DurationConstraint:
     if operation != "=":
         scope.names.requirements.need(node, ":duration-inequalities")
     bound = scope.expression(right)
-    if _has_fluents(bound):
+    if any(expression_fluents(bound)):
         scope.names.requirements.need(node, ":numeric-fluents")
     return DurationConstraint(operation, bound)
 
 
 def _is_duration(node: Node) -> bool:
     return isinstance(node, Atom) and node.key == "?duration"
-
-
-def _has_fluents(expression: Expression) -> bool:
-    return isinstance(expression, ValueOf) or (isinstance(expression, Arithmetic) and any(map(_has_fluents, expression.operands)))
 
 
 INSTANTANEOUS: Final = ":action"

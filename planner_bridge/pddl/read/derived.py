@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
-from typing import Final, assert_never
+from typing import Final
 
 from planner_bridge.pddl.read.formulas import condition
 from planner_bridge.pddl.read.symbols import Names
 from planner_bridge.pddl.read.terms import Scope
 from planner_bridge.pddl.syntax.expressions import Group, Node, tolerate, wrong
 from planner_bridge.pddl.syntax.words import CONNECTIVES, counted, new_name, operands, show_types
-from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
+from pnm.core.logic.conditions import polarities
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Variable
 from pnm.core.logic.rules import Rule
@@ -81,9 +81,9 @@ def _stratified(found: list[tuple[Rule, Group]]) -> None:
     derived = {rule.name for rule, _ in found}
     needs: dict[str, dict[str, None]] = {}
     for rule, _ in found:
-        needs.setdefault(rule.name, {}).update(dict.fromkeys(name for name, _ in _mentioned(rule.condition, True) if name in derived))
+        needs.setdefault(rule.name, {}).update(dict.fromkeys(name for name, _ in polarities(rule.condition) if name in derived))
     for rule, section in found:
-        for name, positive in _mentioned(rule.condition, True):
+        for name, positive in polarities(rule.condition):
             way = () if positive or name not in derived else _way(name, rule.name, needs)
             if way:
                 chain = ", ".join(f"{one!r} from {other!r}" for one, other in pairwise(way))
@@ -102,24 +102,3 @@ def _way(start: str, end: str, needs: Mapping[str, Iterable[str]]) -> tuple[str,
                 ways[needed] = (*ways[name], needed)
                 waiting.append(needed)
     return ways.get(end, ())
-
-
-def _mentioned(condition: Condition, positive: bool) -> Iterator[tuple[str, bool]]:
-    """Yield every predicate of the condition, and whether it is its truth that helps rather than its absence."""
-    match condition:
-        case Holds(fluent):
-            yield fluent[0], positive
-        case Compare() | Computed():
-            return
-        case Not(operand):
-            yield from _mentioned(operand, not positive)
-        case All(operands) | Any(operands):
-            for operand in operands:
-                yield from _mentioned(operand, positive)
-        case Implies(left, right):
-            yield from _mentioned(left, not positive)
-            yield from _mentioned(right, positive)
-        case ForAll(_, body) | Exists(_, body):
-            yield from _mentioned(body, positive)
-        case _:
-            assert_never(condition)

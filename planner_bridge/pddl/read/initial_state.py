@@ -9,7 +9,7 @@ from planner_bridge.pddl.read.terms import Scope
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, tolerate, wrong
 from planner_bridge.pddl.syntax.words import CONTINGENT, counted, is_number, number, operands, time, unsupported
 from pnm.core.logic.effects import TimedChange
-from pnm.core.logic.expressions import Constant, Fluent, Value, show
+from pnm.core.logic.expressions import Constant, Fluent, Value, fluent_text
 
 _UNCERTAIN: Final = ("or", "oneof", "unknown")
 _ASSIGNMENTS: Final = ("=", "assign")
@@ -96,8 +96,8 @@ def _put(found: dict[Fluent, Value], change: _Change | None, node: Node) -> None
     before = found.get(fluent, value)
     if before != value:
         if isinstance(value, bool):
-            raise wrong(node, f"{show(fluent)} has another value before; expected one value")
-        tolerate(node, f"{show(fluent)} has another value before; this one is used")
+            raise wrong(node, f"{fluent_text(fluent)} has another value before; expected one value")
+        tolerate(node, f"{fluent_text(fluent)} has another value before; this one is used")
     elif fluent in found:
-        tolerate(node, f"{show(fluent)} is there twice")
+        tolerate(node, f"{fluent_text(fluent)} is there twice")
     found[fluent] = value

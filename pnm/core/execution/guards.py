@@ -12,7 +12,9 @@ from pnm.core.execution.effect_checks import already_true
 from pnm.core.execution.questions import Consultation, Questions
 from pnm.core.execution.resources import Claim, Claims, who_keeps
 from pnm.core.execution.run_state import Situation
-from pnm.core.logic.conditions import Condition, evaluate, failing, ground, names, observed
+from pnm.core.logic.conditions import Condition, ground, names
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.explain import failing, observed
 from pnm.core.machine.machine import (
     Accepts,
     Adopted,

@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Literal, TypeAlias
 
 from pnm.core.logic.conditions import TRUE, Condition
-from pnm.core.logic.declared_names import Kind, Signature, Vocabulary
+from pnm.core.logic.declared_names import FluentKind, Signature, Vocabulary
 from pnm.core.logic.effects import Effects, TimedChange
 from pnm.core.logic.expressions import Expression, Fluent, Value, Variable
 from pnm.core.logic.rules import Rule
@@ -168,8 +168,10 @@ class ProblemModel:
         derived = frozenset(rule.name for rule in domain.rules)
         types = {name: domain.supertypes(name) for name in ("object", *domain.types)}
         types_of = {name: types["object"].union(*map(domain.supertypes, kinds)) for name, kinds in self.objects.items()}
-        predicates = {name: _signature(declared, Kind.FACT) for name, declared in domain.predicates.items()}
-        functions = {name: _signature(one, Kind.OBJECT if one.values else Kind.NUMBER) for name, one in domain.functions.items()}
+        predicates = {name: _signature(declared, FluentKind.FACT) for name, declared in domain.predicates.items()}
+        functions = {
+            name: _signature(one, FluentKind.OBJECT if one.values else FluentKind.NUMBER) for name, one in domain.functions.items()
+        }
         return Vocabulary(domain.parameters, fluents, frozenset(self.objects), derived, {**predicates, **functions}, types, types_of)
 
     @property
@@ -196,5 +198,5 @@ class ProblemModel:
         return frozenset().union(*map(self.domain.supertypes, types))
 
 
-def _signature(declared: Declaration, kind: Kind) -> Signature:
+def _signature(declared: Declaration, kind: FluentKind) -> Signature:
     return Signature(kind, tuple(variable.types for variable in declared.parameters), declared.values)

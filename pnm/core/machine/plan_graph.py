@@ -20,7 +20,7 @@ from typing import Final, NamedTuple, TypeAlias
 from pnm.core.logic.computed_values import Data, KnowledgeOperation
 from pnm.core.logic.conditions import TRUE, Condition
 from pnm.core.logic.effects import Effects
-from pnm.core.logic.expressions import Fluent, show
+from pnm.core.logic.expressions import Fluent, fluent_text
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.errors import PnmError
 
@@ -261,7 +261,7 @@ class Ordering:
     """Seconds that `after`, which is then a start, must come later than `before`, at least."""
 
     def __str__(self) -> str:
-        reason = f" ({', '.join(map(show, self.protects))})" if self.protects else ""
+        reason = f" ({', '.join(map(fluent_text, self.protects))})" if self.protects else ""
         delay = f" + {self.delay:g} s" if self.delay else ""
         return f"{self.before}{delay} < {self.after}{reason}"
 

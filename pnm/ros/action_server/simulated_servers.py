@@ -17,7 +17,7 @@ from itertools import count
 from typing import Any, Final
 from uuid import UUID, uuid4
 
-from pnm.actions.simulated_world import World
+from pnm.actions.simulated_world import SimulatedWorld
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Report, Request
 from pnm.errors import InputError
@@ -179,7 +179,7 @@ def _result_fields(server: GoalServer, outcome: Outcome) -> dict[str, object]:
     return data
 
 
-async def publish_state(ros: RosThread, world: World, names: frozenset[str], matched: Callable[[], None]) -> None:
+async def publish_state(ros: RosThread, world: SimulatedWorld, names: frozenset[str], matched: Callable[[], None]) -> None:
     """Publish complete reports about some predicates and functions of a simulated world: now, and whenever it changes.
 
     Several changes in one turn of the event loop make one report.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from sys import float_info
 from typing import Any, TypeAlias
 
-from pnm.errors import InputError, meant
+from pnm.errors import InputError, suggestion
 
 ParameterValue: TypeAlias = bool | int | float | str
 
@@ -53,7 +53,7 @@ def declare(node: Any, parameters: Iterable[NodeParameter], given: Mapping[str, 
             hint = "; expected a number such as 10.0" if isinstance(default, float) else ""
             raise InputError(f"the parameter {name} is wrong: {str(error) or type(error).__name__}{hint}") from error
         if parameter.choices and value not in parameter.choices:
-            hint = meant(str(value), parameter.choices)
+            hint = suggestion(str(value), parameter.choices)
             expected = f"expected one of {', '.join(parameter.choices)}{f'; {hint}' if hint else ''}"
             raise InputError(f"the parameter {name} is {value!r}; {expected}")
         values[name] = value

@@ -20,17 +20,19 @@ from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.simulation import SimulatedSite
+from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.replanning import Decision, History, Limits, PlanAgain, Progress, Resume, decide, why_not
+from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.clock import run_async
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.questions import Consultation
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Not, evaluate
+from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Not
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Set, When
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Value, ValueOf, Variable
 from pnm.core.logic.rules import Rule
 from pnm.core.machine.bindings import Binding, Bindings, goal_data
@@ -46,7 +48,7 @@ class Stage:
     """A simulated world, and what is known of it, for one run after the other."""
 
     problem: Problem
-    site: SimulatedSite
+    site: SimulatedBackend
     knowledge: Layered
     bindings: Bindings
 
@@ -74,7 +76,7 @@ Script = Callable[[Stage], Coroutine[Anything, Anything, None]]
 
 def play(problem: Problem, script: Script, faults: Faults = NO_FAULTS, bindings: Bindings = Bindings()) -> None:
     async def main() -> None:
-        stage = Stage(problem, SimulatedSite(problem, bindings, faults), Layered(initial_knowledge(problem)), bindings)
+        stage = Stage(problem, simulated_backend(problem, bindings, faults), Layered(initial_knowledge(problem)), bindings)
         await stage.site.open(stage.knowledge.world)
         try:
             await script(stage)
@@ -330,7 +332,7 @@ def test_what_an_action_changes_below_a_derived_fact_is_not_asked_of_it_before_o
 
 def test_a_hidden_change_of_a_derived_fact_is_refused_before_anything_starts() -> None:
     with pytest.raises(InputError, match="facts of way follow from rules; they are neither set nor reported"):
-        SimulatedSite(doors(), Bindings(), changed(1.0, {("way", "k", "h"): True}))
+        simulated_backend(doors(), Bindings(), changed(1.0, {("way", "k", "h"): True}))
 
 
 # --- objects as values --------------------------------------------------------------------------

@@ -19,9 +19,9 @@ from planner_bridge.node.world_queries import MAX_LENGTH, MAX_TEXTS, SharedWorld
 from planner_bridge.pddl import parse_domain, parse_problem, read_problem
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async
-from pnm.core.knowledge_base import show_statement
+from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.conditions import TRUE
-from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, show
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, fluent_text
 from pnm.errors import InputError
 from tests.support.files import ROOT
 
@@ -391,10 +391,10 @@ def test_what_is_told_is_what_is_answered(truths, battery, location):
     told = {**truths, **battery, **location}
     shared.update(
         [written(fluent, value) for fluent, value in told.items() if value is not UNKNOWN and value is not False],
-        [show(fluent) for fluent, value in told.items() if value is False],
-        [show(fluent) for fluent, value in told.items() if value is UNKNOWN],
+        [fluent_text(fluent) for fluent, value in told.items() if value is False],
+        [fluent_text(fluent) for fluent, value in told.items() if value is UNKNOWN],
     )
-    for fluent, (_, answer) in zip(told, shared.query([*map(show, told)]) if told else (), strict=True):
+    for fluent, (_, answer) in zip(told, shared.query([*map(fluent_text, told)]) if told else (), strict=True):
         value = told[fluent]
         if isinstance(value, float):
             assert float(answer) == value
@@ -403,7 +403,7 @@ def test_what_is_told_is_what_is_answered(truths, battery, location):
 
 
 def written(fluent, value):
-    return f"(= {show(fluent)} {value!r})" if isinstance(value, float) else show_statement(fluent, value)
+    return f"(= {fluent_text(fluent)} {value!r})" if isinstance(value, float) else statement_text(fluent, value)
 
 
 @given(st.lists(st.one_of(st.text(max_size=30), st.text("()= atr1dkhl?0.", max_size=20)), max_size=3))

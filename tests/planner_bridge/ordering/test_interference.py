@@ -13,7 +13,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.interference import Footprint, around, conflict, footprint
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.planning.solve import solve
-from pnm.core.logic.conditions import evaluate
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.machine.plan_graph import PlanGraph
 from tests.support.problems import rooms, tanks
 

@@ -30,15 +30,16 @@ from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.plan_text import plan_text
 from planner_bridge.planning.solve import solve
 from planner_bridge.planning.validate import trace, why_invalid
-from planner_bridge.simulation import SimulatedSite
+from planner_bridge.simulation import simulated_backend
 from pnm.clock import run_async
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.conditions import TRUE, evaluate
+from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import changes, names_written
-from pnm.core.logic.expressions import Fluent, State, same
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.expressions import Fluent, State, same_value
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import Moment, PlanGraph, PlanGraphError
@@ -67,7 +68,7 @@ def show(problem: Problem, plan: Plan) -> None:
 def differences(problem: Problem, one: State, other: State) -> list[tuple[Fluent, object, object]]:
     """The fluents that have not the same value in both states."""
     known = [*fluents(problem, problem.domain.predicates), *fluents(problem, problem.domain.functions)]
-    return [(fluent, one.value(fluent), other.value(fluent)) for fluent in known if not same(one.value(fluent), other.value(fluent))]
+    return [(fluent, one.value(fluent), other.value(fluent)) for fluent in known if not same_value(one.value(fluent), other.value(fluent))]
 
 
 # --- unified-planning ----------------------------------------------------------------------
@@ -206,7 +207,7 @@ def test_verdicts_on_plans_and_states_are_those_of_kairos(kind: str) -> None:
 def executed(problem: Problem, graph: PlanGraph, *, sensed: bool) -> tuple[RunResult, KnowledgeBase, KnowledgeBase]:
     """How a plan ends on simulated robots, what the world is then like, and what is believed of it."""
     bindings = Bindings(assumed=frozenset() if sensed else dynamic_names(problem))
-    site, beliefs = SimulatedSite(problem, bindings), initial_knowledge(problem)
+    site, beliefs = simulated_backend(problem, bindings), initial_knowledge(problem)
     machine = generate(graph, bindings)
     verify(machine)
 

@@ -14,11 +14,12 @@ from planner_bridge.cli.console import ConsoleObserver, print_result
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline import pursue
-from planner_bridge.simulation import SimulatedSite
+from planner_bridge.simulation import robots_of, simulated_backend
 from planner_bridge.tasks.constraint_monitor import Monitor
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import Stopwatch, TaskResult, Violation
 from planner_bridge.tasks.settings import Settings, TaskObserver
+from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase, Layered
@@ -28,7 +29,7 @@ from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
-from tests.planner_bridge.tasks.test_replanning import LateSite
+from tests.planner_bridge.tasks.test_replanning import LateBackend
 from tests.support.problems import rooms
 
 TO_C = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc")
@@ -94,9 +95,9 @@ def pursued(
     *,
     limits: Limits = Limits(),
     bindings: Bindings = Bindings(),
-    site: SimulatedSite | None = None,
+    site: SimulatedBackend | None = None,
 ) -> Pursued:
-    site, log = site or SimulatedSite(problem, bindings, faults), Log()
+    site, log = site or simulated_backend(problem, bindings, faults), Log()
 
     async def main() -> tuple[TaskResult, float]:
         result = await pursue(problem, site, Settings(limits=limits, bindings=bindings), log, Stopwatch())
@@ -137,13 +138,13 @@ def test_a_violation_at_the_very_end_counts() -> None:
 
 def test_a_violation_that_is_reported_after_the_end_counts() -> None:
     problem = constrained(always(Not(B)))
-    done = pursued(problem, site=LateSite(problem, changes((2.65, "b")), delay=0.3, lag=1.0))
+    done = pursued(problem, site=LateBackend(problem, changes((2.65, "b")), delay=0.3, lag=1.0))
     assert done.outcomes() == ["succeeded", "succeeded"]
     assert done.result.reason == "(always (not (clean b))) is violated after 2.95 s: (clean b) is true"
     assert done.result.as_json()["decisions"] == []
 
 
-class SlowSite(SimulatedSite):
+class SlowBackend(SimulatedBackend):
     """Servers are looked for so long."""
 
     async def prepare(self, actions: Iterable[GroundAction]) -> None:
@@ -152,7 +153,7 @@ class SlowSite(SimulatedSite):
 
 def test_nothing_is_started_when_a_constraint_is_violated_before() -> None:
     problem = constrained(always(Not(B)))
-    done = pursued(problem, site=SlowSite(problem, Bindings(), changes((2.0, "b"))))
+    done = pursued(problem, site=SlowBackend(robots_of(problem, Bindings(), changes((2.0, "b")))))
     assert [call.attempts for call in done.result.calls] == [0, 0]
     assert done.result.reason.startswith("(always (not (clean b))) is violated after 2.00 s")
 
@@ -385,7 +386,7 @@ def test_a_person_reads_what_is_violated_as_it_happens_and_at_the_end() -> None:
     problem = replace(wished(Preference("p", A), Preference("q", B)), constraints=(always(Not(Holds(("clean", "?a"))), ROOM),))
     text = io.StringIO()
     console = Console(file=text)
-    site = SimulatedSite(problem, Bindings(), changes((0.3, "b"), (0.3, "c")))
+    site = simulated_backend(problem, Bindings(), changes((0.3, "b"), (0.3, "c")))
     print_result(console, run_async(pursue(problem, site, Settings(), ConsoleObserver(console), Stopwatch()), virtual=True))
     lines = text.getvalue().splitlines()
     assert "      0.31 s  broken (always (not (clean b))); observed (clean b) is true" in lines

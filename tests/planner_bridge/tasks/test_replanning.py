@@ -13,15 +13,17 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline import achieve, pursue
-from planner_bridge.simulation import SimulatedSite
+from planner_bridge.simulation import robots_of, simulated_backend
 from planner_bridge.tasks.replanning import Decision, GiveUp, History, Limits, PlanAgain, Progress, Resume, decide
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
+from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.clock import run_async
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Holds, Not, evaluate
+from pnm.core.logic.conditions import Holds, Not
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import Binding, Bindings
@@ -35,7 +37,7 @@ def pursued(
     problem: Problem, faults: Faults = NO_FAULTS, *, limits: Limits = Limits(), bindings: Bindings = Bindings()
 ) -> tuple[TaskResult, KnowledgeBase]:
     """Pursue the goal of the problem and return the result with the truth; the verdict must be true to the world."""
-    site = SimulatedSite(problem, bindings, faults)
+    site = simulated_backend(problem, bindings, faults)
     result = run_async(pursue(problem, site, Settings(limits=limits, bindings=bindings), TaskObserver(), Stopwatch()), virtual=True)
     truth = site.robots.world.truth
     assert result.goal_reached == (evaluate(problem.goal, truth) is True)
@@ -134,7 +136,8 @@ def test_a_pause_before_another_try_is_told_with_its_reason() -> None:
     observer.entered = lambda state, why: told.append((state, why))  # type: ignore[method-assign]
     problem, limits = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc"), Limits(replans=2, forbid_after=100)
     run_async(
-        pursue(problem, SimulatedSite(problem, Bindings(), aborts("move")), Settings(limits=limits), observer, Stopwatch()), virtual=True
+        pursue(problem, simulated_backend(problem, Bindings(), aborts("move")), Settings(limits=limits), observer, Stopwatch()),
+        virtual=True,
     )
     assert (TaskState.REPLANNING, "tries again in 0.5 s after move(r1, a, b) was aborted") in told
     assert [state.name for state, _ in told] == ["PLANNING", "RUNNING", "REPLANNING", "RUNNING", "OVER"]
@@ -163,7 +166,7 @@ def test_a_task_is_stopped_when_its_time_is_up() -> None:
 def test_an_action_that_may_still_be_going_on_is_not_planned_with() -> None:
     stuck = Faults((Fault("move(r1, a, b)", FaultKind.SLOW, ignores_cancel=True),))
     bindings = Bindings({"move": Binding(timeout=3.0, cancel=1.0)}, assumed=frozenset({"at"}))
-    site = SimulatedSite(rooms(init="(at r1 a)", goal="(at r1 b)"), bindings, stuck)
+    site = simulated_backend(rooms(init="(at r1 a)", goal="(at r1 b)"), bindings, stuck)
     task = pursue(rooms(init="(at r1 a)", goal="(at r1 b)"), site, Settings(bindings=bindings), TaskObserver(), Stopwatch())
     result = run_async(task, virtual=True)
     assert result.failures[0].unconfirmed
@@ -267,11 +270,11 @@ def test_the_rest_of_a_network_of_tasks_is_used_and_otherwise_the_whole_network_
     )
 
 
-class LateSite(SimulatedSite):
+class LateBackend(SimulatedBackend):
     """Simulated robots whose sensors are late."""
 
     def __init__(self, problem: Problem, faults: Faults, delay: float, lag: float) -> None:
-        super().__init__(problem, Bindings(), faults)
+        super().__init__(robots_of(problem, Bindings(), faults))
         self.delay, self.lag = delay, lag
 
     async def open(self, knowledge: KnowledgeBase) -> None:
@@ -287,7 +290,7 @@ class LateSite(SimulatedSite):
 def test_late_reports_are_waited_for_before_anything_is_decided(what: str) -> None:
     problem = matches(1)
     faults = Faults((Fault(what, FaultKind.ABORT, times=1),))
-    site = LateSite(problem, faults, delay=0.3, lag=1.0)
+    site = LateBackend(problem, faults, delay=0.3, lag=1.0)
     settings = Settings(bindings=Bindings({"strike": Binding(retries=0), "mend": Binding(retries=0)}))
     result = run_async(pursue(problem, site, settings, TaskObserver(), Stopwatch()), virtual=True)
     truth = evaluate(problem.goal, site.robots.world.truth)

@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner_bridge.node.initial_world import common_knowledge
+from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.node.problem_service import NOTHING
-from planner_bridge.tasks.plan_task import simulated_site, together
+from planner_bridge.simulation import simulated_backend
+from planner_bridge.tasks.plan_task import merge_bindings
 from planner_bridge.tasks.scheduling.task_manager import TaskMaster
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Fault, FaultKind, Faults
@@ -90,7 +91,7 @@ def test_calls_and_restarts_of_a_plan_are_counted_and_told(tmp_path: Path) -> No
     )
     (plan,) = read_plans(file).values()
     faults = Faults((Fault("go(b)", FaultKind.ABORT, times=1),))
-    performer = Performer({"tour": Program.of(plan)}, simulated_site(plan, together([plan]), faults), KnowledgeBase())
+    performer = Performer({"tour": Program.of(plan)}, simulated_backend(plan, merge_bindings([plan]), faults), KnowledgeBase())
     tour = Wanted(UUID(int=1), "tour", is_plan=True)
 
     class Told(TaskListener):
@@ -130,7 +131,7 @@ def test_a_pause_does_not_use_up_the_time_of_a_plan(tmp_path: Path) -> None:
     file = tmp_path / "plan.yaml"
     file.write_text("actions: {go: {params: [place], duration: 5}}\nname: tour\ntimeout: 20\nplan: [go: {place: a}, go: {place: b}]\n")
     (plan,) = read_plans(file).values()
-    performer = Performer({"tour": Program.of(plan)}, simulated_site(plan, together([plan])), KnowledgeBase())
+    performer = Performer({"tour": Program.of(plan)}, simulated_backend(plan, merge_bindings([plan])), KnowledgeBase())
     over: list[Code] = []
 
     class Told(TaskListener):
@@ -161,7 +162,7 @@ def _no_goal(text: str) -> Condition:
 def test_a_world_begins_as_all_of_its_plans_say(tmp_path: Path) -> None:
     file = tmp_path / "plan.yaml"
     file.write_text("one: {facts: [(open door1)], plan: []}\ntwo: {facts: [(open door1), (= (n) 2)], plan: []}\n")
-    assert common_knowledge(read_plans(file).values()).facts() == {("open", "door1"): True, ("n",): 2.0}
+    assert initial_knowledge(*read_plans(file).values()).facts() == {("open", "door1"): True, ("n",): 2.0}
     file.write_text("one: {facts: [(open door1)], plan: []}\ntwo: {facts: [(not (open door1))], plan: []}\n")
     with pytest.raises(InputError, match=r"one and two begin with different values of \(open door1\): True, False"):
-        common_knowledge(read_plans(file).values())
+        initial_knowledge(*read_plans(file).values())

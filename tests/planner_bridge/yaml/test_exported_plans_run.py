@@ -9,8 +9,8 @@ import pytest
 
 from planner_bridge.loading import load
 from planner_bridge.pipeline import pursue
-from planner_bridge.simulation import SimulatedSite
-from planner_bridge.tasks.plan_task import simulated_site, together
+from planner_bridge.simulation import simulated_backend
+from planner_bridge.tasks.plan_task import merge_bindings
 from planner_bridge.tasks.result import Stopwatch
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.yaml.convert import exported
@@ -45,13 +45,13 @@ def told(calls: tuple[CallResult, ...]) -> list[tuple[str, ...]]:
 
 def planned(domain: Path, problem: Path) -> Told:
     loaded = load(domain, problem)
-    site = SimulatedSite(loaded, Settings().bindings)
+    site = simulated_backend(loaded, Settings().bindings)
     result = run_async(pursue(loaded, site, Settings(), TaskObserver(), Stopwatch()), virtual=True)
     return result.goal_reached, told(result.calls), site.robots.world.truth.facts()
 
 
 def written(plan: HandWrittenPlan) -> Told:
-    site = simulated_site(plan, together([plan]))
+    site = simulated_backend(plan, merge_bindings([plan]))
 
     async def performed() -> Told:
         performer = Performer({plan.name: Program.of(plan)}, site, KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules))

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pnm.core.knowledge_base import KnowledgeBase, Layered, parse_fluent, parse_statement, show_statement
+from pnm.core.knowledge_base import KnowledgeBase, Layered, parse_fluent, parse_statement, statement_text
 from pnm.core.logic.computed_values import MISSING
-from pnm.core.logic.conditions import All, Exists, Holds, Not, evaluate
+from pnm.core.logic.conditions import All, Exists, Holds, Not
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, Variable
 from pnm.core.logic.rules import NO_RULES, Rule, Rules
 from pnm.errors import InputError
@@ -328,7 +329,7 @@ def test_a_fluent_that_is_written_is_read(fluent: Fluent) -> None:
 
 @given(FLUENTS, st.one_of(st.booleans(), st.floats(-1e6, 1e6).map(lambda value: round(value, 3)), st.just("hall")))
 def test_a_statement_that_is_written_is_read(fluent: Fluent, value: Value) -> None:
-    assert parse_statement(show_statement(fluent, value)) == (fluent, value)
+    assert parse_statement(statement_text(fluent, value)) == (fluent, value)
 
 
 @given(st.text("()=not 1ab", max_size=30))

@@ -21,11 +21,11 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
 from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError
-from pnm.knowledge.message_fields import Comparison, Every, Field, Flag, Negation, Some, Source, Unreadable, parse_field, succeeds
+from pnm.knowledge.message_fields import Comparison, Every, Field, FieldValue, Flag, Negation, Some, Unreadable, parse_field, succeeds
 from pnm.knowledge.sensor_file import read_sensing
-from pnm.knowledge.sensor_model import Instance, Polled, Topic, instances, read, unknown
-from pnm.knowledge.state_reports import Reports, Silence
-from pnm.ros.backend import Ros2Site
+from pnm.knowledge.sensor_model import ByService, ByTopic, Instance, instances, read, unknown
+from pnm.knowledge.state_reports import StateReports, Watchdog
+from pnm.ros.backend import Ros2Backend
 from tests.pnm.language.test_damage import damaged
 from tests.support.files import ROOT
 
@@ -111,9 +111,9 @@ def look(message):
 
 def test_a_file_is_read(everything):
     battery, zone, light = everything.sensors
-    assert (battery.stale, battery.lag, battery.way, battery.type) == (10.0, 0.5, Topic(), "test_msgs/msg/BasicTypes")
+    assert (battery.stale, battery.lag, battery.way, battery.type) == (10.0, 0.5, ByTopic(), "test_msgs/msg/BasicTypes")
     assert (zone.stale, zone.lag, zone.type) == (30.0, None, None)
-    assert light.way == Polled({"room": ["hall"], "level": 2}, 2.0, 0.5)
+    assert light.way == ByService({"room": ["hall"], "level": 2}, 2.0, 0.5)
     assert light.lag == 2.5, "what is polled is as late as it is polled rarely"
     assert everything.names == {"battery", "charged", "at", "location", "dark"}
     assert everything.lags(1.0) == {"battery": 0.5, "charged": 0.5, "at": 1.0, "location": 1.0, "dark": 2.5}
@@ -208,7 +208,7 @@ def test_two_sensors_of_the_same_are_refused(tmp_path):
 
 def test_what_is_sensed_cannot_be_assumed(everything):
     with pytest.raises(InputError, match="there is a sensor for dark, which is among the 'assumed' of the bindings"):
-        Ros2Site(Bindings(assumed=frozenset({"dark", "spam"})), sensing=everything)
+        Ros2Backend(Bindings(assumed=frozenset({"dark", "spam"})), sensing=everything)
 
 
 # --- messages ------------------------------------------------------------------------------
@@ -363,7 +363,7 @@ def test_a_test_and_its_negation_disagree_or_say_nothing(value, constant):
 
 @given(values)
 def test_a_table_has_a_value_for_what_it_lists(value):
-    source = Source(parse_field("x"), {"true": 1, "A1": 2, "3": 3})
+    source = FieldValue(parse_field("x"), {"true": 1, "A1": 2, "3": 3})
     if value is True or value == "A1" or (value == 3 and not isinstance(value, bool)):
         assert source.value(look({"x": value})) in (1, 2, 3)
     else:
@@ -379,8 +379,8 @@ def test_what_nobody_reports_for_too_long_falls_silent_once_and_again():
 
     async def main():
         loop = asyncio.get_running_loop()
-        silence = Silence(10.0, lambda: fallen.append(loop.time()))
-        forever = Silence(None, lambda: fallen.append("never"))
+        silence = Watchdog(10.0, lambda: fallen.append(loop.time()))
+        forever = Watchdog(None, lambda: fallen.append("never"))
         for _ in range(3):
             await asyncio.sleep(9.0)
             silence.heard()
@@ -400,7 +400,7 @@ def test_what_nobody_reports_for_too_long_falls_silent_once_and_again():
 def test_what_is_no_longer_reported_is_unknown_until_it_is_reported_again(caplog):
     async def main():
         world = KnowledgeBase({("at", "r1", "hall"): True, ("dark",): True}, objects=PROBLEM.objects_by_type)
-        told = Reports(world, {"ready": "its facts follow from rules", "spam": ""}, 1.0, 5.0, KNOWN.signatures)
+        told = StateReports(world, {"ready": "its facts follow from rules", "spam": ""}, 1.0, 5.0, KNOWN.signatures)
         names = {"at", "battery", "location", "ready", "spam"}
         report = {("at", "r1", "kitchen"): True, ("battery", "r1"): 3.0, ("location", "r1"): "hall", ("ready", "r1"): True}
         told.tell(names, report)
@@ -430,7 +430,7 @@ def test_what_is_no_longer_reported_is_unknown_until_it_is_reported_again(caplog
 def test_of_names_that_nobody_knows_more_about_what_was_recorded_is_unknown():
     async def main():
         world = KnowledgeBase(objects=PROBLEM.objects_by_type)
-        told = Reports(world, {}, 1.0, 5.0)
+        told = StateReports(world, {}, 1.0, 5.0)
         told.tell({"at"}, {("at", "r1", "kitchen"): True})
         await asyncio.sleep(6.0)
         assert (world.value(("at", "r1", "kitchen")), world.value(("at", "r1", "hall"))) == (UNKNOWN, None)

@@ -38,7 +38,7 @@ from pnm.knowledge.sources import sqlite as sqlite_source
 from pnm.knowledge.sources.memory import MemoryKnowledge, read_value, write_value
 from pnm.knowledge.sources.person_text import message_text, printable, question_text, read_answer
 from pnm.knowledge.sources.sqlite import SqliteKnowledge, default_path
-from pnm.knowledge.sources.terminal import Terminal
+from pnm.knowledge.sources.terminal import TerminalSource
 
 ME = Asker(UUID(int=7), "tour")
 JSON = st.recursive(
@@ -594,7 +594,7 @@ def person() -> Iterator[Person]:
 
 def test_a_question_at_the_terminal(person: Person) -> None:
     async def main() -> list[object]:
-        terminal = Terminal(person.answers, person.shown)
+        terminal = TerminalSource(person.answers, person.shown)
         found = []
         for typed in ("bakery\n", "5\n", "[1]\n", "\n"):
             asking = asyncio.ensure_future(terminal.query(about("shop", Layer.PERSON, "Which shop?"), ME))
@@ -608,7 +608,7 @@ def test_a_question_at_the_terminal(person: Person) -> None:
 
 def test_a_slip_of_the_pen_is_asked_for_once_more(person: Person) -> None:
     async def main() -> object:
-        asking = asyncio.ensure_future(Terminal(person.answers, person.shown).query(about("shop", Layer.PERSON), ME))
+        asking = asyncio.ensure_future(TerminalSource(person.answers, person.shown).query(about("shop", Layer.PERSON), ME))
         await person.sees("What is shop? ")
         person.types('["a"\n')
         await person.sees("is not JSON")
@@ -621,7 +621,7 @@ def test_a_slip_of_the_pen_is_asked_for_once_more(person: Person) -> None:
 
 def test_questions_queue_and_say_who_asks(person: Person) -> None:
     async def main() -> list[object]:
-        terminal = Terminal(person.answers, person.shown)
+        terminal = TerminalSource(person.answers, person.shown)
         one = asyncio.ensure_future(terminal.query(about("a", Layer.PERSON), Asker(UUID(int=1), "first")))
         two = asyncio.ensure_future(terminal.query(about("b", Layer.PERSON), Asker(UUID(int=2), "second")))
         told = asyncio.ensure_future(terminal.update(about("USER"), "Bye!", Asker(UUID(int=2))))
@@ -638,7 +638,7 @@ def test_questions_queue_and_say_who_asks(person: Person) -> None:
 
 def test_a_withdrawn_question_makes_place_and_its_late_answer_is_not_taken(person: Person) -> None:
     async def main() -> object:
-        terminal = Terminal(person.answers, person.shown)
+        terminal = TerminalSource(person.answers, person.shown)
         one = asyncio.ensure_future(terminal.query(about("a", Layer.PERSON), ME))
         await person.sees("What is a? ")
         one.cancel()
@@ -658,7 +658,7 @@ def test_a_withdrawn_question_makes_place_and_its_late_answer_is_not_taken(perso
 def test_nobody_answers_at_the_terminal(person: Person, virtual: bool) -> None:
     async def main() -> None:
         with pytest.raises(SourceError, match=r"nobody has answered on the terminal within 0\.2 s"):
-            await Terminal(person.answers, person.shown, limit=0.2).query(about("a", Layer.PERSON), ME)
+            await TerminalSource(person.answers, person.shown, limit=0.2).query(about("a", Layer.PERSON), ME)
         await person.sees("(no longer asked)")
 
     run(main(), virtual=virtual)
@@ -666,7 +666,7 @@ def test_nobody_answers_at_the_terminal(person: Person, virtual: bool) -> None:
 
 def test_thinking_takes_no_virtual_time(person: Person) -> None:
     async def main() -> tuple[object, float]:
-        asking = asyncio.ensure_future(Sources([], Terminal(person.answers, person.shown)).query(about("a", Layer.PERSON), ME))
+        asking = asyncio.ensure_future(Sources([], TerminalSource(person.answers, person.shown)).query(about("a", Layer.PERSON), ME))
         await person.sees("What is a? ")
         person.types("x\n")
         return await asking, asyncio.get_running_loop().time()
@@ -676,7 +676,7 @@ def test_thinking_takes_no_virtual_time(person: Person) -> None:
 
 def test_the_terminal_is_closed_while_somebody_thinks(person: Person) -> None:
     async def main() -> None:
-        asking = asyncio.ensure_future(Terminal(person.answers, person.shown).query(about("a", Layer.PERSON), ME))
+        asking = asyncio.ensure_future(TerminalSource(person.answers, person.shown).query(about("a", Layer.PERSON), ME))
         await person.sees("What is a? ")
         person.types("\x04")
         with pytest.raises(SourceError, match="the terminal was closed"):
@@ -690,9 +690,9 @@ import asyncio, sys
 from uuid import UUID
 from pnm.core.logic.computed_values import Layer, Question
 from pnm.knowledge.sources import Asker, SourceError
-from pnm.knowledge.sources.terminal import Terminal
+from pnm.knowledge.sources.terminal import TerminalSource
 question = Question("USER", Layer.PERSON, "null")
-for asking in (Terminal().query(question, Asker(UUID(int=1))), Terminal().update(question, 1, Asker(UUID(int=1)))):
+for asking in (TerminalSource().query(question, Asker(UUID(int=1))), TerminalSource().update(question, 1, Asker(UUID(int=1)))):
     try:
         asyncio.run(asking)
     except SourceError as error:

@@ -213,7 +213,7 @@ plan: [fill: {t: tank, by: 2.5, unit: litre}]
     action = call(plan).action
     assert action.arguments == ("tank", "2.5", "litre")
     assert action.precondition.operands[0] == Compare("=", ValueOf(("level", "tank")), Constant(2.5))  # type: ignore[union-attr]
-    assert str(action.precondition.operands[1]) == "lt(all[x], ?by)"  # type: ignore[union-attr]
+    assert str(action.precondition.operands[1]) == "lt(all[x], 2.5)"  # type: ignore[union-attr]
     assert action.precondition.operands[2] == Holds(("scale", "2.5", "litre"))  # type: ignore[union-attr]
     assert list(map(str, action.end_effects)) == [
         "(increase (level tank) 2.5)",

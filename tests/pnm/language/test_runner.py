@@ -14,7 +14,8 @@ import pytest
 from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.options import Files
 from planner_bridge.cli.run import run_written
-from planner_bridge.tasks.plan_task import carry_out, chosen_plan, simulated_site, together
+from planner_bridge.simulation import simulated_backend
+from planner_bridge.tasks.plan_task import carry_out, chosen_plan, merge_bindings
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.backend import schedule
@@ -143,7 +144,7 @@ def test_names_of_plans_and_parameters_are_checked(tmp_path: Path) -> None:
 
 def test_two_runs_of_a_plan_go_on_side_by_side_with_their_own_knowledge(tmp_path: Path) -> None:
     plans = read_plans(written(tmp_path, GUIDE))
-    site = simulated_site(plans["inner"], together(plans.values()))
+    site = simulated_backend(plans["inner"], merge_bindings(plans.values()))
     performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, site, KnowledgeBase(), MemoryKnowledge())
 
     async def both() -> None:
@@ -166,7 +167,7 @@ def test_two_runs_of_a_plan_go_on_side_by_side_with_their_own_knowledge(tmp_path
 
 def test_cancelling_a_plan_cancels_the_plan_it_calls(tmp_path: Path) -> None:
     plans = read_plans(written(tmp_path, GUIDE))
-    site = simulated_site(plans["outer"], together(plans.values()))
+    site = simulated_backend(plans["outer"], merge_bindings(plans.values()))
     performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, site, KnowledgeBase())
 
     async def stopped() -> None:
@@ -346,7 +347,7 @@ class Cancelled:
 @pytest.mark.parametrize("operation", ["{LocalUpdate: [v, {RemoteQuery: w}]}", "{RemoteUpdate: [v, 1]}"])
 def test_a_source_that_was_cancelled_by_somebody_else_is_a_failure(tmp_path: Path, operation: str) -> None:
     (plan,) = read_plans(written(tmp_path, f"actions: {{note: {{type: kb_action}}}}\nplan: [note: {{operation: {operation}}}]")).values()
-    site = simulated_site(plan, plan.bindings)
+    site = simulated_backend(plan, plan.bindings)
     performer = Performer({plan.name: Program.of(plan)}, site, KnowledgeBase(), Sources([Cancelled()]))
 
     async def performed() -> None:

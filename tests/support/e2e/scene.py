@@ -12,7 +12,7 @@ from planner_bridge.loading import load
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from pnm.core.knowledge_base import KnowledgeBase, parse_statement
-from pnm.core.logic.conditions import evaluate
+from pnm.core.logic.evaluation import evaluate
 from tests.support.e2e.processes import LIMIT, ROOT, Program
 
 QUICK = """<?xml version="1.0" encoding="UTF-8"?>

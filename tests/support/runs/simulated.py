@@ -7,7 +7,7 @@ from uuid import UUID
 
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.actions.simulated_robots import SimulatedRobots, sense
-from pnm.actions.simulated_world import World
+from pnm.actions.simulated_world import SimulatedWorld
 from pnm.clock import run_async
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Observer
@@ -100,7 +100,7 @@ def simulate(
     """Run a plan to its end. Unless `watched`, nothing reports what the world is like."""
     chosen = bindings or Bindings()
     truth = KnowledgeBase(init)
-    world = World(truth, {fluent[0] for fluent in init} | {"at"})
+    world = SimulatedWorld(truth, {fluent[0] for fluent in init} | {"at"})
     beliefs = KnowledgeBase(init if believed is None else believed)
     robots = SimulatedRobots(world, faults, chosen)
     log = Log()

@@ -16,7 +16,7 @@ from uuid import UUID
 
 from planner_bridge.node.serve import NodeApi, NodeContext, make_task_manager
 from pnm.core.knowledge_base import KnowledgeBase, parse_fluent
-from pnm.core.logic.expressions import Fluent, Unknown, Value, show
+from pnm.core.logic.expressions import Fluent, Unknown, Value, fluent_text
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.net.net import Marking
@@ -188,8 +188,8 @@ class ScriptedWorld:
         return self.knowledge.listen(lambda batch: tell(self._fields(batch)))
 
     def _fields(self, batch: Mapping[Fluent, Value | Unknown]) -> Mapping[str, object]:
-        numbers = {show(fluent): value for fluent, value in batch.items() if isinstance(value, float)}
-        added = [show(fluent) for fluent, value in batch.items() if value is True]
+        numbers = {fluent_text(fluent): value for fluent, value in batch.items() if isinstance(value, float)}
+        added = [fluent_text(fluent) for fluent, value in batch.items() if value is True]
         return {"added": added, "fluents": [*numbers], "values": [*numbers.values()]}
 
 

@@ -11,12 +11,13 @@ from uuid import UUID, uuid4
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_problem
-from planner_bridge.simulation import SimulatedSite
+from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.scheduling.task_manager import Room, TaskMaster
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
-from pnm.core.logic.conditions import Condition, evaluate
+from pnm.core.logic.conditions import Condition
+from pnm.core.logic.evaluation import evaluate
 from pnm.errors import InputError
 from pnm.knowledge.sources.source import Source
 from pnm.language.runner import Performer, Program
@@ -40,7 +41,7 @@ class Stage(TaskListener):
         source: Source | None = None,
     ) -> None:
         self.problem = problem
-        self.site = SimulatedSite(problem, chosen.bindings, faults)
+        self.site = simulated_backend(problem, chosen.bindings, faults)
         self.knowledge = initial_knowledge(problem)
         self.performer = None if programs is None else Performer(programs, self.site, self.knowledge, source)
         self.master = TaskMaster(problem, self.knowledge, self.site, chosen, self.read, source=source, room=room, performer=self.performer)

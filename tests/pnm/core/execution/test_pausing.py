@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pnm.actions.simulated_robots import SimulatedRobots, sense
-from pnm.actions.simulated_world import World
+from pnm.actions.simulated_world import SimulatedWorld
 from pnm.clock import run_async
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Answered, Ask, Begin, Cancel, Command, Event, KnowledgeChanged, Pause, Resume, Send, Stop, Tick
@@ -347,7 +347,7 @@ def test_a_round_beside_that_of_a_pause_is_found() -> None:
 def test_robots_stop_for_a_pause_and_do_the_rest_after_it() -> None:
     at = ("at", "r1", "hall")
     truth = KnowledgeBase({at: True})
-    world, beliefs, log = World(truth, {"at"}), KnowledgeBase({at: True}), Log()
+    world, beliefs, log = SimulatedWorld(truth, {"at"}), KnowledgeBase({at: True}), Log()
     robots = SimulatedRobots(world)
     graph = calls(move("r1", "hall", "door"), move("r1", "door", "lab"), orders=("0e<1s",))
     run = Run(generate(graph), Layered(beliefs), id=RUN, observer=log)

@@ -18,9 +18,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner_bridge.node.simulate import LoggedRobots
-from planner_bridge.tasks.plan_task import simulated_site, together
+from planner_bridge.simulation import simulated_backend
+from planner_bridge.tasks.plan_task import merge_bindings
 from pnm.actions.simulated_robots import SimulatedRobots
-from pnm.actions.simulated_world import World
+from pnm.actions.simulated_world import SimulatedWorld
 from pnm.clock import run_async
 from pnm.core.execution.events import Answered, Ask, Begin, Command, KnowledgeChanged, Pause, ResourcesChanged, Resume, Send, Stop, Tick
 from pnm.core.execution.resources import Claim, Resources
@@ -483,7 +484,7 @@ def test_resources_are_named_after_robots_also_when_the_robot_is_known_late() ->
 
 def clashes(bindings: Bindings, shared: Callable[[], Resources | None]) -> list[str]:
     """Two runs of one action each with the same robots: what the robots notice."""
-    robots = SimulatedRobots(World(KnowledgeBase(), frozenset()), bindings=bindings)
+    robots = SimulatedRobots(SimulatedWorld(KnowledgeBase(), frozenset()), bindings=bindings)
     machine = generate(calls(GroundAction("move", ("r1",), ("robot",), duration=5.0)), bindings)
 
     async def main() -> None:
@@ -513,7 +514,7 @@ def test_a_clash_is_written_down_by_simulated_servers() -> None:
     log = StringIO()
 
     async def main() -> None:
-        robots = LoggedRobots(SimulatedRobots(World(KnowledgeBase(), frozenset()), bindings=bindings), log)
+        robots = LoggedRobots(SimulatedRobots(SimulatedWorld(KnowledgeBase(), frozenset()), bindings=bindings), log)
         for number in range(2):
             robots.send(Request(UUID(int=number), GroundAction("move", ("r1",), ("robot",), duration=5.0), {}, 1), lambda _: None)
         await asyncio.sleep(10)
@@ -535,7 +536,7 @@ def test_all_plans_of_a_performer_share_resources(tmp_path: Path) -> None:
     file = tmp_path / "plan.yaml"
     file.write_text(NESTED, encoding="utf-8")
     plans = read_plans(file)
-    site = simulated_site(plans["inner"], together(plans.values()))
+    site = simulated_backend(plans["inner"], merge_bindings(plans.values()))
     performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, site, KnowledgeBase())
 
     async def main() -> None:

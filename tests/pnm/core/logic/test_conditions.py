@@ -10,11 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pnm.core.logic.computed_values import Literal, Parameter
 from pnm.core.logic.conditions import (
     TRUE,
     All,
     Any,
     Compare,
+    Computed,
     Condition,
     Exists,
     ForAll,
@@ -22,13 +24,12 @@ from pnm.core.logic.conditions import (
     Implies,
     Not,
     conjuncts,
-    evaluate,
-    failing,
     fluents,
     ground,
     names,
-    observed,
 )
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.explain import failing, observed
 from pnm.core.logic.expressions import (
     DURATION,
     UNDEFINED,
@@ -45,7 +46,7 @@ from pnm.core.logic.expressions import (
     Variable,
     choices,
     ground_expression,
-    same,
+    same_value,
     value_of,
 )
 
@@ -298,11 +299,22 @@ def test_objects_are_equal_when_their_names_are(condition: Condition, expected: 
 def test_the_duration_comes_from_the_environment() -> None:
     enough = Compare(">=", N, Arithmetic("*", (Constant(2.0), ValueOf(DURATION))))
     assert evaluate(enough, NUMBERED) is UNKNOWN
-    for seconds, expected in (("1.5", True), ("1.6", False)):
+    for seconds, expected in ((1.5, True), (1.6, False)):
         env = {DURATION[0]: seconds}
         assert evaluate(enough, NUMBERED, env) is evaluate(ground(enough, env), NUMBERED) is expected
         assert fluents(enough, NUMBERED, env) == {("n",)}
     assert ground_expression(ValueOf(DURATION), {}) == ValueOf(DURATION)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [("hall", "hall"), (3, "3"), (3.0, "3"), (2.5, "2.5"), (True, "true"), (None, "null"), ([1, "a"], '[1, "a"]')]
+)
+def test_values_are_written_as_text_in_fluents_and_nowhere_else(value: object, text: str) -> None:
+    env = {"?x": value}
+    assert ground(Holds(("q", "?x", "?y")), env) == Holds(("q", text, "?y"))
+    compared = ground(Compare("=", N, Constant("?x")), env)
+    assert evaluate(compared, NUMBERED) is evaluate(Compare("=", N, Constant("?x")), NUMBERED, env) is (value == 3)
+    assert ground(Computed(Parameter("?x")), env) == Computed(Literal.of(value))
 
 
 def test_a_quantified_variable_hides_the_one_outside() -> None:
@@ -332,7 +344,7 @@ def test_a_quantified_variable_hides_the_one_outside() -> None:
     ],
 )
 def test_the_same_value(one: Value | Unknown | None, other: Value | Unknown | None, expected: bool) -> None:
-    assert same(one, other) is same(other, one) is expected
+    assert same_value(one, other) is same_value(other, one) is expected
 
 
 # --- text -------------------------------------------------------------------------------------

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, evaluate, free_variables, ground
+from pnm.core.logic.conditions import All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, free_variables, ground
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Constant, Environment, Fluent, State, Truth, Unknown, Value, ValueOf, Variable
 from pnm.core.logic.rules import NO_RULES, Rule, Rules, UnstratifiedError
 

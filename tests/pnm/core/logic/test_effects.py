@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TRUE, Condition, Holds, Not, evaluate
+from pnm.core.logic.conditions import TRUE, Condition, Holds, Not
 from pnm.core.logic.effects import (
     OPERATIONS,
     Changes,
@@ -20,19 +20,22 @@ from pnm.core.logic.effects import (
     ForEach,
     Set,
     When,
+    assignments,
     changes,
     decided,
+    effects_text,
+    every_effect,
     facts,
     ground_effects,
     names_written,
+    possible_assignments,
     read,
     read_early,
-    show_effects,
-    unconditional,
     undo,
     values_before,
     written,
 )
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import (
     UNDEFINED,
     UNKNOWN,
@@ -245,8 +248,12 @@ def test_grounding_first_gives_the_same(effects: Effects, before: KnowledgeBase,
 
 
 @given(ANY_EFFECTS, STATES)
-def test_unconditional_effects_do_all_that_might_be_done(effects: Effects, before: KnowledgeBase) -> None:
-    assert set(changes(unconditional(effects), before)) == written(effects, before)
+def test_what_happens_is_among_what_may_be_written(effects: Effects, before: KnowledgeBase) -> None:
+    unconditional = [(fluent, effect) for fluent, effect, _ in possible_assignments(effects, before)]
+    assert {fluent for fluent, _ in unconditional} == written(effects, before)
+    assert all((fluent, effect) in unconditional for fluent, effect, _ in assignments(effects, before))
+    if not any(isinstance(part, When) for part in every_effect(effects)):
+        assert unconditional == [(fluent, effect) for fluent, effect, _ in assignments(effects, before)]
 
 
 @given(st.lists(PLAIN, max_size=4).map(lambda effects: ground_effects(tuple(effects), {"?x": "hall"})), STATES)
@@ -262,7 +269,7 @@ def test_plain_facts_do_not_depend_on_the_state(effects: Effects, before: Knowle
         (When(TRUE, (add("p"),)),),
         (ForEach((Variable("?x"),), (When(Holds(("p",)), (add("at", "?x"),)),)),),
     ],
-    ids=show_effects,
+    ids=effects_text,
 )
 def test_numbers_and_conditions_are_no_plain_facts(effects: Effects) -> None:
     assert facts(effects, state({("p",): True, ("x",): 1.0})) is None
@@ -439,7 +446,7 @@ def test_a_constant_object_is_as_plain_as_a_fact() -> None:
     ],
 )
 def test_effects_are_written_as_pddl(effects: Effects, text: str) -> None:
-    assert show_effects(effects) == text
+    assert effects_text(effects) == text
 
 
 def test_names_written_look_into_every_effect() -> None:

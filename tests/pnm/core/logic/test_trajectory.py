@@ -12,18 +12,19 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import All, Any, Condition, Holds, Not, evaluate
+from pnm.core.logic.conditions import All, Any, Condition, Holds, Not
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Unknown, Variable
 from pnm.core.logic.trajectory import (
     IMPOSSIBLE,
     Constraint,
-    Watch,
+    ConstraintProgress,
     instances,
     is_fulfilled,
     moments,
     names_in,
+    observed_of,
     progressed,
-    seen_of,
     shifted,
 )
 
@@ -260,9 +261,9 @@ def test_constraints_are_told_as_pddl() -> None:
 
 
 def test_what_is_seen_in_place_of_a_constraint() -> None:
-    assert seen_of(always(All((Not(P), Q))), state(p=True, q=True)) == "(p) is true"
-    assert seen_of(NEVER_P, state(p=True)) == "(p) is true"
-    assert seen_of(BEFORE, state(p=True)) == "(p) is true; (q) is false"
+    assert observed_of(always(All((Not(P), Q))), state(p=True, q=True)) == "(p) is true"
+    assert observed_of(NEVER_P, state(p=True)) == "(p) is true"
+    assert observed_of(BEFORE, state(p=True)) == "(p) is true; (q) is false"
 
 
 def test_something_else_than_a_constraint_is_refused() -> None:
@@ -298,9 +299,9 @@ def test_the_planner_reads_the_definitions_as_we_do(constraint: Constraint, trac
 # --- watching --------------------------------------------------------------------------------------
 
 
-def watched(constraint: Constraint, seen: Trace, until: float = 100.0, lag: float = 1.0) -> Watch:
+def watched(constraint: Constraint, seen: Trace, until: float = 100.0, lag: float = 1.0) -> ConstraintProgress:
     """Look at each state when it is reported, and whenever the watch asks for a look."""
-    watch = Watch((constraint,))
+    watch = ConstraintProgress((constraint,))
     ends = [*(time for time, _ in seen[1:]), until]
     for (now, one), end in zip(seen, ends, strict=True):
         watch = watch.seen(one, now, lag)
@@ -352,7 +353,7 @@ def test_what_helps_counts_at_once_and_what_harms_if_it_lasts_for_the_lag(constr
 
 
 def test_a_watch_says_when_it_wants_to_look_again() -> None:
-    watch = Watch((BY_3,)).seen(state(), 0.0, 1.0)
+    watch = ConstraintProgress((BY_3,)).seen(state(), 0.0, 1.0)
     assert watch.next_look(0.0, 1.0) == 3.0
     watch = watch.seen(state(), 3.0, 1.0)
     assert (watch.doubtful_since, watch.violated, watch.next_look(3.0, 1.0)) == (3.0, False, 4.0)
@@ -363,4 +364,4 @@ def test_a_watch_says_when_it_wants_to_look_again() -> None:
 @settings(max_examples=300, deadline=None)
 @given(CONSTRAINTS, traces())
 def test_reports_without_a_lag_are_believed_at_once(constraint: Constraint, trace: Trace) -> None:
-    assert watched(constraint, trace, until=trace[-1][0], lag=0.0) == Watch(progress((constraint,), trace))
+    assert watched(constraint, trace, until=trace[-1][0], lag=0.0) == ConstraintProgress(progress((constraint,), trace))
