@@ -106,7 +106,7 @@ def net(
     timeout: float,
 ) -> int:
     """Plan, and write the machine; or write that of a plan that somebody has written."""
-    from planner_bridge.cli.options import bindings_for
+    from planner_bridge.loading import bindings_for
     from planner_bridge.ordering.plan_to_graph import plan_graph
     from planner_bridge.planning.solve import solve
     from pnm.core.machine.export import to_dot, to_json
@@ -119,7 +119,7 @@ def net(
         machine = machine_of(chosen, name, bindings)
     else:
         loaded = problem_in(*chosen)
-        bound = bindings_for(loaded, chosen[0], bindings)
+        bound = bindings_for(chosen[0], bindings, loaded.vocabulary)
         found = solve(loaded, planner=planner, timeout=timeout)
         if found.plan is None:
             print(f"no plan: {found.reason}", file=sys.stderr)
@@ -201,12 +201,13 @@ def run(
 @command
 def simulate(domain: Path, problem: Path, bindings: Path | None, faults: Path | None, speed: float | None, log: Path | None) -> int:
     """Play the robots: offer a ROS 2 action server per action, and publish what sensors see."""
-    from planner_bridge.cli.options import bindings_for, faults_for
+    from planner_bridge.cli.options import faults_for
+    from planner_bridge.loading import bindings_for
     from planner_bridge.node.simulate import play
 
     loaded = problem_in(domain, problem)
-    bound, wrong = bindings_for(loaded, domain, bindings), faults_for(loaded, faults)
-    return play(loaded, bound, wrong, speed or (1.0 if loaded.timed else 20.0), log)
+    bound = bindings_for(domain, bindings, loaded.vocabulary)
+    return play(loaded, bound, faults_for(loaded, faults), speed or (1.0 if loaded.timed else 20.0), log)
 
 
 @app.command()

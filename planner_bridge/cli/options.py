@@ -16,9 +16,7 @@ import click
 
 from planner_bridge.loading import load, told
 from planner_bridge.model.problem import Problem
-from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import NO_FAULTS, Faults, read_faults
-from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError, PnmError, Tolerated
 
 P = ParamSpec("P")
@@ -151,14 +149,6 @@ class Files:
     faults: Path | None = None
     knowledge: Path | None = None
     sensing: Path | None = None
-
-
-def bindings_for(problem: Problem, domain: Path, file: Path | None) -> Bindings:
-    """Read bindings from a file, or from ``bindings.yaml`` beside the domain if there is one."""
-    beside = domain.parent / "bindings.yaml"
-    if file is None and not beside.is_file():
-        return Bindings()
-    return read_bindings(file or beside, problem.vocabulary)
 
 
 def faults_for(problem: Problem, file: Path | None) -> Faults:
