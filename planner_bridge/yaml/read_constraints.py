@@ -11,7 +11,7 @@ from pnm.core.logic.conditions import Condition
 from pnm.core.logic.domain import Preference
 from pnm.core.logic.expressions import Constant, Variable, expression_fluents
 from pnm.core.logic.trajectory import Constraint
-from pnm.errors import InputError, meant
+from pnm.errors import InputError, suggestion
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language.declarations import listed
 from pnm.language.formulas.conditions import read_condition, read_expression, read_quantified
@@ -81,7 +81,7 @@ def read_preference(node: Node, scope: Scope, *, timed: bool = False) -> Prefere
         wanted = read_condition(entry.needed("condition"), scope)
     moment = entry.string("moment")
     if moment is not None and moment not in _MOMENTS:
-        hint = meant(moment, _MOMENTS.keys()) or f"expected one of {', '.join(_MOMENTS)}"
+        hint = suggestion(moment, _MOMENTS.keys()) or f"expected one of {', '.join(_MOMENTS)}"
         raise InputError(f"unknown moment {moment!r}; {hint}", entry.position("moment"))
     if moment is not None and not timed:
         raise InputError("only a preference in an action with a duration has a moment", entry.position("moment"))
@@ -115,7 +115,7 @@ def read_metric(entry: Mapped, scope: Scope, preferences: Collection[str]) -> Me
                 pass
             case (word, name) if word == _IS_VIOLATED:
                 if name not in preferences:
-                    hint = meant(name, preferences) or f"expected one of {', '.join(preferences) or 'none at all'}"
+                    hint = suggestion(name, preferences) or f"expected one of {', '.join(preferences) or 'none at all'}"
                     raise InputError(f"there is no preference {name!r} here; {hint}", argument.position_of(name))
             case _:
                 scope.check_number(fluent, argument)
