@@ -1,4 +1,4 @@
-"""Problems from wherever they come: PDDL files, our own model, or unified-planning."""
+"""Problems, from PDDL files, our own model or unified-planning; and the bindings beside them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from typing import Any, Final
 
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pddl import read_domain, read_problem
+from pnm.actions.bindings_file import read_bindings
+from pnm.core.logic.declared_names import Vocabulary
+from pnm.core.machine.bindings import Bindings
 from pnm.errors import Tolerated
 
 _SHOWN: Final = 20
@@ -31,6 +34,22 @@ def load(domain: Path | str | Domain | None, problem: Path | str | Problem | Any
     if domain is None:
         raise TypeError("a problem file needs a domain")
     return read_problem(Path(problem), domain if isinstance(domain, Domain) else read_domain(Path(domain)))
+
+
+def bindings_for(domain: Path | None, file: Path | None, known: Vocabulary | None) -> Bindings:
+    """Return bindings from a file; without one, from ``bindings.yaml`` beside the domain if that exists.
+
+    Args:
+        domain: the file of the domain, None if there is no domain.
+        file: the file of the bindings.
+        known: the declared names that bindings may use, None for any.
+
+    Raises:
+        InputError: the file is wrong, or cannot be read.
+    """
+    beside = domain.parent / "bindings.yaml" if domain else None
+    chosen = file or (beside if beside and beside.is_file() else None)
+    return read_bindings(chosen, known) if chosen else Bindings()
 
 
 def told(warnings: Iterable[Tolerated]) -> Iterator[str]:

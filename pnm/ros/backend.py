@@ -24,7 +24,7 @@ from pnm.ros.sensors.sensors import Sensors
 from pnm.ros.sensors.state_topic import SensedReports
 
 DISCOVERY: Final = 10.0
-"""Seconds that robots may take to appear which are started together with us; later, who is missing fails by name."""
+"""Seconds to wait for servers and reports of robots that are started together with this node."""
 
 
 class Ros2Backend:
