@@ -9,20 +9,20 @@ from collections.abc import Iterable, Mapping
 from typing import Final, Literal, TypeAlias, TypeVar
 
 from planner_bridge.model.problem import ActionSchema, DurationConstraint, Preference
-from planner_bridge.pddl.read.constraints import is_preference, preference, told_apart, under
-from planner_bridge.pddl.read.declarations import Once
+from planner_bridge.pddl.read.constraints import is_preference, preference, split_preferences, with_variables
+from planner_bridge.pddl.read.declarations import UniqueNames
 from planner_bridge.pddl.read.formulas import condition, effects
-from planner_bridge.pddl.read.symbols import Names
-from planner_bridge.pddl.read.terms import Scope
+from planner_bridge.pddl.read.symbols import SymbolTable
+from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, tolerate, wrong
 from planner_bridge.pddl.syntax.sections import keyed
-from planner_bridge.pddl.syntax.words import MOMENTS, Moment, new_name, operands, unsupported
+from planner_bridge.pddl.syntax.words import TIME_SPECIFIERS, TimeSpecifier, new_name, operands, unsupported
 from pnm.core.logic.conditions import TRUE, Condition, ForAll, conjunction
 from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, When
 from pnm.core.logic.expressions import Arithmetic, Expression, ValueOf, Variable
 
 T = TypeVar("T")
-Timed: TypeAlias = dict[Moment, list[T]]
+Timed: TypeAlias = dict[TimeSpecifier, list[T]]
 
 _INSIDE: Final = ("or", "not", "imply", "exists")
 """What belongs inside a moment, not around it."""
@@ -30,22 +30,22 @@ _INSIDE: Final = ("or", "not", "imply", "exists")
 # --- conditions ----------------------------------------------------------------------------
 
 
-def timed_conditions(node: Node, scope: Scope) -> tuple[dict[Moment, Condition], tuple[Preference, ...]]:
+def timed_conditions(node: Node, scope: TermScope) -> tuple[dict[TimeSpecifier, Condition], tuple[Preference, ...]]:
     """Return one condition for each moment, and what should hold besides."""
     hard, soft = _conditions(node, scope)
-    return {moment: conjunction(hard.get(moment, ())) for moment in MOMENTS}, tuple(soft)
+    return {moment: conjunction(hard.get(moment, ())) for moment in TIME_SPECIFIERS}, tuple(soft)
 
 
-def _conditions(node: Node, scope: Scope) -> tuple[Timed[Condition], list[Preference]]:
+def _conditions(node: Node, scope: TermScope) -> tuple[Timed[Condition], list[Preference]]:
     match node:
         case Group() if node.head == "and" or not node.items:
             both = [_conditions(part, scope) for part in node.rest]
             return _merged(hard for hard, _ in both), [one for _, soft in both for one in soft]
         case Group() if node.head == "forall":
-            scope.names.requirements.need(node, ":universal-preconditions")
+            scope.symbols.requirements.need(node, ":universal-preconditions")
             variables, body = scope.quantified(node)
             hard, soft = _conditions(body, scope.inside(variables))
-            return {moment: [ForAll(variables, conjunction(parts))] for moment, parts in hard.items()}, under(variables, soft)
+            return {moment: [ForAll(variables, conjunction(parts))] for moment, parts in hard.items()}, with_variables(variables, soft)
         case Group() if is_preference(node, scope):
             name, (moment, wanted) = preference(node, scope, lambda body: _wanted(body, scope))
             return {}, [Preference(name, wanted, moment=moment)]
@@ -53,12 +53,12 @@ def _conditions(node: Node, scope: Scope) -> tuple[Timed[Condition], list[Prefer
             (moment,) = moments
             tolerate(node, f"{node} is expected inside ({moment} ...)")
             return {moment: [condition(_untimed(node), scope)]}, []
-    moment, body = _timed(node, MOMENTS, "and or forall")
-    wanted, preferred = told_apart(body, scope, moment)
+    moment, body = _timed(node, TIME_SPECIFIERS, "and or forall")
+    wanted, preferred = split_preferences(body, scope, moment)
     return ({} if wanted == TRUE and preferred else {moment: [wanted]}), list(preferred)
 
 
-def _moments(node: Group) -> set[Moment]:
+def _moments(node: Group) -> set[TimeSpecifier]:
     """Return the moments that are named inside a condition."""
     moment = _moment(node)
     return {moment} if moment else set().union(*[_moments(part) for part in node.rest if isinstance(part, Group)])
@@ -71,9 +71,9 @@ def _untimed(node: Node) -> Node:
     return node.items[2] if _moment(node) else Group(tuple([_untimed(part) for part in node.items]), node.offset, node.source)
 
 
-def _wanted(node: Node, scope: Scope) -> tuple[Moment, Condition]:
-    moment, body = _timed(node, MOMENTS, "one of them")
-    wanted, preferred = told_apart(body, scope)
+def _wanted(node: Node, scope: TermScope) -> tuple[TimeSpecifier, Condition]:
+    moment, body = _timed(node, TIME_SPECIFIERS, "one of them")
+    wanted, preferred = split_preferences(body, scope)
     if preferred:
         raise wrong(node, "a preference cannot stand inside another")
     return moment, wanted
@@ -82,23 +82,23 @@ def _wanted(node: Node, scope: Scope) -> tuple[Moment, Condition]:
 # --- effects -------------------------------------------------------------------------------
 
 
-def timed_effects(node: Node, scope: Scope) -> dict[Moment, Effects]:
+def timed_effects(node: Node, scope: TermScope) -> dict[TimeSpecifier, Effects]:
     """Return the effects at the start and at the end."""
     found = _effects(node, scope)
-    return {moment: tuple(found.get(moment, ())) for moment in MOMENTS}
+    return {moment: tuple(found.get(moment, ())) for moment in TIME_SPECIFIERS}
 
 
-def _effects(node: Node, scope: Scope) -> Timed[Effect]:
+def _effects(node: Node, scope: TermScope) -> Timed[Effect]:
     match node:
         case Group() if node.head == "and" or not node.items:
             return _merged(_effects(part, scope) for part in node.rest)
         case Group() if node.head == "forall":
-            scope.names.requirements.need(node, ":conditional-effects")
+            scope.symbols.requirements.need(node, ":conditional-effects")
             variables, body = scope.quantified(node)
             inner = _effects(body, scope.inside(variables))
             return {moment: [ForEach(variables, tuple(parts))] for moment, parts in inner.items()}
         case Group() if node.head == "when":
-            scope.names.requirements.need(node, ":conditional-effects")
+            scope.symbols.requirements.need(node, ":conditional-effects")
             return _conditional(node, scope)
         case Group() if node.head in OPERATIONS:
             effects(node, scope)  # which refuses a continuous one
@@ -106,7 +106,7 @@ def _effects(node: Node, scope: Scope) -> Timed[Effect]:
     return {moment: list(effects(body, scope))}
 
 
-def _conditional(node: Group, scope: Scope) -> Timed[Effect]:
+def _conditional(node: Group, scope: TermScope) -> Timed[Effect]:
     first, second = operands(node, 2)
     conditions, preferred = timed_conditions(first, scope)
     if preferred:
@@ -116,7 +116,7 @@ def _conditional(node: Group, scope: Scope) -> Timed[Effect]:
     return {moment: [_when(conditions, moment, tuple(parts), node)] for moment, parts in _effects(second, scope).items()}
 
 
-def _when(conditions: Mapping[Moment, Condition], moment: Moment, parts: Effects, node: Node) -> Effect:
+def _when(conditions: Mapping[TimeSpecifier, Condition], moment: TimeSpecifier, parts: Effects, node: Node) -> Effect:
     early, late = conditions["at start"], conditions["at end"]
     if moment == "at start":
         if late != TRUE:
@@ -127,7 +127,7 @@ def _when(conditions: Mapping[Moment, Condition], moment: Moment, parts: Effects
     return When(early, (When(late, parts),) if late != TRUE else parts, early=True)
 
 
-def _timed(node: Node, moments: tuple[Moment, ...], others: str) -> tuple[Moment, Node]:
+def _timed(node: Node, moments: tuple[TimeSpecifier, ...], others: str) -> tuple[TimeSpecifier, Node]:
     moment = _moment(node) if isinstance(node, Group) else None
     if isinstance(node, Group) and moment in moments:
         return moment, node.items[2]
@@ -135,10 +135,10 @@ def _timed(node: Node, moments: tuple[Moment, ...], others: str) -> tuple[Moment
     raise wrong(node, f"expected {expected}, {others}; found {node}")
 
 
-def _moment(node: Group) -> Moment | None:
+def _moment(node: Group) -> TimeSpecifier | None:
     match node.items:
         case (Atom() as first, Atom() as second, _):
-            return next((moment for moment in MOMENTS if moment == f"{first.key} {second.key}"), None)
+            return next((moment for moment in TIME_SPECIFIERS if moment == f"{first.key} {second.key}"), None)
         case _:
             return None
 
@@ -157,7 +157,7 @@ _FORMS: Final[Mapping[str, Literal["=", "<=", ">="]]] = {"=": "=", "<=": "<=", "
 _TURNED: Final[Mapping[Literal["=", "<=", ">="], Literal["=", "<=", ">="]]] = {"=": "=", "<=": ">=", ">=": "<="}
 
 
-def duration(node: Node, scope: Scope) -> tuple[DurationConstraint, ...]:
+def duration(node: Node, scope: TermScope) -> tuple[DurationConstraint, ...]:
     """Read the constraints on ``?duration``; ``()`` leaves it free."""
     match node:
         case Group(items=()):
@@ -174,7 +174,7 @@ def duration(node: Node, scope: Scope) -> tuple[DurationConstraint, ...]:
             raise wrong(node, f"expected (= ?duration ...), <=, >= or and of these; found {node}")
 
 
-def _bound(node: Group, scope: Scope) -> DurationConstraint:
+def _bound(node: Group, scope: TermScope) -> DurationConstraint:
     left, right = operands(node, 2)
     operation = _FORMS[node.head]
     if _is_duration(right) and not _is_duration(left):
@@ -183,10 +183,10 @@ def _bound(node: Group, scope: Scope) -> DurationConstraint:
     if not _is_duration(left):
         raise wrong(left, f"expected ?duration, found {left}")
     if operation != "=":
-        scope.names.requirements.need(node, ":duration-inequalities")
+        scope.symbols.requirements.need(node, ":duration-inequalities")
     bound = scope.expression(right)
     if _has_fluents(bound):
-        scope.names.requirements.need(node, ":numeric-fluents")
+        scope.symbols.requirements.need(node, ":numeric-fluents")
     return DurationConstraint(operation, bound)
 
 
@@ -205,25 +205,25 @@ _VARS: Final = ":vars"
 """Of an early PDDL: variables that are no parameters, but have to be chosen just the same."""
 
 
-def actions(sections: Iterable[Group], names: Names) -> dict[str, ActionSchema]:
+def actions(sections: Iterable[Group], symbols: SymbolTable) -> dict[str, ActionSchema]:
     """Read the actions in the order of the file."""
-    once = Once("action")
+    once = UniqueNames("action")
     found: dict[str, ActionSchema] = {}
     for section in sections:
         if not section.rest:
             raise wrong(section, f"expected a name after '{section.head}', found nothing")
         name = new_name(section.rest[0], "action")
         once.check(name, section)
-        found[name] = (_durative if section.head == DURATIVE else _instantaneous)(name, section, names)
+        found[name] = (_durative if section.head == DURATIVE else _instantaneous)(name, section, symbols)
     return found
 
 
-def _instantaneous(name: str, section: Group, names: Names) -> ActionSchema:
+def _instantaneous(name: str, section: Group, symbols: SymbolTable) -> ActionSchema:
     parts = keyed(section.rest[1:], f"the action {name!r}", (":parameters", ":precondition", ":effect", _VARS))
-    parameters = _parameters(parts, names)
-    scope = Scope(names).inside(parameters)
+    parameters = _parameters(parts, symbols)
+    scope = TermScope(symbols).inside(parameters)
     nothing = Group(_EMPTY, section.offset, section.source)
-    precondition, preferences = told_apart(parts.get(":precondition", nothing), scope)
+    precondition, preferences = split_preferences(parts.get(":precondition", nothing), scope)
     return ActionSchema(
         name,
         parameters,
@@ -233,14 +233,14 @@ def _instantaneous(name: str, section: Group, names: Names) -> ActionSchema:
     )
 
 
-def _durative(name: str, section: Group, names: Names) -> ActionSchema:
-    names.requirements.need(section, ":durative-actions")
+def _durative(name: str, section: Group, symbols: SymbolTable) -> ActionSchema:
+    symbols.requirements.need(section, ":durative-actions")
     parts = keyed(section.rest[1:], f"the durative action {name!r}", (":parameters", ":duration", ":condition", ":effect", _VARS))
     if ":duration" not in parts:
         raise wrong(section, f"the durative action {name!r} has no :duration; expected :duration (= ?duration ...), or () for any")
-    parameters = _parameters(parts, names)
-    bare = Scope(names).inside(parameters)
-    timed = Scope(names, bare.variables, duration=True)
+    parameters = _parameters(parts, symbols)
+    bare = TermScope(symbols).inside(parameters)
+    timed = TermScope(symbols, bare.variables, duration=True)
     nothing = Group(_EMPTY, section.offset, section.source)
     conditions, preferences = timed_conditions(parts.get(":condition", nothing), timed)
     changes = timed_effects(parts.get(":effect", nothing), timed)
@@ -257,7 +257,7 @@ def _durative(name: str, section: Group, names: Names) -> ActionSchema:
     )
 
 
-def _parameters(parts: dict[str, Node], names: Names) -> tuple[Variable, ...]:
+def _parameters(parts: dict[str, Node], symbols: SymbolTable) -> tuple[Variable, ...]:
     words: list[Node] = []
     for key in (":parameters", _VARS):
         node = parts.get(key)
@@ -268,4 +268,4 @@ def _parameters(parts: dict[str, Node], names: Names) -> tuple[Variable, ...]:
         if key == _VARS:
             tolerate(node, "the variables of :vars are read as further parameters")
         words.extend(node.items)
-    return names.variables(words)
+    return symbols.variables(words)

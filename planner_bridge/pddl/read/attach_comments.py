@@ -51,11 +51,11 @@ class _Below:
         if remark.offset >= self._whole[last.path[:1]].end:
             return self._last_section.path
         around = last
-        under = last.path
+        with_variables = last.path
         while around.end <= remark.offset:
-            under = around.path
-            around = self._around(under)
-        return under if following is None or following.start >= around.end else None
+            with_variables = around.path
+            around = self._around(with_variables)
+        return with_variables if following is None or following.start >= around.end else None
 
     def _around(self, path: Path) -> Item:
         path = path[:-1]

@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias, TypeVar
 from planner_bridge.model.problem import Preference
 from planner_bridge.pddl.read.formulas import condition
 from planner_bridge.pddl.read.symbols import CONSTRAINTS
-from planner_bridge.pddl.read.terms import Scope
+from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, tolerate, wrong
 from planner_bridge.pddl.syntax.words import counted, new_name, time
 from pnm.core.logic.conditions import Condition, ForAll, conjunction
@@ -22,38 +22,38 @@ from pnm.core.logic.trajectory import Constraint
 T = TypeVar("T")
 
 
-def is_preference(node: Node, scope: Scope) -> bool:
+def is_preference(node: Node, scope: TermScope) -> bool:
     """Tell whether the part is a preference, and no predicate of that name."""
-    return isinstance(node, Group) and node.head == "preference" and not scope.names.has_predicate("preference")
+    return isinstance(node, Group) and node.head == "preference" and not scope.symbols.has_predicate("preference")
 
 
-def preference(node: Group, scope: Scope, read: Callable[[Node], T]) -> tuple[str, T]:
+def preference(node: Group, scope: TermScope, read: Callable[[Node], T]) -> tuple[str, T]:
     """Read ``(preference NAME BODY)``, or ``(preference BODY)``: return the name, empty without one, and the body."""
-    scope.names.requirements.need(node, ":preferences")
+    scope.symbols.requirements.need(node, ":preferences")
     match node.rest:
         case (Atom() as word, body):
             name = new_name(word, "preference")
-            return scope.names.wishes.setdefault(name.lower(), name), read(body)
+            return scope.symbols.preference_names.setdefault(name.lower(), name), read(body)
         case (Group() as body,):
             return "", read(body)
         case _:
             raise wrong(node, f"expected (preference NAME CONDITION), found {counted(len(node.rest), 'part')}")
 
 
-def under(variables: tuple[Variable, ...], preferences: Iterable[Preference]) -> list[Preference]:
+def with_variables(variables: tuple[Variable, ...], preferences: Iterable[Preference]) -> list[Preference]:
     """Return the preferences, each with the variables of a quantifier around it."""
     return [replace(one, variables=(*variables, *one.variables)) for one in preferences]
 
 
-def told_apart(
-    node: Node, scope: Scope, moment: Literal["at start", "over all", "at end"] | None = None
+def split_preferences(
+    node: Node, scope: TermScope, moment: Literal["at start", "over all", "at end"] | None = None
 ) -> tuple[Condition, tuple[Preference, ...]]:
     """Return what must hold, and what should."""
     hard, soft = _parts(node, scope)
     return conjunction(hard), tuple([replace(one, moment=moment) for one in soft] if moment else soft)
 
 
-def _parts(node: Node, scope: Scope) -> tuple[list[Condition], list[Preference]]:
+def _parts(node: Node, scope: TermScope) -> tuple[list[Condition], list[Preference]]:
     match node:
         case Group() if is_preference(node, scope):
             name, wanted = preference(node, scope, lambda body: condition(body, scope))
@@ -62,10 +62,10 @@ def _parts(node: Node, scope: Scope) -> tuple[list[Condition], list[Preference]]
             both = [_parts(part, scope) for part in node.rest]
             return [one for hard, _ in both for one in hard], [one for _, soft in both for one in soft]
         case Group() if node.head == "forall" and _mentions(node):
-            scope.names.requirements.need(node, ":universal-preconditions")
+            scope.symbols.requirements.need(node, ":universal-preconditions")
             variables, body = scope.quantified(node)
             hard, soft = _parts(body, scope.inside(variables))
-            return [ForAll(variables, conjunction(hard))] if hard else [], under(variables, soft)
+            return [ForAll(variables, conjunction(hard))] if hard else [], with_variables(variables, soft)
         case _:
             return [condition(node, scope)], []
 
@@ -77,7 +77,7 @@ def _mentions(node: Group) -> bool:
 _Found: TypeAlias = tuple[list[Constraint], list[Preference]]
 
 
-def constraints(parts: tuple[Node, ...], scope: Scope) -> tuple[tuple[Constraint, ...], tuple[Preference, ...]]:
+def constraints(parts: tuple[Node, ...], scope: TermScope) -> tuple[tuple[Constraint, ...], tuple[Preference, ...]]:
     """Read what stands in ``(:constraints ...)``: what must be kept, and what should."""
     if len(parts) > 1:
         tolerate(parts[1], "several constraints without 'and' around them; all of them count")
@@ -85,8 +85,8 @@ def constraints(parts: tuple[Node, ...], scope: Scope) -> tuple[tuple[Constraint
     return tuple(hard), tuple(soft)
 
 
-def _read(node: Node, scope: Scope) -> _Found:
-    scope.names.requirements.need(node, ":constraints")
+def _read(node: Node, scope: TermScope) -> _Found:
+    scope.symbols.requirements.need(node, ":constraints")
     match node:
         case Group(items=()):
             return [], []
@@ -95,7 +95,7 @@ def _read(node: Node, scope: Scope) -> _Found:
         case Group() if node.head == "forall":
             variables, body = scope.quantified(node)
             hard, soft = _read(body, scope.inside(variables))
-            return [replace(one, variables=(*variables, *one.variables)) for one in hard], under(variables, soft)
+            return [replace(one, variables=(*variables, *one.variables)) for one in hard], with_variables(variables, soft)
         case Group() if is_preference(node, scope):
             name, wanted = preference(node, scope, lambda body: _wanted(body, scope))
             return [], [Preference(name, wanted)]
@@ -107,14 +107,14 @@ def _read(node: Node, scope: Scope) -> _Found:
             raise wrong(node, f"expected and, forall, preference, at end, {', '.join(CONSTRAINTS)}; found {node}")
 
 
-def _wanted(node: Node, scope: Scope) -> tuple[Constraint, ...]:
+def _wanted(node: Node, scope: TermScope) -> tuple[Constraint, ...]:
     hard, soft = _read(node, scope)
     if soft:
         raise wrong(node, "a preference cannot stand inside another")
     return tuple(hard)
 
 
-def _constraint(node: Group, scope: Scope) -> Constraint:
+def _constraint(node: Group, scope: TermScope) -> Constraint:
     times, conditions = CONSTRAINTS[node.head]
     if len(node.rest) != times + conditions:
         form = " and ".join([*([counted(times, "time")] if times else []), counted(conditions, "condition")])

@@ -9,9 +9,9 @@ from typing import Final, TypeAlias
 
 from planner_bridge.model.problem import Declaration, Domain
 from planner_bridge.pddl.read.requirements import Requirements
-from planner_bridge.pddl.read.symbols import Names
+from planner_bridge.pddl.read.symbols import SymbolTable
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, tolerate, where, wrong
-from planner_bridge.pddl.syntax.words import CONNECTIVES, Types, new_name, one, runs, show_types, type_words
+from planner_bridge.pddl.syntax.words import CONNECTIVES, Types, new_name, show_types, type_words, typed_runs, with_article
 from pnm.core.logic.expressions import Variable
 
 Lists: TypeAlias = Iterable[Sequence[Node]]
@@ -21,7 +21,7 @@ Lists: TypeAlias = Iterable[Sequence[Node]]
 
 
 @dataclass(frozen=True, slots=True)
-class _TypeTable:
+class _TypeHierarchy:
     words: dict[str, Node] = field(default_factory=dict)
     """Where each type stands first."""
     spelled: dict[str, str] = field(default_factory=lambda: {"object": "object"})
@@ -47,8 +47,8 @@ class _TypeTable:
 
 def types(lists: Lists, requirements: Requirements) -> dict[str, Types]:
     """Read the type hierarchy; a type that only stands behind a ``-`` is declared by that."""
-    table = _TypeTable()
-    for names, kind in chain.from_iterable(map(runs, lists)):
+    table = _TypeHierarchy()
+    for names, kind in chain.from_iterable(map(typed_runs, lists)):
         requirements.need(names[0], ":typing")
         children = [table.declare(name) for name in names]
         above = dict.fromkeys(table.name(word) for word in type_words(kind)) if kind else {}
@@ -70,20 +70,20 @@ def _no_cycle(found: Mapping[str, Types], words: Mapping[str, Node]) -> None:
 # --- objects -------------------------------------------------------------------------------
 
 
-def objects(lists: Lists, names: Names) -> dict[str, Types]:
+def objects(lists: Lists, symbols: SymbolTable) -> dict[str, Types]:
     """Read constants or objects; one that is there again, or in `names` already, is of all the types given."""
     found: dict[str, tuple[str, Types]] = {}
-    for words, kind in chain.from_iterable(map(runs, lists)):
-        given = names.types(kind)
+    for words, kind in chain.from_iterable(map(typed_runs, lists)):
+        given = symbols.types(kind)
         for word in words:
             name = new_name(word, "object")
             key = name.lower()
-            before = found.get(key) or names.find_object(name)
+            before = found.get(key) or symbols.find_object(name)
             if before is None:
                 found[key] = name, given
                 continue
             tolerate(word, f"the object {name!r} is declared twice{_and(given, before[1])}")
-            both = names.joined(before[1], given)
+            both = symbols.joined(before[1], given)
             if both != before[1]:
                 found[key] = before[0], both
     return dict(found.values())
@@ -95,15 +95,15 @@ def _and(given: Types, before: Types) -> str:
     return f": as {show_types(given)} here, as {show_types(before)} before; it is of both types"
 
 
-def borrow(own: dict[str, Types], names: Names, whole: Node) -> dict[str, Types]:
+def borrow(own: dict[str, Types], symbols: SymbolTable, whole: Node) -> dict[str, Types]:
     """Return a problem's objects, spelled as its domain spells those that it borrows, each of which must be there."""
-    borrowed = names.domain.borrowed
+    borrowed = symbols.domain.borrowed
     spelled = {name.lower(): name for name in borrowed}
     found = {spelled.get(name.lower(), name): types for name, types in own.items()}
     for name, here in borrowed.items():
         if name not in found:
             raise wrong(whole, f"the object {name!r} is not declared; the domain names it at {here.position}")
-        if not names.matches(found[name], here.types):
+        if not symbols.matches(found[name], here.types):
             raise wrong(whole, f"{name!r} is of type {show_types(found[name])}; the domain expects {show_types(here.types)}")
     return found
 
@@ -114,7 +114,7 @@ _NUMBER: Final = "number"
 
 
 @dataclass(frozen=True, slots=True)
-class Once:
+class UniqueNames:
     """Refuses what was declared before."""
 
     kind: str
@@ -128,23 +128,23 @@ class Once:
             raise wrong(node, f"the {self.kind} {name!r} is declared twice; the first time in line {where(first).line}")
 
 
-def predicates(parts: Sequence[Node], names: Names) -> dict[str, Declaration]:
+def predicates(parts: Sequence[Node], symbols: SymbolTable) -> dict[str, Declaration]:
     """Read the declarations of predicates."""
-    table = _Table("predicate", names)
+    table = _DeclarationTable("predicate", symbols)
     for part in parts:
         table.add(part, ())
     return table.found
 
 
-def functions(lists: Lists, names: Names, facts: Mapping[str, Declaration]) -> dict[str, Declaration]:
+def functions(lists: Lists, symbols: SymbolTable, facts: Mapping[str, Declaration]) -> dict[str, Declaration]:
     """Read the declarations of functions, which a state must be able to tell from the predicates."""
-    table = _Table("function", names)
+    table = _DeclarationTable("function", symbols)
     taken = {(name.lower(), len(declared.parameters)) for name, declared in facts.items()}
-    for group, kind in chain.from_iterable(map(runs, lists)):
+    for group, kind in chain.from_iterable(map(typed_runs, lists)):
         numeric = kind is None or (isinstance(kind, Atom) and kind.key == _NUMBER)
         if not numeric:
-            names.requirements.need(kind or group[0], ":object-fluents")
-        values = () if numeric else names.types(kind)
+            symbols.requirements.need(kind or group[0], ":object-fluents")
+        values = () if numeric else symbols.types(kind)
         for part in group:
             declared = table.add(part, values)
             if (declared.name.lower(), len(declared.parameters)) in taken:
@@ -153,19 +153,19 @@ def functions(lists: Lists, names: Names, facts: Mapping[str, Declaration]) -> d
 
 
 @dataclass(frozen=True, slots=True)
-class _Table:
+class _DeclarationTable:
     kind: str
-    names: Names
+    symbols: SymbolTable
     found: dict[str, Declaration] = field(default_factory=dict)
     first: dict[str, tuple[str, Node]] = field(default_factory=dict)
     """For every name in lower case, its spelling and where it stands first."""
 
     def add(self, node: Node, values: Types) -> Declaration:
         if not isinstance(node, Group) or not node.items:
-            raise wrong(node, f"expected {one(self.kind)} in parentheses such as (name ?x - type), found {node}")
+            raise wrong(node, f"expected {with_article(self.kind)} in parentheses such as (name ?x - type), found {node}")
         written = new_name(node.items[0], self.kind, CONNECTIVES)
         name, first = self.first.setdefault(written.lower(), (written, node))
-        declared = Declaration(name, self.names.variables(node.rest, declaring=True), values)
+        declared = Declaration(name, self.symbols.variables(node.rest, declaring=True), values)
         if first is not node:
             declared = self._again(node, declared, self.found[name], where(first).line)
         self.found[name] = declared

@@ -8,8 +8,8 @@ from typing import Final, assert_never
 
 from planner_bridge.model.problem import Declaration
 from planner_bridge.pddl.read.formulas import condition
-from planner_bridge.pddl.read.symbols import Names
-from planner_bridge.pddl.read.terms import Scope
+from planner_bridge.pddl.read.symbols import SymbolTable
+from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Group, Node, tolerate, wrong
 from planner_bridge.pddl.syntax.words import CONNECTIVES, counted, new_name, operands, show_types
 from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
@@ -19,7 +19,7 @@ from pnm.core.logic.rules import Rule
 DERIVED: Final = ":derived"
 
 
-def rules(sections: Iterable[Group], names: Names) -> tuple[Rule, ...]:
+def rules(sections: Iterable[Group], symbols: SymbolTable) -> tuple[Rule, ...]:
     """Read the rules, in the order of the file.
 
     Raises:
@@ -27,48 +27,48 @@ def rules(sections: Iterable[Group], names: Names) -> tuple[Rule, ...]:
     """
     found: list[tuple[Rule, Group]] = []
     for section in sections:
-        names.requirements.need(section, ":derived-predicates")
+        symbols.requirements.need(section, ":derived-predicates")
         head, body = operands(section, 2)
-        declared, variables = _head(head, names)
-        found.append((Rule(declared.name, variables, condition(body, Scope(names).inside(variables))), section))
+        declared, variables = _head(head, symbols)
+        found.append((Rule(declared.name, variables, condition(body, TermScope(symbols).inside(variables))), section))
     _stratified(found)
     return tuple(rule for rule, _ in found)
 
 
-def heads(sections: Iterable[Group], names: Names) -> dict[str, Declaration]:
+def derived_predicates(sections: Iterable[Group], symbols: SymbolTable) -> dict[str, Declaration]:
     """Return every derived predicate; one that is declared nowhere else is declared by the head of its first rule."""
     found: dict[str, Declaration] = {}
     for section in sections:
         head = section.rest[0] if section.rest else None
-        if not isinstance(head, Group) or not head.head or names.find_function(head):
+        if not isinstance(head, Group) or not head.head or symbols.find_function(head):
             continue  # which is refused when the rule is read
-        if names.has_predicate(head.head):
-            declared = names.predicate(head)
+        if symbols.has_predicate(head.head):
+            declared = symbols.predicate(head)
         elif head.head in {name.lower() for name in found}:
             continue
         else:
             name = new_name(head.items[0], "predicate", CONNECTIVES)
             tolerate(head, f"the predicate {name!r} is derived here but not among the :predicates")
-            declared = Declaration(name, names.variables(head.rest))
+            declared = Declaration(name, symbols.variables(head.rest))
         found[declared.name] = declared
     return found
 
 
-def _head(node: Node, names: Names) -> tuple[Declaration, tuple[Variable, ...]]:
+def _head(node: Node, symbols: SymbolTable) -> tuple[Declaration, tuple[Variable, ...]]:
     if not isinstance(node, Group):
         raise wrong(node, f"expected a predicate with variables such as (name ?x - type), found {node}")
-    declared = names.predicate(node)
-    variables = names.variables(node.rest)
+    declared = symbols.predicate(node)
+    variables = symbols.variables(node.rest)
     if len(variables) != len(declared.parameters):
         raise wrong(node, f"expected {declared}, found {counted(len(variables), 'variable')}")
-    return declared, tuple(_narrowed(given, needed, node, names) for given, needed in zip(variables, declared.parameters, strict=True))
+    return declared, tuple(_narrowed(given, needed, node, symbols) for given, needed in zip(variables, declared.parameters, strict=True))
 
 
-def _narrowed(given: Variable, needed: Variable, node: Node, names: Names) -> Variable:
+def _narrowed(given: Variable, needed: Variable, node: Node, symbols: SymbolTable) -> Variable:
     """Return the variable of a head with its own type, or with that of the declaration where its own is wider or missing."""
-    if all(names.matches((kind,), needed.types) for kind in given.types):
+    if all(symbols.matches((kind,), needed.types) for kind in given.types):
         return given
-    if all(names.matches((kind,), given.types) for kind in needed.types):
+    if all(symbols.matches((kind,), given.types) for kind in needed.types):
         return Variable(given.name, needed.types)
     raise wrong(node, f"{given.name!r} is of type {show_types(given.types)}; expected {show_types(needed.types)}")
 

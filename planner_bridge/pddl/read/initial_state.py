@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Final, TypeAlias
 
-from planner_bridge.pddl.read.terms import Scope
+from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, tolerate, wrong
 from planner_bridge.pddl.syntax.words import CONTINGENT, counted, is_number, number, operands, time, unsupported
 from pnm.core.logic.effects import TimedChange
@@ -17,7 +17,7 @@ _ASSIGNMENTS: Final = ("=", "assign")
 _Change: TypeAlias = tuple[Fluent, Value]
 
 
-def initial(parts: Iterable[Node], scope: Scope) -> tuple[dict[Fluent, Value], tuple[TimedChange, ...]]:
+def initial_state(parts: Iterable[Node], scope: TermScope) -> tuple[dict[Fluent, Value], tuple[TimedChange, ...]]:
     """Read what stands in ``(:init ...)``; a fact that no condition can ask for is left out."""
     init: dict[Fluent, Value] = {}
     timed: dict[float, dict[Fluent, Value]] = {}
@@ -25,7 +25,7 @@ def initial(parts: Iterable[Node], scope: Scope) -> tuple[dict[Fluent, Value], t
         match part:
             # `at` may also be a predicate; only a timed literal has a number before a list
             case Group(items=(Atom(), Atom() as moment, Group() as change)) if part.head == "at" and is_number(moment):
-                scope.names.requirements.need(part, ":timed-initial-literals", ":timed-initial-fluents")
+                scope.symbols.requirements.need(part, ":timed-initial-literals", ":timed-initial-fluents")
                 _put(timed.setdefault(time(moment), {}), _change(change, scope), part)
             case _:
                 _put(init, _change(part, scope), part)
@@ -33,7 +33,7 @@ def initial(parts: Iterable[Node], scope: Scope) -> tuple[dict[Fluent, Value], t
     return true, tuple([TimedChange(moment, timed[moment]) for moment in sorted(timed) if timed[moment]])
 
 
-def _change(node: Node, scope: Scope) -> _Change | None:
+def _change(node: Node, scope: TermScope) -> _Change | None:
     match node:
         case Group() if node.head in _ASSIGNMENTS:
             return _assignment(node, scope)
@@ -41,7 +41,7 @@ def _change(node: Node, scope: Scope) -> _Change | None:
             (negated,) = operands(node, 1)
             fluent = _fact(negated, scope)
             return (fluent, False) if fluent else None
-        case Group() if node.head in _UNCERTAIN and not scope.names.has_predicate(node.head):
+        case Group() if node.head in _UNCERTAIN and not scope.symbols.has_predicate(node.head):
             raise unsupported(node, f"uncertain initial states ({node.head} in :init)", CONTINGENT)
         case Group():
             fluent = _fact(node, scope)
@@ -50,21 +50,21 @@ def _change(node: Node, scope: Scope) -> _Change | None:
             raise wrong(node, f"expected a fact, (= FUNCTION VALUE) or (at TIME ...), found {node}")
 
 
-def _fact(node: Node, scope: Scope) -> Fluent | None:
+def _fact(node: Node, scope: TermScope) -> Fluent | None:
     if isinstance(node, Group) and _is_idle(node, scope):
         return None
     fluent = scope.fact(node)
-    if fluent[0] in scope.names.derived:
+    if fluent[0] in scope.symbols.derived:
         raise wrong(node, f"{fluent[0]!r} is a derived predicate; it follows from others and cannot be given")
     return fluent
 
 
-def _is_idle(node: Group, scope: Scope) -> bool:
+def _is_idle(node: Group, scope: TermScope) -> bool:
     """Tell, with a warning, that no condition can ask for a fact like this."""
-    if scope.names.is_stray(node):
+    if scope.symbols.is_undeclared(node):
         tolerate(node, f"the predicate {node.items[0]} is not declared; the fact is ignored")
         return True
-    declared = scope.names.predicate(node)
+    declared = scope.symbols.predicate(node)
     if len(node.rest) != len(declared.parameters):
         expected = counted(len(declared.parameters), "argument")
         tolerate(node, f"{declared} takes {expected}, found {len(node.rest)}; the fact is ignored")
@@ -72,14 +72,14 @@ def _is_idle(node: Group, scope: Scope) -> bool:
     return False
 
 
-def _assignment(node: Group, scope: Scope) -> _Change | None:
+def _assignment(node: Group, scope: TermScope) -> _Change | None:
     target, value = operands(node, 2)
     if node.head != "=":
         tolerate(node, f"'{node.head}' is read as '='")
-    if scope.names.is_stray(target):
+    if scope.symbols.is_undeclared(target):
         tolerate(node, f"the function {target} is not declared; its value is ignored")
         return None
-    declared = scope.names.function(target)
+    declared = scope.symbols.function(target)
     fluent = scope.function(target)
     if not declared.values:
         return fluent, number(value)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
-from planner_bridge.pddl.read.terms import OPERANDS, Scope
+from planner_bridge.pddl.read.terms import OPERANDS, TermScope
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node
 from pnm.core.logic.conditions import Compare
 from pnm.core.logic.effects import OPERATIONS
@@ -20,10 +20,10 @@ _OVER_NUMBERS: Final = frozenset((*OPERANDS, *OPERATIONS, "=", "<", "<=", ">", "
 
 
 @dataclass(slots=True)
-class Unnested:
+class FlattenedFormula:
     """A list without functions among its arguments. The mutable state grows while it is made."""
 
-    scope: Scope
+    scope: TermScope
     """With the variables that stand for values."""
     variables: dict[Fluent, Variable] = field(default_factory=dict)
     """For every function that was an argument, outermost last."""
@@ -43,7 +43,7 @@ class Unnested:
         return self.flat(node) if isinstance(node, Group) and node.items else node
 
     def _argument(self, node: Node) -> Node:
-        declared = self.scope.names.find_function(node) if isinstance(node, Group) else None
+        declared = self.scope.symbols.find_function(node) if isinstance(node, Group) else None
         if not isinstance(node, Group) or declared is None or not declared.values:
             return node
         flat = self.flat(node)  # first, because it may bind variables
@@ -61,10 +61,10 @@ class Unnested:
         return found
 
 
-def unnested(node: Group, scope: Scope) -> Unnested | None:
+def without_object_fluents(node: Group, scope: TermScope) -> FlattenedFormula | None:
     """Return the fact, comparison or effect without functions among its arguments; None when there are none."""
-    if not scope.names.has_object_functions:
+    if not scope.symbols.has_object_functions:
         return None
-    found = Unnested(scope)
+    found = FlattenedFormula(scope)
     found.node = found.flat(node)
     return found if found.variables else None

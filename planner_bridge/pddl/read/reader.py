@@ -17,12 +17,12 @@ from typing import Final, Literal
 from planner_bridge.model.problem import Domain, Metric, Preference, Problem
 from planner_bridge.pddl.read import declarations
 from planner_bridge.pddl.read.actions import DURATIVE, INSTANTANEOUS, actions
-from planner_bridge.pddl.read.constraints import constraints, told_apart
-from planner_bridge.pddl.read.derived import DERIVED, heads, rules
-from planner_bridge.pddl.read.initial_state import initial
+from planner_bridge.pddl.read.constraints import constraints, split_preferences
+from planner_bridge.pddl.read.derived import DERIVED, derived_predicates, rules
+from planner_bridge.pddl.read.initial_state import initial_state
 from planner_bridge.pddl.read.requirements import Requirements, requirements
-from planner_bridge.pddl.read.symbols import TOTAL_COST, Names
-from planner_bridge.pddl.read.terms import Scope
+from planner_bridge.pddl.read.symbols import TOTAL_COST, SymbolTable
+from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Atom, Group, text_of, tolerate, wrong
 from planner_bridge.pddl.syntax.sections import Definition, define
 from pnm.core.logic.conditions import TRUE, Condition
@@ -97,35 +97,35 @@ def domain_from(definition: Definition, warnings: tuple[Tolerated, ...] = ()) ->
     words = requirements(definition.parts(":requirements"))
     needed = Requirements(words)
     domain = Domain(definition.name, words, declarations.types(definition.lists(":types"), needed))
-    names = Names(domain, {}, needed)
+    symbols = SymbolTable(domain, {}, needed)
     sections = definition.every(DERIVED)
-    facts = declarations.predicates(definition.parts(":predicates"), names)
+    facts = declarations.predicates(definition.parts(":predicates"), symbols)
     domain = replace(
         domain,
-        constants=declarations.objects(definition.lists(":constants"), names),
+        constants=declarations.objects(definition.lists(":constants"), symbols),
         predicates=facts,
-        functions=declarations.functions(definition.lists(":functions"), names, facts),
+        functions=declarations.functions(definition.lists(":functions"), symbols, facts),
     )
-    derived = heads(sections, Names(domain, domain.constants, needed))
+    derived = derived_predicates(sections, SymbolTable(domain, domain.constants, needed))
     domain = replace(domain, predicates={**domain.predicates, **derived})
-    names = Names(domain, domain.constants, needed, lenient=True, derived=frozenset(derived))
-    found = rules(sections, names)
-    hard, soft = constraints(definition.parts(":constraints"), Scope(names))
-    schemas = actions(definition.every(INSTANTANEOUS, DURATIVE), names)
+    symbols = SymbolTable(domain, domain.constants, needed, lenient=True, derived=frozenset(derived))
+    found = rules(sections, symbols)
+    hard, soft = constraints(definition.parts(":constraints"), TermScope(symbols))
+    schemas = actions(definition.every(INSTANTANEOUS, DURATIVE), symbols)
     return replace(
         domain,
-        functions={**domain.functions, **({TOTAL_COST: names.costs} if names.costs else {})},
-        borrowed=names.borrowed,
+        functions={**domain.functions, **({TOTAL_COST: symbols.costs} if symbols.costs else {})},
+        borrowed=symbols.borrowed,
         actions=schemas,
         rules=found,
         constraints=hard,
         preferences=soft,
-        hierarchy=_kept(definition, HIERARCHY, needed),
+        hierarchy=_verbatim_sections(definition, HIERARCHY, needed),
         warnings=(*warnings, *definition.whole.source.tolerated),
     )
 
 
-def _kept(definition: Definition, keys: tuple[str, ...], needed: Requirements) -> tuple[str, ...]:
+def _verbatim_sections(definition: Definition, keys: tuple[str, ...], needed: Requirements) -> tuple[str, ...]:
     sections = definition.every(*keys)
     for section in sections:
         needed.need(section, ":hierarchy", ":htn")
@@ -144,19 +144,19 @@ def problem_from(definition: Definition, domain: Domain, warnings: tuple[Tolerat
     _belongs(definition, domain)
     words = requirements(definition.parts(":requirements"))
     needed = Requirements((*domain.requirements, *words, ":typing"))
-    shared = Names(domain, domain.constants, needed)
+    shared = SymbolTable(domain, domain.constants, needed)
     own = declarations.borrow(declarations.objects(definition.lists(":objects"), shared), shared, definition.whole)
-    names = Names(
-        domain, {**domain.constants, **own}, needed, derived=frozenset(rule.name for rule in domain.rules), wishes=_wishes(domain)
+    symbols = SymbolTable(
+        domain, {**domain.constants, **own}, needed, derived=frozenset(rule.name for rule in domain.rules), preference_names=_wishes(domain)
     )
-    network = "\n".join(_kept(definition, NETWORK, needed))
-    init, timed = initial(definition.parts(":init"), Scope(names))
-    goal, goals = _goal(definition, Scope(names))
-    hard, soft = constraints(definition.parts(":constraints"), Scope(names))
-    metric = _metric(definition, Scope(names, metric=True))
+    network = "\n".join(_verbatim_sections(definition, NETWORK, needed))
+    init, timed = initial_state(definition.parts(":init"), TermScope(symbols))
+    goal, goals = _goal(definition, TermScope(symbols))
+    hard, soft = constraints(definition.parts(":constraints"), TermScope(symbols))
+    metric = _metric(definition, TermScope(symbols, metric=True))
     return Problem(
         definition.name,
-        replace(domain, functions={**domain.functions, TOTAL_COST: names.costs}) if names.costs else domain,
+        replace(domain, functions={**domain.functions, TOTAL_COST: symbols.costs}) if symbols.costs else domain,
         own,
         init,
         timed,
@@ -190,7 +190,7 @@ def _wishes(domain: Domain) -> dict[str, str]:
     return {one.name.lower(): one.name for one in every if one.name}
 
 
-def _goal(definition: Definition, scope: Scope) -> tuple[Condition, tuple[Preference, ...]]:
+def _goal(definition: Definition, scope: TermScope) -> tuple[Condition, tuple[Preference, ...]]:
     section = definition.one(":goal")
     if section is None:
         if not definition.every(*NETWORK):
@@ -198,10 +198,10 @@ def _goal(definition: Definition, scope: Scope) -> tuple[Condition, tuple[Prefer
         return TRUE, ()
     if len(section.rest) != 1:
         raise wrong(section, f"expected (:goal CONDITION), found {len(section.rest)} conditions")
-    return told_apart(section.rest[0], scope)
+    return split_preferences(section.rest[0], scope)
 
 
-def _metric(definition: Definition, scope: Scope) -> Metric | None:
+def _metric(definition: Definition, scope: TermScope) -> Metric | None:
     section = definition.one(":metric")
     if section is None:
         return None

@@ -17,11 +17,11 @@ from planner_bridge.pddl.syntax.words import (
     Types,
     is_number,
     nearest,
-    one,
-    runs,
     type_words,
+    typed_runs,
     unknown,
     unsupported,
+    with_article,
 )
 from pnm.core.logic.expressions import Variable
 
@@ -55,7 +55,7 @@ _PLACES: Final[Mapping[str, str]] = {
 
 
 @dataclass
-class Names:
+class SymbolTable:
     """Everything declared so far: what a domain declares, and the objects.
 
     The mutable state is what is used without having been declared.
@@ -72,10 +72,10 @@ class Names:
     """Of the total cost, when it is used undeclared."""
     borrowed: dict[str, Borrowed] = field(default_factory=dict)
     """Objects that only problems declare."""
-    wishes: dict[str, str] = field(default_factory=dict)
+    preference_names: dict[str, str] = field(default_factory=dict)
     """Names of preferences, by lower case."""
     _strays: dict[str, bool] = field(default_factory=dict)
-    """Answers of `is_stray`, by lower case."""
+    """Answers of `is_undeclared`, by lower case."""
 
     # --- types ---
 
@@ -94,7 +94,7 @@ class Names:
         """Read typed variables; only a declaration may repeat a name."""
         found: list[Variable] = []
         seen: set[str] = set()
-        for names, kind in runs(items):
+        for names, kind in typed_runs(items):
             given = self.types(kind)
             for name in names:
                 if not isinstance(name, Atom) or name.text[0] != "?" or not NAME.fullmatch(name.text[1:]):
@@ -163,7 +163,7 @@ class Names:
         """Tell whether a predicate has this name, in lower case."""
         return key in self._predicates
 
-    def is_stray(self, node: Node) -> bool:
+    def is_undeclared(self, node: Node) -> bool:
         """Tell whether the list begins with a name that nothing has, nor anything alike: no slip of the pen."""
         word = node.items[0] if isinstance(node, Group) and node.items else node
         if not isinstance(word, Atom) or word.key in self._predicates or word.key in self._functions:
@@ -187,7 +187,7 @@ class Names:
     def _declared(self, node: Node, kind: _Kind) -> Declaration:
         word = node.items[0] if isinstance(node, Group) and node.items else node
         if not isinstance(word, Atom):
-            raise wrong(word, f"expected the name of {one(kind)}, found {word}")
+            raise wrong(word, f"expected the name of {with_article(kind)}, found {word}")
         known = self._known(kind)
         if word.key in known:
             return known[word.key]

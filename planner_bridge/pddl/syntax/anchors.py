@@ -15,7 +15,7 @@ from planner_bridge.pddl.comments.table import Item, Path
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node
 from planner_bridge.pddl.syntax.pretty_print import Form, flat
 from planner_bridge.pddl.syntax.sections import Definition
-from planner_bridge.pddl.syntax.words import MOMENTS, NUMBER, number_text, runs
+from planner_bridge.pddl.syntax.words import NUMBER, TIME_SPECIFIERS, number_text, typed_runs
 
 ACTION: Final = "action"
 PARTS: Final = {
@@ -83,7 +83,7 @@ def is_timed(form: Form) -> bool:
     """Tell whether the form is ``(at start X)``, ``(over all X)`` or ``(at end X)``."""
     match form:
         case [str() as first, str() as second, list()]:
-            return f"{first} {second}".lower() in MOMENTS
+            return f"{first} {second}".lower() in TIME_SPECIFIERS
         case _:
             return False
 
@@ -137,7 +137,7 @@ class _Finder:
         inner = (*path, head)
         yield self.item(section, inner)
         if head in _NAMES:
-            for names, _ in runs(section.rest):
+            for names, _ in typed_runs(section.rest):
                 yield from (self.item(name, (*inner, name.key)) for name in names if isinstance(name, Atom))
         elif head in (":predicates", ":functions"):
             yield from (self.item(part, (*inner, part.head)) for part in section.rest if isinstance(part, Group))

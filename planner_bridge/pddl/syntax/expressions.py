@@ -122,9 +122,9 @@ def tolerate(node: Node, message: str) -> None:
     node.source.found.setdefault((node.offset, message))
 
 
-def plain(node: Node) -> object:
+def normalized(node: Node) -> object:
     """Return the words of the part, in lower case and as nested as they are: what it says, wherever it stands."""
-    return node.key if isinstance(node, Atom) else tuple([plain(item) for item in node.items])
+    return node.key if isinstance(node, Atom) else tuple([normalized(item) for item in node.items])
 
 
 def text_of(group: Group) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from typing import Final, Literal
 
-from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, parse, plain, tolerate, where, wrong
+from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, normalized, parse, tolerate, where, wrong
 from planner_bridge.pddl.syntax.words import CONTINGENT, new_name, unsupported
 from pnm.errors import InputError, Position
 
@@ -46,7 +46,7 @@ class Definition:
         """Return the section; another one may only say the same again."""
         found = self.every(key)
         for other in found[1:]:
-            if plain(other) != plain(found[0]):
+            if normalized(other) != normalized(found[0]):
                 raise wrong(other, f"a second {key} section; the first is in line {where(found[0]).line}")
         return found[0] if found else None
 

@@ -83,19 +83,19 @@ def new_name(node: Node, kind: str, forbidden: Collection[str] = ()) -> str:
     """Return a name that is being declared, spelled as it stands."""
     match node:
         case Atom() if node.key in forbidden:
-            raise wrong(node, f"{node} is a word of PDDL and cannot name {one(kind)}")
+            raise wrong(node, f"{node} is a word of PDDL and cannot name {with_article(kind)}")
         case Atom(text) if NAME.fullmatch(text) and not is_number(node):
             return text
         case Atom(text) if text[0] != "?" and text[0] != ":" and not is_number(node):
-            raise wrong(node, f"{node} cannot name {one(kind)}; expected letters, digits and _ - . @")
+            raise wrong(node, f"{node} cannot name {with_article(kind)}; expected letters, digits and _ - . @")
         case _:
-            raise wrong(node, f"expected the name of {one(kind)}, found {node}")
+            raise wrong(node, f"expected the name of {with_article(kind)}, found {node}")
 
 
-def one(kind: str) -> str:
+def with_article(kind: str) -> str:
     """Put the article before a noun.
 
-    >>> one("action"), one("type")
+    >>> with_article("action"), with_article("type")
     ('an action', 'a type')
     """
     return f"an {kind}" if kind[0] in "aeiou" else f"a {kind}"
@@ -104,7 +104,7 @@ def one(kind: str) -> str:
 # --- typed lists ---------------------------------------------------------------------------
 
 
-def runs(items: Sequence[Node]) -> Iterator[tuple[list[Node], Node | None]]:
+def typed_runs(items: Sequence[Node]) -> Iterator[tuple[list[Node], Node | None]]:
     """Split ``a b - t c`` into ``([a, b], t)`` and ``([c], None)``; ``-t`` without a space is read too."""
     names: list[Node] = []
     rest = iter(items)
@@ -171,5 +171,5 @@ def number_text(value: float) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
-Moment: TypeAlias = Literal["at start", "over all", "at end"]
-MOMENTS: Final[tuple[Moment, ...]] = get_args(Moment)
+TimeSpecifier: TypeAlias = Literal["at start", "over all", "at end"]
+TIME_SPECIFIERS: Final[tuple[TimeSpecifier, ...]] = get_args(TimeSpecifier)
