@@ -8,7 +8,7 @@ from itertools import permutations, zip_longest
 import pytest
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.plan_simulation import Course, Denied, snapshot
+from planner_bridge.model.plan_simulation import NotApplicable, PlanSimulation, snapshot
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.interference import Footprint, around, conflict, footprint
 from planner_bridge.ordering.plan_to_graph import plan_graph
@@ -109,7 +109,7 @@ def test_plans_without_conflict_work_in_every_order_of_their_events(goals: tuple
 
 def _works(problem: Problem, graphs: list[PlanGraph], pattern: int) -> bool:
     """Carry the plans out: one after the other, or taking turns."""
-    course = Course(snapshot(initial_knowledge(problem)))
+    course = PlanSimulation(snapshot(initial_knowledge(problem)))
     queues = [[(number, graph, event) for event in graph.in_order()] for number, graph in enumerate(graphs)]
     if pattern % 2:
         queues.reverse()
@@ -117,7 +117,7 @@ def _works(problem: Problem, graphs: list[PlanGraph], pattern: int) -> bool:
     try:
         for number, graph, event in mixed:
             moved = type(event)(event.call + 1000 * number, event.moment)
-            course.happen([(moved, graph.calls[event.call].action)])
-    except Denied:
+            course.advance([(moved, graph.calls[event.call].action)])
+    except NotApplicable:
         return False
     return all(evaluate(graph.goal, course.state) is True for graph in graphs)

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from enum import Enum, auto
 from typing import Final, assert_never
 
-from planner_bridge.model.plan_simulation import Unforeseeable
+from planner_bridge.model.plan_simulation import NotProjectable
 from planner_bridge.ordering.interference import Footprint, footprint
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.tasks.constraint_monitor import Supervision
@@ -325,7 +325,7 @@ class Relay:
         self._standing.enter(TaskState.REPLANNING, decision.why)
         try:
             plan, _ = await self._finding.look(decision.forbidden, tuple(self.run.under_way()))
-        except (Over, Unforeseeable, PlanGraphError):
+        except (Over, NotProjectable, PlanGraphError):
             return None
         finally:
             self._standing.enter(TaskState.RUNNING)

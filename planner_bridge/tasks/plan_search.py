@@ -16,7 +16,7 @@ from uuid import UUID
 from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus
-from planner_bridge.model.plan_simulation import after
+from planner_bridge.model.plan_simulation import projected_state
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.interference import Footprint, around, at_best, footprint
 from planner_bridge.ordering.plan_to_graph import calls_of, one_by_one
@@ -288,7 +288,7 @@ class Finding:
             Unforeseeable: it is not known what the world will be after what is under way.
         """
         self._standing.check()
-        now = forbid(self._supervision.now(after(self._mission.world, under_way)), forbidden)
+        now = forbid(self._supervision.now(projected_state(self._mission.world, under_way)), forbidden)
         given = None if self._chronicle.plans else self._given
         found, conflicts = await self._search.find(now, [one.call for one in under_way], self._supervision.limit.left, given)
         self._standing.check()

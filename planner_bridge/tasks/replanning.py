@@ -10,13 +10,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall
-from planner_bridge.model.plan_simulation import Course, Denied, seen_instead, snapshot
+from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, observed_instead, snapshot
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import in_causal_order
 from pnm.core.execution.call_results import UNCONFIRMED, CallResult, Failure
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import evaluate
-from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
+from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.plan_graph import ActionCall, Moment, PlanEvent, PlanGraph
 
 _FINISHED = frozenset({"succeeded", "already true"})
@@ -226,21 +226,19 @@ def why_not(
     for call in progress.rest:
         if call.index not in progress.under_way and any(one.covers(call.action) for one in forbidden):
             return f"{call.action} has failed too often, or a server may still be at work on it or with what it needs"
-    course = Course(snapshot(knowledge), {number: plan.calls[number].action for number in progress.under_way})
-    left = {one: progressed((one,), course.state) for constraint in constraints for one in instances(constraint, course.state)}
+    simulation = PlanSimulation(snapshot(knowledge), {number: plan.calls[number].action for number in progress.under_way})
+    progression = ConstraintProgression(constraints, simulation.state)
     for event in progress.events:
         try:
-            course.happen([(event, plan.calls[event.call].action)])
-        except Denied as denied:
-            return f"{plan.calls[denied.call].action} would {denied.deed} although {denied.observed}"
-        left = {constraint: progressed(rest, course.state) for constraint, rest in left.items()}
-        for constraint, rest in left.items():
-            if IMPOSSIBLE in rest:
-                return f"the {event.moment.value} of {plan.calls[event.call].action} would violate {constraint}"
-    if evaluate(plan.goal, course.state) is not True:
-        return f"the rest of the plan would leave {seen_instead(plan.goal, course.state)}"
-    missing = [str(constraint) for constraint, rest in left.items() if not is_fulfilled(rest, course.state)]
-    return f"the rest of the plan would leave {', '.join(missing)} unfulfilled" if missing else ""
+            simulation.advance([(event, plan.calls[event.call].action)])
+        except NotApplicable as error:
+            return f"{plan.calls[error.call].action} would {error.stage} although {error.observed}"
+        if violated := progression.advance(simulation.state):
+            return f"the {event.moment.value} of {plan.calls[event.call].action} would violate {violated}"
+    if evaluate(plan.goal, simulation.state) is not True:
+        return f"the rest of the plan would leave {observed_instead(plan.goal, simulation.state)}"
+    missing = ", ".join(map(str, progression.unfulfilled(simulation.state)))
+    return f"the rest of the plan would leave {missing} unfulfilled" if missing else ""
 
 
 def shortened(progress: Progress, knowledge: KnowledgeBase) -> Progress:

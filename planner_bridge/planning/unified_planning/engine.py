@@ -22,7 +22,7 @@ from unified_planning.model import ProblemKind
 from planner_bridge.model.plan import PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.planning.engines import ENGINES, Feature, features
+from planner_bridge.planning.engines import ENGINES, Feature, problem_kind
 from planner_bridge.planning.unified_planning.problems import Translation
 from pnm.errors import InputError, meant
 
@@ -116,7 +116,7 @@ def _answer(name: str, problem: Problem, deadline: float) -> Answer:
 def _reason(name: str, result: PlanGenerationResult) -> Answer:
     said = "\n".join(one.message for one in result.log_messages or ())
     match _STATUS.get(result.status, PlanningStatus.NO_PLAN):
-        case PlanningStatus.UNSOLVABLE if not (name in ENGINES and ENGINES[name].proves):
+        case PlanningStatus.UNSOLVABLE if not (name in ENGINES and ENGINES[name].proves_unsolvability):
             return _no_plan(PlanningStatus.NO_PLAN, f"{name} says that there is none, which is not taken for proved")
         case PlanningStatus.CRASHED if _OUT_OF_MEMORY.search(said):
             return _no_plan(PlanningStatus.OUT_OF_MEMORY, said)
@@ -143,7 +143,7 @@ def _problem(name: str, problem: Problem) -> tuple[Any, dict[str, str], dict[str
         InputError: unified-planning cannot express the problem, or the engine does not support it.
     """
     engine = up.get_environment().factory.engine(name)
-    if Feature.TASKS in features(problem):
+    if Feature.TASKS in problem_kind(problem):
         there, actions, objects = _hierarchical(), dict[str, str](), dict[str, str]()
     else:
         translation = Translation(problem, (_Stated if issubclass(engine, PDDLPlanner) else up.Problem)(problem.name))

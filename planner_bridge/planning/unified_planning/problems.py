@@ -14,8 +14,8 @@ from unified_planning.io import PDDLWriter
 from planner_bridge.model.grounding import dynamic_names
 from planner_bridge.model.problem import ActionSchema, Metric, Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.planning.engines import Feature, features
-from planner_bridge.planning.normal_form import Assignment, cost_function, functions_in_use, is_whole, moments
+from planner_bridge.planning.engines import Feature, problem_kind
+from planner_bridge.planning.normal_form import Assignment, cost_function, functions_in_use, is_whole, schema_assignments
 from planner_bridge.planning.unified_planning.declarations import Declarations, Terms
 from planner_bridge.planning.unified_planning.expressions import condition_there, expression_there, fluent_there, number_there
 from pnm.core.logic.conditions import Condition, conjuncts, names
@@ -91,7 +91,7 @@ class Translation:
         action = make(self._declared.named(schema.name), parameters)
         terms = _parameters(schema, action)
         guards = [*self._declared.guards(schema.parameters, terms)]
-        start, end = moments(schema)
+        start, end = schema_assignments(schema)
         if schema.duration is None:
             for condition in (*guards, *self._conjuncts(schema.precondition, terms)):
                 action.add_precondition(condition)
@@ -184,7 +184,7 @@ class Translation:
     def _costs(self, name: str, action: Any) -> Any:
         """Return what the action adds to the costs."""
         schema = self._problem.domain.actions[name]
-        costs = [one.value for moment in moments(schema) for one in moment if one.fluent[0] == self._cost]
+        costs = [one.value for moment in schema_assignments(schema) for one in moment if one.fluent[0] == self._cost]
         total: Expression = Constant(0) if not costs else costs[0] if len(costs) == 1 else Arithmetic("+", tuple(costs))
         return self._expression(total, self._timed(schema, _parameters(schema, action)))
 
@@ -207,5 +207,5 @@ def _refuse(problem: Problem) -> None:
     Raises:
         InputError: the problem uses such a thing.
     """
-    if missing := features(problem) & {Feature.DERIVED, Feature.PREFERENCES, Feature.TASKS}:
+    if missing := problem_kind(problem) & {Feature.DERIVED, Feature.PREFERENCES, Feature.TASKS}:
         raise InputError(" and ".join(sorted(feature.value for feature in missing)))
