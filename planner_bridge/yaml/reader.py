@@ -12,10 +12,9 @@ from typing import Final
 import yaml
 
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.pddl.comments.table import Item, Lines, Remark, Table, attached
-from planner_bridge.pddl.comments.table import Path as Place
+from planner_bridge.pddl.comments.table import Anchor, AnchorPath, Comment, LineIndex, Table, attach
+from planner_bridge.pddl.read.attach_comments import find_anchors
 from planner_bridge.pddl.read.reader import domain_from, problem_from
-from planner_bridge.pddl.syntax.anchors import items
 from planner_bridge.pddl.syntax.expressions import Source
 from planner_bridge.yaml.sections import Definitions, definitions
 from planner_bridge.yaml.write_domain import SCHEMA_MARK
@@ -69,15 +68,15 @@ def parse(text: str, file: str) -> Contents:
 
 def _comments(text: str, nodes: Iterable[yaml.Node], found: Definitions) -> Table:
     """Return the comments, as PDDL writes them, and what they are about."""
-    things = items(found.domain, "domain", {})
+    things = find_anchors(found.domain, "domain", {})
     if found.problem:
-        things += [item for item in items(found.problem, "problem", {}) if item.path[1:] != (":domain",)]
-    lines = Lines.of(text)
-    remarks = [Remark(_MARK.sub(lambda marks: ";" * len(marks[0]), one.text, count=1), one.offset) for one in _remarks(text, nodes)]
-    return attached(remarks, things, lines, _Below({thing.path: thing.start for thing in things}, lines).path)
+        things += [item for item in find_anchors(found.problem, "problem", {}) if item.path[1:] != (":domain",)]
+    lines = LineIndex.of(text)
+    remarks = [Comment(_MARK.sub(lambda marks: ";" * len(marks[0]), one.text, count=1), one.offset) for one in _remarks(text, nodes)]
+    return attach(remarks, things, lines, _Below({thing.path: thing.start for thing in things}, lines).path)
 
 
-def _remarks(text: str, nodes: Iterable[yaml.Node]) -> Iterator[Remark]:
+def _remarks(text: str, nodes: Iterable[yaml.Node]) -> Iterator[Comment]:
     """Yield what begins with ``#`` outside of scalars."""
     spans = sorted((node.start_mark.index, node.end_mark.index) for node in _quoted(nodes))
     starts = [start for start, _ in spans]
@@ -86,7 +85,7 @@ def _remarks(text: str, nodes: Iterable[yaml.Node]) -> Iterator[Remark]:
         if match.group().startswith(SCHEMA_MARK):
             continue
         if not before or spans[before - 1][1] <= match.start():
-            yield Remark(match.group().rstrip(), match.start())
+            yield Comment(match.group().rstrip(), match.start())
 
 
 def _quoted(nodes: Iterable[yaml.Node]) -> Iterator[yaml.Node]:
@@ -105,11 +104,11 @@ def _quoted(nodes: Iterable[yaml.Node]) -> Iterator[yaml.Node]:
 class _Below:
     """Tells by the columns whether a comment stands under something, or above what follows."""
 
-    starts: dict[Place, int]
+    starts: dict[AnchorPath, int]
     """Where things begin."""
-    lines: Lines
+    lines: LineIndex
 
-    def path(self, remark: Remark, last: Item | None, following: Item | None) -> Place | None:
+    def path(self, remark: Comment, last: Anchor | None, following: Anchor | None) -> AnchorPath | None:
         column = self.lines.column(remark.offset)
         code = _CODE.search(self.lines.text, remark.offset)
         if last is None or (following is not None and code and column <= len(code[1])):

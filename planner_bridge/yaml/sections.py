@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Final
 
 from planner_bridge.pddl.read.reader import HIERARCHY, NETWORK
+from planner_bridge.pddl.read.sections import Definition
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Source, parse, tolerate
 from planner_bridge.pddl.syntax.expressions import Node as Part
-from planner_bridge.pddl.syntax.sections import Definition
 from planner_bridge.pddl.syntax.words import new_name
 from planner_bridge.yaml.nodes import Parts
 from pnm.errors import InputError, Position

@@ -1,4 +1,4 @@
-"""PDDL derived predicates: rules, which together must have exactly one meaning (PDDL 2.2)."""
+"""PDDL derived predicates: their rules, which must be stratified (PDDL 2.2)."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from typing import Final, assert_never
 
 from planner_bridge.model.problem import Declaration
 from planner_bridge.pddl.read.formulas import condition
+from planner_bridge.pddl.read.requirements import Leniency
 from planner_bridge.pddl.read.symbols import SymbolTable
 from planner_bridge.pddl.read.terms import TermScope
-from planner_bridge.pddl.syntax.expressions import Group, Node, tolerate, wrong
+from planner_bridge.pddl.syntax.expressions import Group, Node, wrong
 from planner_bridge.pddl.syntax.words import CONNECTIVES, counted, new_name, operands, show_types
 from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
 from pnm.core.logic.expressions import Variable
@@ -23,15 +24,15 @@ def rules(sections: Iterable[Group], symbols: SymbolTable) -> tuple[Rule, ...]:
     """Read the rules, in the order of the file.
 
     Raises:
-        InputError: a head is no declared predicate with variables, or a fact would follow from its own absence.
+        InputError: a head is no declared predicate with variables, or the rules are not stratified.
     """
     found: list[tuple[Rule, Group]] = []
     for section in sections:
         symbols.requirements.need(section, ":derived-predicates")
         head, body = operands(section, 2)
-        declared, variables = _head(head, symbols)
+        declared, variables = _rule_head(head, symbols)
         found.append((Rule(declared.name, variables, condition(body, TermScope(symbols).inside(variables))), section))
-    _stratified(found)
+    _check_stratification(found)
     return tuple(rule for rule, _ in found)
 
 
@@ -48,13 +49,13 @@ def derived_predicates(sections: Iterable[Group], symbols: SymbolTable) -> dict[
             continue
         else:
             name = new_name(head.items[0], "predicate", CONNECTIVES)
-            tolerate(head, f"the predicate {name!r} is derived here but not among the :predicates")
+            Leniency.DERIVED_UNDECLARED.note(head, name)
             declared = Declaration(name, symbols.variables(head.rest))
         found[declared.name] = declared
     return found
 
 
-def _head(node: Node, symbols: SymbolTable) -> tuple[Declaration, tuple[Variable, ...]]:
+def _rule_head(node: Node, symbols: SymbolTable) -> tuple[Declaration, tuple[Variable, ...]]:
     if not isinstance(node, Group):
         raise wrong(node, f"expected a predicate with variables such as (name ?x - type), found {node}")
     declared = symbols.predicate(node)
@@ -76,50 +77,50 @@ def _narrowed(given: Variable, needed: Variable, node: Node, symbols: SymbolTabl
 # --- stratification ------------------------------------------------------------------------
 
 
-def _stratified(found: list[tuple[Rule, Group]]) -> None:
-    """Refuse a fact that follows from its own absence, whichever way round: then the rules have no one meaning."""
-    derived = {rule.name for rule, _ in found}
+def _check_stratification(rules: list[tuple[Rule, Group]]) -> None:
+    """Refuse rules that are not stratified: a fact that follows from its own absence has no meaning (PDDL 2.2)."""
+    derived = {rule.name for rule, _ in rules}
     needs: dict[str, dict[str, None]] = {}
-    for rule, _ in found:
-        needs.setdefault(rule.name, {}).update(dict.fromkeys(name for name, _ in _mentioned(rule.condition, True) if name in derived))
-    for rule, section in found:
-        for name, positive in _mentioned(rule.condition, True):
-            way = () if positive or name not in derived else _way(name, rule.name, needs)
-            if way:
-                chain = ", ".join(f"{one!r} from {other!r}" for one, other in pairwise(way))
-                told = f"the derived predicate {rule.name!r} follows from the absence of {name!r}{f', {chain}' if chain else ''}"
-                raise wrong(section, f"{told}; expected no such circle")
+    for rule, _ in rules:
+        needs.setdefault(rule.name, {}).update(dict.fromkeys(name for name, _ in _polarities(rule.condition, True) if name in derived))
+    for rule, section in rules:
+        for name, positive in _polarities(rule.condition, True):
+            path = () if positive or name not in derived else _shortest_path(name, rule.name, needs)
+            if path:
+                chain = ", ".join(f"{head!r} from {needed!r}" for head, needed in pairwise(path))
+                circle = f"the derived predicate {rule.name!r} follows from the absence of {name!r}{f', {chain}' if chain else ''}"
+                raise wrong(section, f"{circle}; expected no such circle")
 
 
-def _way(start: str, end: str, needs: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
-    """Return the shortest way from one derived predicate to another it rests on; empty when there is none."""
-    ways: dict[str, tuple[str, ...]] = {start: (start,)}
+def _shortest_path(start: str, end: str, needs: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
+    """Return the shortest path from one derived predicate to another that it needs; empty when there is none."""
+    paths: dict[str, tuple[str, ...]] = {start: (start,)}
     waiting = [start]
-    while waiting and end not in ways:
+    while waiting and end not in paths:
         name = waiting.pop(0)
         for needed in needs[name]:
-            if needed not in ways:
-                ways[needed] = (*ways[name], needed)
+            if needed not in paths:
+                paths[needed] = (*paths[name], needed)
                 waiting.append(needed)
-    return ways.get(end, ())
+    return paths.get(end, ())
 
 
-def _mentioned(condition: Condition, positive: bool) -> Iterator[tuple[str, bool]]:
-    """Yield every predicate of the condition, and whether it is its truth that helps rather than its absence."""
+def _polarities(condition: Condition, positive: bool) -> Iterator[tuple[str, bool]]:
+    """Yield every predicate of the condition, and whether it occurs positively: its truth helps rather than its absence."""
     match condition:
         case Holds(fluent):
             yield fluent[0], positive
         case Compare() | Computed():
             return
         case Not(operand):
-            yield from _mentioned(operand, not positive)
+            yield from _polarities(operand, not positive)
         case All(operands) | Any(operands):
             for operand in operands:
-                yield from _mentioned(operand, positive)
+                yield from _polarities(operand, positive)
         case Implies(left, right):
-            yield from _mentioned(left, not positive)
-            yield from _mentioned(right, positive)
+            yield from _polarities(left, not positive)
+            yield from _polarities(right, positive)
         case ForAll(_, body) | Exists(_, body):
-            yield from _mentioned(body, positive)
+            yield from _polarities(body, positive)
         case _:
             assert_never(condition)

@@ -1,24 +1,31 @@
-"""PDDL conditions: from lists of words to pnm's, checked against the names.
+"""PDDL conditions and effects: from lists of words to pnm's, checked against the symbol table.
 
-PDDL effects: from lists of words to pnm's, checked against the names.
+Object fluents as arguments, ``(dirty (room-of ?r))``, are flattened: a variable stands for the value of the function
+(PDDL 3.1). It is bound around the fact, the comparison or the effect in which it stands; where the function has no
+value there is no choice for it, so that a fact about it does not hold.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Final
 
-from planner_bridge.pddl.read.object_fluents import without_object_fluents
+from planner_bridge.pddl.read.requirements import Leniency
 from planner_bridge.pddl.read.symbols import TOTAL_COST
 from planner_bridge.pddl.read.terms import OPERANDS, TermScope
-from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, tolerate, wrong
+from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, wrong
 from planner_bridge.pddl.syntax.words import operands, show_types
 from pnm.core.logic.conditions import TRUE, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
 from pnm.core.logic.effects import OPERATIONS, Effects, ForEach, Set, When
-from pnm.core.logic.expressions import UNDEFINED, Constant, Expression, Fluent
+from pnm.core.logic.expressions import UNDEFINED, Constant, Expression, Fluent, ValueOf, Variable
 
-FALSE: Final = Any(())
+_FALSE: Final = Any(())
 _COMPOUND: Final = ("and", "or", "not", "imply", "forall", "exists")
+_OVER_NUMBERS: Final = frozenset((*OPERANDS, *OPERATIONS, "=", "<", "<=", ">", ">=", "not"))
+"""Heads whose operands are no arguments themselves but may have some."""
+
+# --- conditions ----------------------------------------------------------------------------
 
 
 def condition(node: Node, scope: TermScope) -> Condition:
@@ -48,11 +55,11 @@ def condition(node: Node, scope: TermScope) -> Condition:
             variables, body = scope.quantified(node)
             return Exists(variables, condition(body, scope.inside(variables)))
         case "=":
-            return _flat(node, scope, _equality)
+            return _flattened_condition(node, scope, _equality)
         case "<" | "<=" | ">" | ">=":
-            return _flat(node, scope, _comparison)
+            return _flattened_condition(node, scope, _comparison)
         case _:
-            return _flat(node, scope, _fact)
+            return _flattened_condition(node, scope, _fact)
 
 
 def _negation(node: Group, scope: TermScope) -> Not:
@@ -64,8 +71,8 @@ def _negation(node: Group, scope: TermScope) -> Not:
     return Not(condition(operand, scope))
 
 
-def _flat(node: Group, scope: TermScope, read: Callable[[Group, TermScope], Condition]) -> Condition:
-    flat = without_object_fluents(node, scope)
+def _flattened_condition(node: Group, scope: TermScope, read: Callable[[Group, TermScope], Condition]) -> Condition:
+    flat = _flattened(node, scope)
     if flat is None:
         return read(node, scope)
     return Exists(tuple(flat.variables.values()), conjunction([*flat.values, read(flat.node, flat.scope)]))
@@ -73,8 +80,8 @@ def _flat(node: Group, scope: TermScope, read: Callable[[Group, TermScope], Cond
 
 def _fact(node: Group, scope: TermScope) -> Condition:
     if scope.symbols.lenient and scope.symbols.is_undeclared(node):
-        tolerate(node.items[0], f"the predicate {node.items[0]} is not declared; it is read as false")
-        return FALSE
+        Leniency.PREDICATE_UNDECLARED.note(node.items[0], node.items[0])
+        return _FALSE
     return Holds(scope.fact(node))
 
 
@@ -90,6 +97,9 @@ def _comparison(node: Group, scope: TermScope) -> Compare:
     left, right = operands(node, 2)
     scope.symbols.requirements.need(node, ":numeric-fluents")
     return Compare(node.head, scope.expression(left), scope.expression(right))
+
+
+# --- effects -------------------------------------------------------------------------------
 
 
 def effects(node: Node, scope: TermScope) -> Effects:
@@ -114,14 +124,11 @@ def effects(node: Node, scope: TermScope) -> Effects:
         case "or" | "imply" | "exists" as word:
             raise wrong(node, f"'{word}' cannot stand in an effect; expected a fact, not, forall, when or assign")
         case _:
-            return _flat_effect(node, scope)
-
-
-def _flat_effect(node: Group, scope: TermScope) -> Effects:
-    flat = without_object_fluents(node, scope)
-    if flat is None:
-        return (_change(node, scope),)
-    return (ForEach(tuple(flat.variables.values()), (When(conjunction(flat.values), (_change(flat.node, flat.scope),)),)),)
+            flat = _flattened(node, scope)
+            if flat is None:
+                return (_change(node, scope),)
+            change = _change(flat.node, flat.scope)
+            return (ForEach(tuple(flat.variables.values()), (When(conjunction(flat.values), (change,)),)),)
 
 
 def _change(node: Group, scope: TermScope) -> Set:
@@ -130,7 +137,7 @@ def _change(node: Group, scope: TermScope) -> Set:
             return Set(_changed_fact(operands(node, 1)[0], scope), Constant(False))
         case operation if operation in OPERATIONS:
             target, value = operands(node, 2)
-            return Set(scope.function(target), _value(node, target, value, scope), operation)
+            return Set(scope.function(target), _new_value(node, target, value, scope), operation)
         case _:
             return Set(_changed_fact(node, scope), Constant(True))
 
@@ -142,7 +149,7 @@ def _changed_fact(node: Node, scope: TermScope) -> Fluent:
     return fluent
 
 
-def _value(node: Group, target: Node, value: Node, scope: TermScope) -> Expression:
+def _new_value(node: Group, target: Node, value: Node, scope: TermScope) -> Expression:
     declared = scope.symbols.function(target)
     if not declared.values:
         cost = node.head == "increase" and declared.name.lower() == TOTAL_COST and not (isinstance(value, Group) and value.head in OPERANDS)
@@ -153,3 +160,54 @@ def _value(node: Group, target: Node, value: Node, scope: TermScope) -> Expressi
     if isinstance(value, Atom) and value.key == UNDEFINED and scope.symbols.find_object(value.text) is None:
         return Constant(UNDEFINED)
     return scope.value(value, declared.values)
+
+
+# --- object fluents as arguments -----------------------------------------------------------
+
+
+def _flattened(node: Group, scope: TermScope) -> _Flattened | None:
+    """Return the fact, comparison or effect without functions among its arguments; None when there are none."""
+    if not scope.symbols.has_object_functions:
+        return None
+    flat = _Flattened(scope)
+    flat.node = flat.flatten(node)
+    return flat if flat.variables else None
+
+
+@dataclass(slots=True)
+class _Flattened:
+    """A list without functions among its arguments. The mutable state grows while it is made."""
+
+    scope: TermScope
+    """With the variables that stand for values."""
+    variables: dict[Fluent, Variable] = field(default_factory=dict)
+    """For every function that was an argument, outermost last."""
+    node: Group = field(init=False)
+
+    @property
+    def values(self) -> list[Compare]:
+        """For every variable, that it equals its function."""
+        return [Compare("=", ValueOf(fluent), Constant(variable.name)) for fluent, variable in self.variables.items()]
+
+    def flatten(self, node: Group) -> Group:
+        """Return the list with variables for the functions among its arguments."""
+        inner = self._operand if node.head in _OVER_NUMBERS else self._argument
+        return Group((node.items[0], *[inner(part) for part in node.rest]), node.offset, node.source)
+
+    def _operand(self, node: Node) -> Node:
+        return self.flatten(node) if isinstance(node, Group) and node.items else node
+
+    def _argument(self, node: Node) -> Node:
+        declared = self.scope.symbols.find_function(node) if isinstance(node, Group) else None
+        if not isinstance(node, Group) or declared is None or not declared.values:
+            return node
+        flat = self.flatten(node)  # first, because it may bind variables
+        fluent = self.scope.function(flat)
+        if fluent not in self.variables:
+            name, count = f"?{declared.name}", 1
+            while name.lower() in self.scope.variables:
+                count += 1
+                name = f"?{declared.name}{count}"
+            self.variables[fluent] = Variable(name, declared.values)
+            self.scope = self.scope.inside((self.variables[fluent],))
+        return Atom(self.variables[fluent].name, node.offset, node.source)

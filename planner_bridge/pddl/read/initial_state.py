@@ -1,24 +1,23 @@
-"""The initial state of a PDDL problem: facts, values of functions, and what changes by itself later."""
+"""The initial state of a PDDL problem: facts, values of functions, and timed initial literals."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from typing import Final, TypeAlias
 
+from planner_bridge.pddl.read.requirements import REFUSED_IN_INIT, Leniency
 from planner_bridge.pddl.read.terms import TermScope
-from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, tolerate, wrong
-from planner_bridge.pddl.syntax.words import CONTINGENT, counted, is_number, number, operands, time, unsupported
+from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, wrong
+from planner_bridge.pddl.syntax.words import counted, is_number, number, operands, time
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Constant, Fluent, Value, show
 
-_UNCERTAIN: Final = ("or", "oneof", "unknown")
 _ASSIGNMENTS: Final = ("=", "assign")
-
 _Change: TypeAlias = tuple[Fluent, Value]
 
 
 def initial_state(parts: Iterable[Node], scope: TermScope) -> tuple[dict[Fluent, Value], tuple[TimedChange, ...]]:
-    """Read what stands in ``(:init ...)``; a fact that no condition can ask for is left out."""
+    """Read ``(:init ...)``: the state at first, without false facts, and the timed changes by time."""
     init: dict[Fluent, Value] = {}
     timed: dict[float, dict[Fluent, Value]] = {}
     for part in parts:
@@ -34,6 +33,7 @@ def initial_state(parts: Iterable[Node], scope: TermScope) -> tuple[dict[Fluent,
 
 
 def _change(node: Node, scope: TermScope) -> _Change | None:
+    """Return a fluent and its value; None for one that no condition can read."""
     match node:
         case Group() if node.head in _ASSIGNMENTS:
             return _assignment(node, scope)
@@ -41,8 +41,8 @@ def _change(node: Node, scope: TermScope) -> _Change | None:
             (negated,) = operands(node, 1)
             fluent = _fact(negated, scope)
             return (fluent, False) if fluent else None
-        case Group() if node.head in _UNCERTAIN and not scope.symbols.has_predicate(node.head):
-            raise unsupported(node, f"uncertain initial states ({node.head} in :init)", CONTINGENT)
+        case Group() if node.head in REFUSED_IN_INIT and not scope.symbols.has_predicate(node.head):
+            raise REFUSED_IN_INIT[node.head].at(node)
         case Group():
             fluent = _fact(node, scope)
             return (fluent, True) if fluent else None
@@ -51,33 +51,27 @@ def _change(node: Node, scope: TermScope) -> _Change | None:
 
 
 def _fact(node: Node, scope: TermScope) -> Fluent | None:
-    if isinstance(node, Group) and _is_idle(node, scope):
-        return None
+    """Return a fact; None, with a warning, if it is not declared with these arguments."""
+    if isinstance(node, Group):
+        if scope.symbols.is_undeclared(node):
+            Leniency.FACT_UNDECLARED.note(node, node.items[0])
+            return None
+        declared = scope.symbols.predicate(node)
+        if len(node.rest) != len(declared.parameters):
+            Leniency.FACT_ARITY.note(node, declared, counted(len(declared.parameters), "argument"), len(node.rest))
+            return None
     fluent = scope.fact(node)
     if fluent[0] in scope.symbols.derived:
         raise wrong(node, f"{fluent[0]!r} is a derived predicate; it follows from others and cannot be given")
     return fluent
 
 
-def _is_idle(node: Group, scope: TermScope) -> bool:
-    """Tell, with a warning, that no condition can ask for a fact like this."""
-    if scope.symbols.is_undeclared(node):
-        tolerate(node, f"the predicate {node.items[0]} is not declared; the fact is ignored")
-        return True
-    declared = scope.symbols.predicate(node)
-    if len(node.rest) != len(declared.parameters):
-        expected = counted(len(declared.parameters), "argument")
-        tolerate(node, f"{declared} takes {expected}, found {len(node.rest)}; the fact is ignored")
-        return True
-    return False
-
-
 def _assignment(node: Group, scope: TermScope) -> _Change | None:
     target, value = operands(node, 2)
     if node.head != "=":
-        tolerate(node, f"'{node.head}' is read as '='")
+        Leniency.ASSIGN_IN_INIT.note(node, node.head)
     if scope.symbols.is_undeclared(target):
-        tolerate(node, f"the function {target} is not declared; its value is ignored")
+        Leniency.VALUE_UNDECLARED.note(node, target)
         return None
     declared = scope.symbols.function(target)
     fluent = scope.function(target)
@@ -89,15 +83,15 @@ def _assignment(node: Group, scope: TermScope) -> _Change | None:
     return fluent, constant.value
 
 
-def _put(found: dict[Fluent, Value], change: _Change | None, node: Node) -> None:
+def _put(state: dict[Fluent, Value], change: _Change | None, node: Node) -> None:
     if change is None:
         return
     fluent, value = change
-    before = found.get(fluent, value)
+    before = state.get(fluent, value)
     if before != value:
         if isinstance(value, bool):
             raise wrong(node, f"{show(fluent)} has another value before; expected one value")
-        tolerate(node, f"{show(fluent)} has another value before; this one is used")
-    elif fluent in found:
-        tolerate(node, f"{show(fluent)} is there twice")
-    found[fluent] = value
+        Leniency.VALUE_TWICE.note(node, show(fluent))
+    elif fluent in state:
+        Leniency.FACT_TWICE.note(node, show(fluent))
+    state[fluent] = value

@@ -20,11 +20,11 @@ from planner_bridge.pddl.read.actions import DURATIVE, INSTANTANEOUS, actions
 from planner_bridge.pddl.read.constraints import constraints, split_preferences
 from planner_bridge.pddl.read.derived import DERIVED, derived_predicates, rules
 from planner_bridge.pddl.read.initial_state import initial_state
-from planner_bridge.pddl.read.requirements import Requirements, requirements
+from planner_bridge.pddl.read.requirements import Leniency, Requirements, requirements
+from planner_bridge.pddl.read.sections import Definition, define
 from planner_bridge.pddl.read.symbols import TOTAL_COST, SymbolTable
 from planner_bridge.pddl.read.terms import TermScope
-from planner_bridge.pddl.syntax.expressions import Atom, Group, text_of, tolerate, wrong
-from planner_bridge.pddl.syntax.sections import Definition, define
+from planner_bridge.pddl.syntax.expressions import Atom, Group, text_of, wrong
 from pnm.core.logic.conditions import TRUE, Condition
 from pnm.errors import Tolerated
 from pnm.files.text import read_any_text
@@ -89,7 +89,7 @@ def parse_problem(text: str, domain: Domain, file: str = "problem.pddl") -> Prob
 
 
 def domain_from(definition: Definition, warnings: tuple[Tolerated, ...] = ()) -> Domain:
-    """Interpret the sections of a domain, of which these warnings have been given already.
+    """Interpret the sections of a domain; `warnings` are those about the file that were given before.
 
     Raises:
         InputError: they use PDDL that is not supported, or names that are not declared.
@@ -98,18 +98,18 @@ def domain_from(definition: Definition, warnings: tuple[Tolerated, ...] = ()) ->
     needed = Requirements(words)
     domain = Domain(definition.name, words, declarations.types(definition.lists(":types"), needed))
     symbols = SymbolTable(domain, {}, needed)
-    sections = definition.every(DERIVED)
-    facts = declarations.predicates(definition.parts(":predicates"), symbols)
+    rule_sections = definition.every(DERIVED)
+    predicates = declarations.predicates(definition.parts(":predicates"), symbols)
     domain = replace(
         domain,
         constants=declarations.objects(definition.lists(":constants"), symbols),
-        predicates=facts,
-        functions=declarations.functions(definition.lists(":functions"), symbols, facts),
+        predicates=predicates,
+        functions=declarations.functions(definition.lists(":functions"), symbols, predicates),
     )
-    derived = derived_predicates(sections, SymbolTable(domain, domain.constants, needed))
+    derived = derived_predicates(rule_sections, SymbolTable(domain, domain.constants, needed))
     domain = replace(domain, predicates={**domain.predicates, **derived})
     symbols = SymbolTable(domain, domain.constants, needed, lenient=True, derived=frozenset(derived))
-    found = rules(sections, symbols)
+    domain_rules = rules(rule_sections, symbols)
     hard, soft = constraints(definition.parts(":constraints"), TermScope(symbols))
     schemas = actions(definition.every(INSTANTANEOUS, DURATIVE), symbols)
     return replace(
@@ -117,7 +117,7 @@ def domain_from(definition: Definition, warnings: tuple[Tolerated, ...] = ()) ->
         functions={**domain.functions, **({TOTAL_COST: symbols.costs} if symbols.costs else {})},
         borrowed=symbols.borrowed,
         actions=schemas,
-        rules=found,
+        rules=domain_rules,
         constraints=hard,
         preferences=soft,
         hierarchy=_verbatim_sections(definition, HIERARCHY, needed),
@@ -126,6 +126,7 @@ def domain_from(definition: Definition, warnings: tuple[Tolerated, ...] = ()) ->
 
 
 def _verbatim_sections(definition: Definition, keys: tuple[str, ...], needed: Requirements) -> tuple[str, ...]:
+    """Return the texts of sections that only hierarchical planners read (HDDL)."""
     sections = definition.every(*keys)
     for section in sections:
         needed.need(section, ":hierarchy", ":htn")
@@ -136,18 +137,25 @@ def _verbatim_sections(definition: Definition, keys: tuple[str, ...], needed: Re
 
 
 def problem_from(definition: Definition, domain: Domain, warnings: tuple[Tolerated, ...] = ()) -> Problem:
-    """Interpret the sections of a problem, of which these warnings have been given already.
+    """Interpret the sections of a problem; `warnings` are those about the file that were given before.
 
     Raises:
         InputError: they use PDDL that is not supported, or names that are not declared.
     """
-    _belongs(definition, domain)
+    _check_domain_name(definition, domain)
+    if (length := definition.one(":length")) is not None:
+        Leniency.LENGTH.note(length)
     words = requirements(definition.parts(":requirements"))
     needed = Requirements((*domain.requirements, *words, ":typing"))
     shared = SymbolTable(domain, domain.constants, needed)
     own = declarations.borrow(declarations.objects(definition.lists(":objects"), shared), shared, definition.whole)
+    preferences = (*domain.preferences, *(preference for action in domain.actions.values() for preference in action.preferences))
     symbols = SymbolTable(
-        domain, {**domain.constants, **own}, needed, derived=frozenset(rule.name for rule in domain.rules), preference_names=_wishes(domain)
+        domain,
+        {**domain.constants, **own},
+        needed,
+        derived=frozenset(rule.name for rule in domain.rules),
+        preference_names={preference.name.lower(): preference.name for preference in preferences if preference.name},
     )
     network = "\n".join(_verbatim_sections(definition, NETWORK, needed))
     init, timed = initial_state(definition.parts(":init"), TermScope(symbols))
@@ -170,31 +178,23 @@ def problem_from(definition: Definition, domain: Domain, warnings: tuple[Tolerat
     )
 
 
-def _belongs(definition: Definition, domain: Domain) -> None:
+def _check_domain_name(definition: Definition, domain: Domain) -> None:
     section = definition.one(":domain")
     match section:
         case Group(items=(_, Atom() as name)):
             if name.key != domain.name.lower():
-                tolerate(name, f"the problem is for a domain {name}; this one is {domain.name!r}")
+                Leniency.OTHER_DOMAIN.note(name, name, domain.name)
         case None:
-            tolerate(definition.whole, f"the problem does not name its domain; expected (:domain {domain.name})")
+            Leniency.NO_DOMAIN.note(definition.whole, domain.name)
         case _:
             raise wrong(section, f"expected (:domain {domain.name})")
-    length = definition.one(":length")
-    if length is not None:
-        tolerate(length, "':length' is ignored")
-
-
-def _wishes(domain: Domain) -> dict[str, str]:
-    every = (*domain.preferences, *(one for action in domain.actions.values() for one in action.preferences))
-    return {one.name.lower(): one.name for one in every if one.name}
 
 
 def _goal(definition: Definition, scope: TermScope) -> tuple[Condition, tuple[Preference, ...]]:
     section = definition.one(":goal")
     if section is None:
         if not definition.every(*NETWORK):
-            tolerate(definition.whole, "there is no :goal; any state will do")
+            Leniency.NO_GOAL.note(definition.whole)
         return TRUE, ()
     if len(section.rest) != 1:
         raise wrong(section, f"expected (:goal CONDITION), found {len(section.rest)} conditions")

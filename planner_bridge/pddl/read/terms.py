@@ -1,4 +1,4 @@
-"""PDDL terms, facts, functions and numbers: from lists of words to fluents and expressions, checked against the names."""
+"""PDDL terms, facts, functions and numbers: from lists of words to fluents and expressions, checked against the symbol table."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from planner_bridge.model.problem import Declaration
+from planner_bridge.pddl.read.requirements import Refused
 from planner_bridge.pddl.read.symbols import SymbolTable
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, wrong
-from planner_bridge.pddl.syntax.words import Types, counted, is_number, number, operands, show_types, unknown, unsupported
+from planner_bridge.pddl.syntax.words import Types, counted, is_number, number, operands, show_types, unknown
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
 from pnm.errors import InputError
 
 _MANY: Final = (range(2, sys.maxsize), "at least 2")
 OPERANDS: Final[Mapping[str, tuple[range, str]]] = {"+": _MANY, "*": _MANY, "-": (range(1, 3), "1 or 2"), "/": (range(2, 3), "2")}
-"""How many operands arithmetic takes."""
+"""How many operands each operator of arithmetic takes."""
 _TOTAL_TIME: Final = "total-time"
 _VIOLATIONS: Final = "is-violated"
 _ANY: Final = ("object",)
@@ -24,7 +25,7 @@ _ANY: Final = ("object",)
 
 @dataclass(frozen=True, slots=True)
 class TermScope:
-    """What may be named at a place of a file: what is declared, and the variables bound around it."""
+    """The terms that may stand at a place of a file: the symbol table, and the variables bound around it."""
 
     symbols: SymbolTable
     variables: Mapping[str, Variable] = field(default_factory=dict)
@@ -35,7 +36,7 @@ class TermScope:
     """Whether ``total-time`` and ``(is-violated PREFERENCE)`` may be used."""
 
     def inside(self, variables: Iterable[Variable]) -> TermScope:
-        """Return the scope of the part in which these variables are bound."""
+        """Return the scope in which these variables are bound, too."""
         return replace(self, variables={**self.variables, **{variable.name.lower(): variable for variable in variables}})
 
     def quantified(self, node: Group) -> tuple[tuple[Variable, ...], Node]:
@@ -61,7 +62,7 @@ class TermScope:
         given = node.rest if isinstance(node, Group) else ()
         if len(given) != len(declared.parameters):
             raise wrong(node, f"{declared} takes {counted(len(declared.parameters), 'argument')}, found {len(given)}")
-        return declared.name, *[self._argument(one, needed.types) for one, needed in zip(given, declared.parameters, strict=True)]
+        return declared.name, *[self._argument(term, variable.types) for term, variable in zip(given, declared.parameters, strict=True)]
 
     def _argument(self, node: Node, needed: Types) -> str:
         match node:
@@ -84,7 +85,7 @@ class TermScope:
     # --- objects as values ---
 
     def is_object(self, node: Node) -> bool:
-        """Tell whether the part stands for an object rather than a number."""
+        """Whether the part stands for an object rather than a number."""
         declared = self.symbols.find_function(node)
         if isinstance(node, Group):
             return declared is not None and bool(declared.values)
@@ -110,9 +111,17 @@ class TermScope:
         """Read a number, ``?duration``, the value of a function, or arithmetic over these."""
         match node:
             case Group() if node.head in OPERANDS:
-                return self._arithmetic(node)
+                counts, expected = OPERANDS[node.head]
+                if len(node.rest) not in counts:
+                    raise wrong(node, f"'{node.head}' takes {expected} operands, found {len(node.rest)}")
+                return Arithmetic(node.head, tuple([self.expression(part) for part in node.rest]))
             case Group() if self.metric and node.head == _VIOLATIONS:
-                return ValueOf((_VIOLATIONS, self._preference(operands(node, 1)[0])))
+                (name,) = operands(node, 1)
+                if not isinstance(name, Atom):
+                    raise wrong(name, f"expected the name of a preference, found {name}")
+                if name.key not in self.symbols.preference_names:
+                    raise unknown("preference", name, self.symbols.preference_names.values())
+                return ValueOf((_VIOLATIONS, self.symbols.preference_names[name.key]))
             case Group():
                 return self._number(node)
             case Atom() if is_number(node):
@@ -122,7 +131,7 @@ class TermScope:
                     raise wrong(node, "'?duration' can only be used in the conditions and effects of a durative action")
                 return ValueOf(DURATION)
             case Atom("#t"):
-                raise unsupported(node, "continuous effects (#t)", "a simulation of change over time")
+                raise Refused.CONTINUOUS_EFFECT.at(node)
             case Atom() if self.symbols.find_function(node) or (self.metric and node.key == _TOTAL_TIME):
                 return self._number(node)
             case _:
@@ -137,19 +146,6 @@ class TermScope:
         if self.metric:
             self.symbols.requirements.need(node, ":action-costs", ":numeric-fluents")
         return ValueOf(self.function(node))
-
-    def _arithmetic(self, node: Group) -> Arithmetic:
-        counts, said = OPERANDS[node.head]
-        if len(node.rest) not in counts:
-            raise wrong(node, f"'{node.head}' takes {said} operands, found {len(node.rest)}")
-        return Arithmetic(node.head, tuple([self.expression(part) for part in node.rest]))
-
-    def _preference(self, node: Node) -> str:
-        if not isinstance(node, Atom):
-            raise wrong(node, f"expected the name of a preference, found {node}")
-        if node.key not in self.symbols.preference_names:
-            raise unknown("preference", node, self.symbols.preference_names.values())
-        return self.symbols.preference_names[node.key]
 
 
 def _ill_typed(node: Node, name: str, types: Types, needed: Types) -> InputError:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import takewhile
 from typing import Final, TypeAlias
 
-from planner_bridge.pddl.comments.lines import Line, rendered
+from planner_bridge.pddl.comments.lines import Line, render_lines
 from planner_bridge.pddl.comments.table import NO_NOTE, Note
 
 
@@ -52,7 +52,7 @@ def definition_text(head: Form, sections: Iterable[Form], note: Note = NO_NOTE) 
     first = Line(0, f"(define {flat(head)}", note.beside)
     lines = [first, *(line for section in sections for line in _lines(section, 2))]
     _close(lines, 0)
-    return rendered([*_comments(note.before, 0), *lines, *_comments(note.below, 0)])
+    return render_lines([*_comments(note.before, 0), *lines, *_comments(note.below, 0)])
 
 
 def flat(form: Form) -> str:

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Iterator
 from typing import Final
 
 from planner_bridge.model.problem import ActionSchema, Declaration, Domain, Preference, Problem
-from planner_bridge.pddl.comments.table import Notes, Table, with_all
-from planner_bridge.pddl.syntax.anchors import ACTION, INNER, PARTS, fact_said, hierarchy_said, is_timed, rule_said, said
+from planner_bridge.pddl.comments.table import Notes, Table, write_with_notes
+from planner_bridge.pddl.syntax.anchors import ACTION, COMPOUND, PARTS, fact_anchor, form_anchor, hierarchy_anchor, is_timed, rule_anchor
 from planner_bridge.pddl.syntax.pretty_print import Form, Keyed, Verbatim, definition_text, flat, noted
 from planner_bridge.pddl.syntax.words import number_text
 from planner_bridge.pddl.write.forms import condition_form, effects_form, expression_form, joined, typed_lines, types_form, variables_form
@@ -22,17 +22,17 @@ from pnm.core.logic.rules import Rule
 from pnm.core.logic.trajectory import Constraint
 
 _NUMBER: Final = "number"
-NOTHING_SAID: Final[Table] = {}
+NO_COMMENTS: Final[Table] = {}
 
 
-def write_domain(domain: Domain, table: Table = NOTHING_SAID) -> str:
+def write_domain(domain: Domain, table: Table = NO_COMMENTS) -> str:
     """Write a domain as PDDL, with its own requirements and the comments of the table."""
-    return with_all(table, lambda notes: _domain(domain, notes.at("domain")))
+    return write_with_notes(table, lambda notes: _domain(domain, notes.at("domain")))
 
 
-def write_problem(problem: Problem, table: Table = NOTHING_SAID) -> str:
+def write_problem(problem: Problem, table: Table = NO_COMMENTS) -> str:
     """Write a problem as PDDL, with the comments of the table; its domain is only named."""
-    return with_all(table, lambda notes: _problem(problem, notes.at("problem")))
+    return write_with_notes(table, lambda notes: _problem(problem, notes.at("problem")))
 
 
 def _domain(domain: Domain, notes: Notes) -> str:
@@ -63,7 +63,7 @@ def _problem(problem: Problem, notes: Notes) -> str:
     if problem.network:
         sections.append(_verbatim(problem.network, notes))  # other planners read it only in front of :init
     facts = notes.at(":init")
-    init: list[Form] = [noted(form, facts.at(fact_said(form)).take()) if facts else form for form in _initial(problem)]
+    init: list[Form] = [noted(form, facts.at(fact_anchor(form)).take()) if facts else form for form in _initial(problem)]
     sections.append(noted([":init", *init], facts.take()))
     goal = notes.at(":goal")
     wanted = _with_preferences(problem.goal, problem.preferences)
@@ -94,7 +94,7 @@ def _declarations(head: str, forms: Iterable[Form], names: Iterable[str], notes:
 
 
 def _verbatim(text: str, notes: Notes) -> Form:
-    return noted(Verbatim(text), notes.at(*hierarchy_said(text)).take())
+    return noted(Verbatim(text), notes.at(*hierarchy_anchor(text)).take())
 
 
 def commented(form: Form, notes: Notes) -> Form:
@@ -105,8 +105,8 @@ def commented(form: Form, notes: Notes) -> Form:
         return ["and", *(commented(part, notes) for part in form[1:])]
     if is_timed(form):
         return [*form[:2], commented(form[2], notes)]
-    own = notes.at(said(form))
-    inner: list[Form] = [form[0], *(commented(part, own) for part in form[1:])] if form[0] in INNER else form
+    own = notes.at(form_anchor(form))
+    inner: list[Form] = [form[0], *(commented(part, own) for part in form[1:])] if form[0] in COMPOUND else form
     return noted(inner, own.take())
 
 
@@ -159,7 +159,7 @@ def rule_form(rule: Rule) -> list[Form]:
 
 def _rule(rule: Rule, notes: Notes) -> Form:
     key, head, body = form = rule_form(rule)
-    own = notes.at(":derived", rule_said(form))
+    own = notes.at(":derived", rule_anchor(form))
     return noted([key, head, commented(body, own)], own.take())
 
 
