@@ -6,70 +6,30 @@ function: `load`, `solve`, `plan_graph`, `pnm.generate`.
 
 from typing import TYPE_CHECKING
 
-from pnm.files.lazy_exports import lazily
+from pnm.files.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
-    from planner_bridge.loading import load
-    from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
-    from planner_bridge.model.problem import ActionSchema, Domain, Problem
-    from planner_bridge.ordering.plan_to_graph import plan_graph
-    from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
-    from planner_bridge.pddl.write.writer import write_domain, write_problem
-    from planner_bridge.pipeline import achieve
-    from planner_bridge.planning.kairos import validate
-    from planner_bridge.planning.solve import solve
-    from planner_bridge.tasks.replanning import Limits
-    from planner_bridge.tasks.result import TaskResult
-    from planner_bridge.tasks.settings import Settings, TaskObserver
-
-__all__ = [
-    "ActionSchema",
-    "Domain",
-    "Limits",
-    "Plan",
-    "PlanStep",
-    "PlanningResult",
-    "PlanningStatus",
-    "Problem",
-    "Settings",
-    "TaskObserver",
-    "TaskResult",
-    "achieve",
-    "load",
-    "parse_domain",
-    "parse_problem",
-    "plan_graph",
-    "read_domain",
-    "read_problem",
-    "solve",
-    "validate",
-    "write_domain",
-    "write_problem",
-]
-
-_WHERE = {
-    "ActionSchema": "planner_bridge.model.problem",
-    "Domain": "planner_bridge.model.problem",
-    "Problem": "planner_bridge.model.problem",
-    "parse_domain": "planner_bridge.pddl",
-    "parse_problem": "planner_bridge.pddl",
-    "read_domain": "planner_bridge.pddl",
-    "read_problem": "planner_bridge.pddl",
-    "write_domain": "planner_bridge.pddl.write.writer",
-    "write_problem": "planner_bridge.pddl.write.writer",
-    "Settings": "planner_bridge.tasks.settings",
-    "TaskObserver": "planner_bridge.tasks.settings",
-    "TaskResult": "planner_bridge.tasks.result",
-    "achieve": "planner_bridge.pipeline",
-    "load": "planner_bridge.loading",
-    "Plan": "planner_bridge.model.plan",
-    "PlanningResult": "planner_bridge.model.plan",
-    "PlanningStatus": "planner_bridge.model.plan",
-    "PlanStep": "planner_bridge.model.plan",
-    "solve": "planner_bridge.planning.solve",
-    "validate": "planner_bridge.planning.kairos",
-    "plan_graph": "planner_bridge.ordering.plan_to_graph",
-    "Limits": "planner_bridge.tasks.replanning",
-}
-
-__getattr__, __dir__ = lazily(__name__, _WHERE)
+    from planner_bridge.loading import load as load
+    from planner_bridge.model.plan import Plan as Plan
+    from planner_bridge.model.plan import PlanningResult as PlanningResult
+    from planner_bridge.model.plan import PlanningStatus as PlanningStatus
+    from planner_bridge.model.plan import PlanStep as PlanStep
+    from planner_bridge.model.problem import Domain as Domain
+    from planner_bridge.model.problem import Problem as Problem
+    from planner_bridge.ordering.plan_to_graph import plan_graph as plan_graph
+    from planner_bridge.pddl import parse_domain as parse_domain
+    from planner_bridge.pddl import parse_problem as parse_problem
+    from planner_bridge.pddl import read_domain as read_domain
+    from planner_bridge.pddl import read_problem as read_problem
+    from planner_bridge.pddl.write.writer import write_domain as write_domain
+    from planner_bridge.pddl.write.writer import write_problem as write_problem
+    from planner_bridge.pipeline import achieve as achieve
+    from planner_bridge.planning.kairos import validate as validate
+    from planner_bridge.planning.solve import solve as solve
+    from planner_bridge.tasks.replanning import Limits as Limits
+    from planner_bridge.tasks.result import TaskResult as TaskResult
+    from planner_bridge.tasks.settings import Settings as Settings
+    from planner_bridge.tasks.settings import TaskObserver as TaskObserver
+    from pnm.core.logic.domain import ActionSchema as ActionSchema
+else:
+    __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

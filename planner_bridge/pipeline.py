@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import asyncio
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, cast
+from typing import Any, Literal, TypeAlias
 
 from planner_bridge.loading import load
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.simulation import SimulatedSite
+from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.context import Mission
 from planner_bridge.tasks.goal_loop import Pursuit
 from planner_bridge.tasks.replanning import History
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from pnm.actions.backend import Site
+from pnm.actions.backend import Backend
 from pnm.actions.faults import NO_FAULTS, Faults
-from pnm.clock import run_async
+from pnm.clock import run_async, stop_then_cancel
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.ros.backend import Ros2Site
+from pnm.ros.backend import Ros2Backend
 from pnm.tasks import Code
 
 Where: TypeAlias = Literal["simulated", "ros2"]
@@ -53,12 +53,14 @@ def achieve(
     seconds = stopwatch or Stopwatch()
     with seconds.of("parse"):
         loaded = load(domain, problem)
-    site: Site = Ros2Site(chosen.bindings, sensing=chosen.sensing) if actions == "ros2" else SimulatedSite(loaded, chosen.bindings, faults)
+    site: Backend = (
+        Ros2Backend(chosen.bindings, sensing=chosen.sensing) if actions == "ros2" else simulated_backend(loaded, chosen.bindings, faults)
+    )
     task = pursue(loaded, site, chosen, observer or TaskObserver(), seconds)
     return run_async(task, virtual=actions == "simulated")
 
 
-async def pursue(problem: Problem, site: Site, settings: Settings, observer: TaskObserver, seconds: Stopwatch) -> TaskResult:
+async def pursue(problem: Problem, site: Backend, settings: Settings, observer: TaskObserver, seconds: Stopwatch) -> TaskResult:
     """Plan, execute and replan at a site; `achieve` does this with a loop of its own."""
     knowledge = initial_knowledge(problem)
     try:
@@ -69,7 +71,7 @@ async def pursue(problem: Problem, site: Site, settings: Settings, observer: Tas
 
 async def pursue_on(
     problem: Problem,
-    site: Site,
+    site: Backend,
     settings: Settings,
     observer: TaskObserver,
     seconds: Stopwatch,
@@ -83,15 +85,4 @@ async def pursue_on(
 
 async def _stoppable(pursuit: Pursuit, *, opens: bool = False) -> TaskResult:
     """Pursue a goal. Cancelling this stops the task: what is under way is cancelled and waited for; cancelling it again leaves it alone."""
-    pursuing, is_stopped = asyncio.ensure_future(pursuit.pursue(opens=opens)), False
-    while not pursuing.done():
-        try:
-            await asyncio.wait((pursuing,))
-        except asyncio.CancelledError:
-            if is_stopped:
-                pursuing.cancel()
-                raise
-            is_stopped = True
-            cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
-            pursuit.stop(Code.CANCELLED, "cancelled")
-    return pursuing.result()
+    return await stop_then_cancel(pursuit.pursue(opens=opens), partial(pursuit.stop, Code.CANCELLED, "cancelled"))

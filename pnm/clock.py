@@ -17,7 +17,9 @@ from collections.abc import Callable, Coroutine, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext
 from math import isfinite
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, cast
+
+T = TypeVar("T")
 
 
 class TimeLimit:
@@ -96,6 +98,21 @@ class TimeLimit:
             self._timer = None
 
 
+async def stop_then_cancel(work: Coroutine[Any, Any, T], stop: Callable[[], object]) -> T:
+    """Await work that can be ended in order, in a task of its own, and return its result.
+
+    Cancelling the caller once calls `stop`, which asks the work to come to its end, and goes on waiting for that; cancelling
+    it again cancels the work.
+    """
+    task = asyncio.ensure_future(work)
+    try:
+        await asyncio.wait((task,))
+    except asyncio.CancelledError:
+        cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
+        stop()
+    return await task
+
+
 _SELDOM: Final = 20_000
 """New objects after which garbage is looked for among them, in place of 700."""
 
@@ -112,9 +129,6 @@ def short_pauses() -> Iterator[None]:
     finally:
         gc.set_threshold(*usual)
         gc.unfreeze()
-
-
-T = TypeVar("T")
 
 
 class _Jumping(selectors.DefaultSelector):

@@ -60,7 +60,7 @@ class RosError(PnmError):
     """ROS 2 is not there, does not start, or does not answer in time."""
 
 
-def meant(name: str, known: Collection[str]) -> str:
+def suggestion(name: str, known: Collection[str]) -> str:
     """Return a question about the nearest of the known names, or nothing when none is near; of equally near ones, the first."""
     near = get_close_matches(name, known, 1)
     return f"did you mean {near[0]!r}?" if near else ""

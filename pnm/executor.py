@@ -7,9 +7,10 @@ import logging
 from collections.abc import Callable, Collection, Coroutine, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import assert_never, cast
+from typing import assert_never
 from uuid import UUID
 
+from pnm.clock import stop_then_cancel
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import (
     Answered,
@@ -115,20 +116,14 @@ class Executor:
 
         Cancelling the task stops the run: what its actions are doing is cancelled and waited for. Cancelling it again leaves them alone.
         """
-        is_stopped = False
+        return await stop_then_cancel(self._carry_out(), self.stop)
+
+    async def _carry_out(self) -> RunResult:
         self._enter()
         self._inbox.put_nowait(Begin())
         try:
             while not self.run.over:
-                try:
-                    event = await self._inbox.get()
-                except asyncio.CancelledError:
-                    if is_stopped:
-                        raise
-                    is_stopped = True
-                    cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
-                    event = Stop()
-                self._handle(event)
+                self._handle(await self._inbox.get())
         except BaseException:
             for request in self.run.open_requests:  # nobody will hear of them any more
                 self._client.cancel(request)

@@ -268,9 +268,9 @@ def demo(story: str) -> int:
     `mall`, over ROS 2: several tasks that share a robot, with people who interrupt it and answer late.
     """
     from planner_bridge.cli import demo, demo_mall
-    from planner_bridge.cli.console import Terminal
+    from planner_bridge.cli.console import SafeConsole
 
-    return demo_mall.show(Terminal()) if story == "mall" else demo.show(Terminal())
+    return demo_mall.show(SafeConsole()) if story == "mall" else demo.show(SafeConsole())
 
 
 def main() -> None:

@@ -1,17 +1,12 @@
-"""What a person sees in the terminal: plans, machines, the course of a run, the end of a task.
-
-What a person sees in the terminal of many tasks at once: a line per moment, with the beginning of the task's id.
-"""
+"""Output on the terminal for one task: its plan, its machine, the events of its runs, its result."""
 
 from __future__ import annotations
 
-import asyncio
-import json
 import os
 import sys
 from contextlib import ExitStack
-from typing import Any, Final
-from uuid import UUID
+from dataclasses import dataclass
+from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
@@ -26,41 +21,52 @@ from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.knowledge.sources.person_text import printable
-from pnm.tasks import Code, Moment, Status, TaskEnding, TaskListener, Tasks
 
 
-class Terminal(Console):
-    """Where a person reads along; when nobody reads any more, what goes on is not disturbed by that."""
+class SafeConsole(Console):
+    """A console that neither fails when its reader has closed the pipe nor prints control characters."""
 
     def on_broken_pipe(self) -> None:
-        """Write nowhere from now on."""
+        """Write to the null device from now on: whatever is running goes on undisturbed."""
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """Print texts without what could make a terminal do something, or cannot be written at all."""
-        super().print(*(_printable(one) if isinstance(one, str) else one for one in objects), **options)
+        """Print texts without control characters and without what UTF-8 cannot encode."""
+        safe = ("\n".join(map(printable, part.split("\n"))) if isinstance(part, str) else part for part in objects)
+        super().print(*safe, **options)
 
 
-def _printable(text: str) -> str:
-    return "\n".join(map(printable, text.split("\n")))
-
-
-class ConsoleObserver(TaskObserver):
-    """Prints a line per moment; shows what it waits for when the output is a terminal.
-
-    The mutable state is the time at which the current task began, and the spinner.
+@dataclass
+class EventLines:
+    """Prints one line per event: the seconds since the beginning, a label, a word and a text.
 
     Args:
         console: where it prints.
-        label: what every line begins with, after the time.
-        began: the time from which lines count; that of the first line when not given.
+        label: what every line has after the time.
+        began: the time from which seconds count; that of the first line when None. Mutable state.
     """
 
-    def __init__(self, console: Console, label: str = "", began: float | None = None) -> None:
+    console: Console
+    label: str = ""
+    began: float | None = None
+
+    def print(self, now: float, word: str, text: str) -> None:
+        """Print a line; the word may have markup."""
+        if self.began is None:
+            self.began = now
+        self.console.print(f"  {now - self.began:8.2f} s  {escape(self.label)}{word} {escape(text)}", highlight=False, soft_wrap=True)
+
+
+class ConsoleObserver(TaskObserver):
+    """Prints a line per event of a task; shows a spinner while it plans, when the output is a terminal.
+
+    The mutable state is the time of the first line, and the spinner.
+    """
+
+    def __init__(self, console: Console) -> None:
         self._console = console
-        self._label = label
+        self._lines = EventLines(console)
         self._waiting = ExitStack()
-        self._began = began
 
     def planning(self, planner: str) -> None:
         """Show that a planner is being asked."""
@@ -85,19 +91,21 @@ class ConsoleObserver(TaskObserver):
     def sent(self, call: ActionCall, request: Request, now: float) -> None:
         """Print that a call starts."""
         again = f" (attempt {request.attempt})" if request.attempt > 1 else ""
-        self.line(now, "[blue]start[/] ", f"{call.action}{again}")
+        self._lines.print(now, "[blue]start[/] ", f"{call.action}{again}")
 
     def ended(self, call: ActionCall, outcome: Outcome, now: float) -> None:
         """Print how a request ended."""
         if outcome.kind is OutcomeKind.SUCCEEDED:
-            self.line(now, "[green]done[/]  ", str(call.action.operation or call.action))
+            self._lines.print(now, "[green]done[/]  ", str(call.action.operation or call.action))
         else:
-            self.line(now, "[red]ended[/] ", f"{call.action}: {outcome.kind.value}{f': {outcome.message}' if outcome.message else ''}")
+            self._lines.print(
+                now, "[red]ended[/] ", f"{call.action}: {outcome.kind.value}{f': {outcome.message}' if outcome.message else ''}"
+            )
 
     def failed(self, failure: Failure, now: float) -> None:
         """Print that a failure place is marked."""
         step = failure.call.action if isinstance(failure.call, ActionCall) else failure.call
-        self.line(now, "[bold red]failed[/]", f"{step}: {failure.cause}; expected {failure.expected}; observed {failure.observed}")
+        self._lines.print(now, "[bold red]failed[/]", f"{step}: {failure.cause}; expected {failure.expected}; observed {failure.observed}")
 
     def resigned(self, reason: str) -> None:
         """Print that a planner takes over."""
@@ -115,13 +123,7 @@ class ConsoleObserver(TaskObserver):
 
     def violated(self, violation: Violation, now: float) -> None:
         """Print that a constraint is violated."""
-        self.line(now, "[bold red]broken[/]", f"{violation.constraint}; observed {violation.observed}")
-
-    def line(self, now: float, word: str, text: str) -> None:
-        """Print a line about a moment."""
-        if self._began is None:
-            self._began = now
-        self._console.print(f"  {now - self._began:8.2f} s  {escape(self._label)}{word} {escape(text)}", highlight=False, soft_wrap=True)
+        self._lines.print(now, "[bold red]broken[/]", f"{violation.constraint}; observed {violation.observed}")
 
 
 def print_result(console: Console, result: TaskResult) -> None:
@@ -152,58 +154,3 @@ def _preference(result: PreferenceResult) -> str:
 
 def _count(number: int, word: str) -> str:
     return f"{number} {word}{'' if number == 1 else 's'}"
-
-
-_SHOWN: Final = 200
-"""Characters of a goal, of parameters or of results that a line shows."""
-
-
-class TaskConsole(TaskListener):
-    """Prints what happens to tasks. The mutable state is a printer for every task that goes on."""
-
-    def __init__(self, terminal: Terminal, tasks: Tasks) -> None:
-        self._terminal = terminal
-        self._tasks = tasks
-        self._loop = asyncio.get_running_loop()
-        self._began = self._loop.time()
-        self._lines: dict[UUID, ConsoleObserver] = {}
-
-    def changed(self, task: UUID) -> None:
-        """Print the goal of a task that is new."""
-        self._lines_of(task)
-
-    def happened(self, moment: Moment) -> None:
-        """Print an event, but not every transition that fires."""
-        if moment.kind != "fired" and not moment.text.startswith("over: "):  # how it has ended comes next
-            said = ": ".join(filter(None, (moment.subject, moment.text)))
-            self._line(moment.task, moment.time, f"{moment.kind:<7}", shortened(said))
-
-    def ended(self, task: UUID, ending: TaskEnding) -> None:
-        """Print how a task ended."""
-        word = "[bold green]reached[/]" if ending.code is Code.GOAL_REACHED else f"[bold red]{ending.code.word}[/]"
-        self._line(task, self._loop.time(), word, shortened(ending.message))
-        del self._lines[task]
-
-    def _line(self, task: UUID, now: float, word: str, text: str) -> None:
-        self._lines_of(task).line(now, word, text)
-
-    def _lines_of(self, task: UUID) -> ConsoleObserver:
-        if task not in self._lines:
-            lines = self._lines[task] = ConsoleObserver(self._terminal, f"{task.hex[:8]}  ", self._began)
-            goals = [_goal(status) for status in self._tasks.status() if status.id == task]
-            lines.line(self._loop.time(), "[bold]goal[/]  ", shortened("".join(goals)))
-        return self._lines[task]
-
-
-def _goal(status: Status) -> str:
-    given = (
-        f"{name}: {value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)}"
-        for name, value in status.parameters.items()
-    )
-    return f"{status.goal}({', '.join(given)})" if status.parameters else status.goal
-
-
-def shortened(text: str) -> str:
-    """Return a text as a line can show it."""
-    text = " ".join(text.split())
-    return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 1]}…"

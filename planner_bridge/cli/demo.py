@@ -10,7 +10,7 @@ from rich.console import Console
 from planner_bridge.cli.console import ConsoleObserver, print_result
 from planner_bridge.loading import load
 from planner_bridge.pipeline import pursue
-from planner_bridge.simulation import SimulatedSite
+from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.result import Stopwatch
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.bindings_file import read_bindings
@@ -32,7 +32,7 @@ def show(console: Console) -> int:
     problem = load(domain / "domain.pddl", problems / "p01.pddl")
     settings = Settings(bindings=read_bindings(domain / "bindings.yaml", problem.vocabulary))
     faults = read_faults(problems / "faults.yaml", problem.vocabulary)
-    site = SimulatedSite(problem, settings.bindings, faults)
+    site = simulated_backend(problem, settings.bindings, faults)
     world = site.robots.world
 
     console.print("Two robots and a goal, written in PDDL. A planner finds the plan; the plan becomes a Petri Net Machine.", soft_wrap=True)

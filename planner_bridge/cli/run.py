@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from planner_bridge.cli.console import ConsoleObserver, Terminal, print_result
+from planner_bridge.cli.console import ConsoleObserver, SafeConsole, print_result
 from planner_bridge.cli.options import Files, bindings_for, faults_for, problem_in, tell
 from planner_bridge.pipeline import Where, achieve
 from planner_bridge.planning.solve import check_planner
@@ -36,7 +36,7 @@ def run_problem(domain: Path, problem: Path, files: Files, *, actions: Where, se
     Raises:
         InputError: a file is wrong; nothing was started.
     """
-    console, stopwatch = Terminal(), Stopwatch()
+    console, stopwatch = SafeConsole(), Stopwatch()
     with stopwatch.of("parse"):
         loaded = problem_in(domain, problem)
         sensors = read_sensing(files.sensing, loaded.vocabulary) if files.sensing else NO_SENSING
@@ -91,7 +91,7 @@ def run_written(
         InputError: a file or a parameter is wrong; nothing was started.
     """
     check_planner(settings.planner)  # now, not when a plan is given up that took an hour
-    console = Terminal()
+    console = SafeConsole()
     if files.bindings:
         settings = replace(settings, bindings=read_bindings(files.bindings))
     if files.sensing:

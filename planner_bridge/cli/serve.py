@@ -7,9 +7,9 @@ from typing import Any, Final
 
 import click
 
-from planner_bridge.cli.options import command, options, tell
+from planner_bridge.cli.options import command, options
 from planner_bridge.node.options import PARAMETERS
-from pnm.ros.node.parameters import Parameter, ParameterValue
+from pnm.ros.node.parameters import NodeParameter, ParameterValue
 
 ROS_ARGUMENTS: Final = "--ros-args"
 
@@ -24,7 +24,7 @@ class RosCommand(click.Command):
         return super().parse_args(ctx, args[:end])
 
 
-def _option(parameter: Parameter) -> Callable[[Any], Any]:
+def _option(parameter: NodeParameter) -> Callable[[Any], Any]:
     name = (parameter.option or parameter.name).replace("_", "-")
     default = f"  [default: {parameter.default}]" if parameter.default not in ("", True) else ""
     about: dict[str, Any] = {"help": parameter.description + default, "default": None}
@@ -52,9 +52,11 @@ def serve(**given: ParameterValue | None) -> int:
     Offers actions for goals of DOMAIN and PROBLEM, and for each plan of a world. What follows --ros-args is for ROS 2;
     parameters that are given there come before options.
     """
-    from planner_bridge.cli.console import Terminal
+    # here, because these take their time to import, which `pnm serve --help` need not wait for
+    from planner_bridge.cli.console import SafeConsole
+    from planner_bridge.cli.node_console import NodeConsole
     from planner_bridge.node.serve import serve
 
     arguments = click.get_current_context().meta[ROS_ARGUMENTS]
-    serve({name: value for name, value in given.items() if value is not None}, arguments, Terminal(), tell)
+    serve({name: value for name, value in given.items() if value is not None}, arguments, NodeConsole(SafeConsole()))
     return 0

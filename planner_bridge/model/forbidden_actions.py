@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from string import Formatter
 from typing import Final
 
-from planner_bridge.model.problem import ActionSchema, Declaration, Domain, Problem
+from planner_bridge.model.problem import Domain, Problem
 from pnm.core.logic.conditions import All, Holds, Not
+from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction

@@ -5,17 +5,23 @@ Knowledge ↔ initial state: what a problem says at first, and the problem as th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from math import isfinite
+from typing import TYPE_CHECKING
 
-from planner_bridge.model.problem import ActionSchema, Problem
+from planner_bridge.model.problem import Problem
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import ground
+from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import TimedChange, ground_effects, names_written
-from pnm.core.logic.expressions import DURATION, UNKNOWN, Environment, Fluent, State, Unknown, Value, value_of
-from pnm.core.logic.rules import Rules
+from pnm.core.logic.expressions import DURATION, UNKNOWN, Environment, Fluent, State, Unknown, Value, fluent_text, value_of
+from pnm.core.logic.rules import Rule, Rules
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError
+
+if TYPE_CHECKING:
+    from pnm.language.plan import HandWrittenPlan
 
 
 def ground_action(schema: ActionSchema, arguments: tuple[str, ...], duration: float | None = None) -> GroundAction:
@@ -27,9 +33,9 @@ def ground_action(schema: ActionSchema, arguments: tuple[str, ...], duration: fl
     if len(arguments) != len(schema.parameters):
         expected = " ".join(variable.name for variable in schema.parameters) or "none"
         raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(arguments)}")
-    env: dict[str, str] = {variable.name: argument for variable, argument in zip(schema.parameters, arguments, strict=True)}
+    env: dict[str, object] = {variable.name: argument for variable, argument in zip(schema.parameters, arguments, strict=True)}
     if duration is not None:
-        env[DURATION[0]] = repr(duration)
+        env[DURATION[0]] = duration
     return GroundAction(
         name=schema.name,
         arguments=arguments,
@@ -53,9 +59,35 @@ def modelled_duration(schema: ActionSchema, arguments: tuple[str, ...], state: S
     return max(numbers, default=0.0)
 
 
-def initial_knowledge(problem: Problem) -> KnowledgeBase:
-    """Return a knowledge base with the problem's objects and initial state, and the domain's rules."""
-    return KnowledgeBase(problem.init, objects=problem.objects_by_type, rules=Rules(problem.domain.rules))
+def initial_knowledge(*described: Problem | HandWrittenPlan) -> KnowledgeBase:
+    """Return the initial state: facts, objects and rules of a problem or a plan, or of several that share one world.
+
+    Raises:
+        InputError: two of them begin with different values of a fluent.
+    """
+    beginnings = [_beginning(one) for one in described]
+    if len(beginnings) == 1:
+        _, facts, objects, rules = beginnings[0]
+        return KnowledgeBase(facts, objects=objects, rules=rules)
+    values: dict[Fluent, tuple[Value, str]] = {}
+    members: dict[str, tuple[str, ...]] = {}
+    shared: dict[str, Rule] = {}
+    for name, facts, objects, rules in beginnings:
+        for fluent, value in facts.items():
+            before, other = values.setdefault(fluent, (value, name))
+            if before != value:
+                raise InputError(f"{other} and {name} begin with different values of {fluent_text(fluent)}: {before}, {value}")
+        for kind, names in objects.items():
+            members[kind] = tuple(dict.fromkeys((*members.get(kind, ()), *names)))
+        shared |= {str(rule): rule for rule in rules.rules}
+    facts = {fluent: value for fluent, (value, _) in values.items()}
+    return KnowledgeBase(facts, objects=members, rules=Rules(tuple(shared.values())))
+
+
+def _beginning(one: Problem | HandWrittenPlan) -> tuple[str, Mapping[Fluent, Value], Mapping[str, tuple[str, ...]], Rules]:
+    if isinstance(one, Problem):
+        return one.name, one.init, one.objects_by_type, Rules(one.domain.rules)
+    return one.name, one.facts, one.objects, one.rules
 
 
 def dynamic_names(problem: Problem) -> frozenset[str]:

@@ -1,60 +1,22 @@
-"""The world that everything a node does shares, as it is at first.
-
-The world of hand-written plans as a problem without actions: what may be asked of it, and told.
-"""
+"""The world of hand-written plans as a problem without actions, so that facts of it can be queried and updated as PDDL."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Final, TypeAlias, assert_never
+from typing import Final, TypeAlias
 
-from planner_bridge.model.problem import Declaration, Domain, Problem
-from pnm.core.knowledge_base import KnowledgeBase
+from planner_bridge.model.problem import Domain, Problem
 from pnm.core.logic.computed_values import fluents_in
 from pnm.core.logic.conditions import Compare, Computed, Condition, Holds, every_part
-from pnm.core.logic.effects import Effects, ForEach, Set, When
-from pnm.core.logic.expressions import DURATION, UNDEFINED, Constant, Expression, Fluent, Value, Variable, expression_fluents, show
-from pnm.core.logic.rules import Rule, Rules
+from pnm.core.logic.domain import Declaration
+from pnm.core.logic.effects import Effects, Set, When, every_effect
+from pnm.core.logic.expressions import DURATION, UNDEFINED, Constant, Expression, Fluent, Value, Variable, expression_fluents
+from pnm.core.logic.rules import Rule
 from pnm.core.machine.plan_graph import Choice, Loop
 from pnm.errors import InputError
 from pnm.language.plan import HandWrittenPlan
-
-
-@dataclass(frozen=True, slots=True)
-class _Beginning:
-    """What one of those who share a world says of it."""
-
-    name: str
-    facts: Mapping[Fluent, Value]
-    objects: Mapping[str, tuple[str, ...]]
-    rules: Rules
-
-
-def common_knowledge(plans: Iterable[HandWrittenPlan], problem: Problem | None = None) -> KnowledgeBase:
-    """Return the world that all tasks share, which begins as the problem and the plans say.
-
-    Raises:
-        InputError: two of them say different things.
-    """
-    beginnings = [_Beginning(plan.name, plan.facts, plan.objects, plan.rules) for plan in plans]
-    if problem is not None:
-        beginnings.insert(0, _Beginning(problem.name, problem.init, problem.objects_by_type, Rules(problem.domain.rules)))
-    facts: dict[Fluent, Value] = {}
-    said: dict[Fluent, str] = {}
-    objects: dict[str, tuple[str, ...]] = {}
-    rules: dict[str, Rule] = {}
-    for one in beginnings:
-        for fluent, value in one.facts.items():
-            if facts.setdefault(fluent, value) != value:
-                raise InputError(f"{said[fluent]} and {one.name} begin with different values of {show(fluent)}: {facts[fluent]}, {value}")
-            said.setdefault(fluent, one.name)
-        for kind, names in one.objects.items():
-            objects[kind] = tuple(dict.fromkeys((*objects.get(kind, ()), *names)))
-        rules |= {str(rule): rule for rule in one.rules.rules}
-    return KnowledgeBase(facts, objects=objects, rules=Rules(tuple(rules.values())))
-
 
 _WORD: Final = re.compile(r"[^\s()]+")
 
@@ -169,15 +131,12 @@ def _in_equation(left: Expression, right: Expression) -> Iterator[Use]:
 
 
 def _in_effects(effects: Effects) -> Iterator[Use]:
-    for effect in effects:
+    for effect in every_effect(effects):
         match effect:
             case Set(fluent, value):
                 yield fluent, value.value if isinstance(value, Constant) else 0.0
                 yield from ((one, 0.0) for one in expression_fluents(value))
-            case When(condition, inner):
+            case When(condition):
                 yield from _in_condition(condition)
-                yield from _in_effects(inner)
-            case ForEach(_, inner):
-                yield from _in_effects(inner)
             case _:
-                assert_never(effect)
+                pass

@@ -11,38 +11,38 @@ from planner_bridge.planning.kairos import DEFAULT_PLANNER
 from planner_bridge.tasks.settings import OnChange
 from pnm.core.machine.machine import OnFailure
 from pnm.errors import InputError
-from pnm.ros.node.parameters import Parameter, ParameterValue
+from pnm.ros.node.parameters import NodeParameter, ParameterValue
 from pnm.tasks import OnConflict
 
 PARAMETERS: Final = (
-    Parameter("domain", "", "file with the domain, in PDDL"),
-    Parameter("problem", "", "file with the problem, in PDDL: the world as it is at first, and the goal when none is named"),
-    Parameter("bindings", "", "file that says how actions are bound to servers; by default bindings.yaml beside the domain"),
-    Parameter("sensing", "", "file that says what topics and services tell about the world"),
-    Parameter("goals", "", "YAML file with goals by name"),
-    Parameter("problems", ".", "folder in which problem/save and problem/load find files"),
-    Parameter("world", "", "YAML file with a domain and files of hand-written plans, each of which becomes an action server"),
-    Parameter("world_name", "", "which world of that file, if there are several", option="name"),
-    Parameter("knowledge", "", "SQLite file of the global knowledge, in place of what plans choose"),
-    Parameter("planner", DEFAULT_PLANNER, "kairos, any engine of unified-planning, race, or race:NAME,NAME"),
-    Parameter("planner_timeout", 30.0, "seconds the planner may take"),
-    Parameter("replans", 10, "how often the plan of a task may be replaced"),
-    Parameter("max_tasks", 8, "how many tasks are planned for and carried out at a time", least=1),
-    Parameter("max_queue", 100, "how many tasks may wait besides; more are refused"),
-    Parameter(
+    NodeParameter("domain", "", "file with the domain, in PDDL"),
+    NodeParameter("problem", "", "file with the problem, in PDDL: the world as it is at first, and the goal when none is named"),
+    NodeParameter("bindings", "", "file that says how actions are bound to servers; by default bindings.yaml beside the domain"),
+    NodeParameter("sensing", "", "file that says what topics and services tell about the world"),
+    NodeParameter("goals", "", "YAML file with goals by name"),
+    NodeParameter("problems", ".", "folder in which problem/save and problem/load find files"),
+    NodeParameter("world", "", "YAML file with a domain and files of hand-written plans, each of which becomes an action server"),
+    NodeParameter("world_name", "", "which world of that file, if there are several", option="name"),
+    NodeParameter("knowledge", "", "SQLite file of the global knowledge, in place of what plans choose"),
+    NodeParameter("planner", DEFAULT_PLANNER, "kairos, any engine of unified-planning, race, or race:NAME,NAME"),
+    NodeParameter("planner_timeout", 30.0, "seconds the planner may take"),
+    NodeParameter("replans", 10, "how often the plan of a task may be replaced"),
+    NodeParameter("max_tasks", 8, "how many tasks are planned for and carried out at a time", least=1),
+    NodeParameter("max_queue", 100, "how many tasks may wait besides; more are refused"),
+    NodeParameter(
         "on_failure", "continue_others", "what running actions do when another one of the task has failed",
         choices=tuple(one.value for one in OnFailure),
     ),
-    Parameter(
+    NodeParameter(
         "on_change", "eager", "whether a task plans anew as soon as its plan cannot work any more, or when it gets there",
         choices=tuple(one.value for one in OnChange),
     ),
-    Parameter(
+    NodeParameter(
         "on_conflict", "plan_around", "what becomes of a goal that cannot be pursued beside others, unless the goal says so",
         choices=tuple(one.value for one in OnConflict),
     ),
-    Parameter("cancel", 20.0, "seconds in which tasks have to end when the node is shut down"),
-    Parameter("autostart", True, "whether the node configures and activates itself"),
+    NodeParameter("cancel", 20.0, "seconds in which tasks have to end when the node is shut down"),
+    NodeParameter("autostart", True, "whether the node configures and activates itself"),
 )  # fmt: skip
 
 

@@ -103,18 +103,17 @@ NOTHING: Final = Problem("nothing", Domain("nothing"))
 """The problem of a node that has none, and carries out plans only."""
 
 
-class ServedProblem:
-    """The problem that goals are about, until another one is loaded.
+class CurrentProblem:
+    """The problem that goals are read in, until another one is loaded: reads goals, and answers plan requests.
 
-    The mutable state is the problem, in `_world` and `_maker`, and when it began.
+    The mutable state is the problem, in `world` and `_maker`, and when it began.
 
     Args:
         problem: the one to begin with.
         knowledge: what is known of its world.
         goals: texts of goals by name.
-        settings: planner and limit for plans that nobody carries out.
-        folder: where problems are saved, and loaded from.
-        plans: whose world it is while there is no problem.
+        settings: planner and time limit of plan requests.
+        plans: hand-written plans; while there is no problem, their declarations are the world's.
     """
 
     def __init__(
@@ -123,78 +122,97 @@ class ServedProblem:
         knowledge: KnowledgeBase,
         goals: Mapping[str, str],
         settings: Settings,
-        folder: Path,
         plans: Iterable[HandWrittenPlan] = (),
     ) -> None:
-        self._knowledge = knowledge
-        self._goals = goals
+        self.knowledge = knowledge
+        self.goals = goals
         self._settings = settings
-        self._folder = folder
         self._plans = tuple(plans)
-        self.begins_anew: Callable[[Problem], None] = lambda _: None
-        """Is told of another problem before it is begun; raises an `InputError` when that cannot be."""
-        self._begin(problem)
+        self.begin(problem)
 
-    def _begin(self, problem: Problem) -> None:
+    def begin(self, problem: Problem) -> None:
+        """Read goals in another problem from now on."""
         loop = asyncio.get_running_loop()
         began = loop.time()
+        self.problem = problem
         self._is_loaded = problem is not NOTHING
-        goals = self._goals if self._is_loaded else {}
+        goals = self.goals if self._is_loaded else {}
         world = problem if self._is_loaded else world_of_plans(self._plans)
-        self._world = SharedWorld(world, self._knowledge, goals, elapsed=lambda: loop.time() - began)
-        self._maker = Maker(problem, self._knowledge, self._settings, self.read_goal, began)
+        self.world = SharedWorld(world, self.knowledge, goals, elapsed=lambda: loop.time() - began)
+        self._maker = Maker(problem, self.knowledge, self._settings, self.read_goal, began)
 
     @property
-    def _loaded(self) -> SharedWorld:
-        if not self._is_loaded:
-            raise InputError("no domain and problem are loaded, only plans; expected them when the node starts, or by problem/load")
-        return self._world
-
-    def _world_of(self, texts: Sequence[str]) -> SharedWorld:
-        """Return the world in which texts are read."""
-        if self._is_loaded:
-            return self._world
-        return SharedWorld(with_names_of(self._world.problem, self._plans, texts), self._knowledge)
-
-    def read_goal(self, text: str) -> Condition:
-        """Return the goal that is meant.
+    def loaded(self) -> SharedWorld:
+        """The world of the problem.
 
         Raises:
-            InputError: it is none.
+            InputError: there are only plans, no problem.
         """
-        return self._loaded.read_goal(text)
+        if not self._is_loaded:
+            raise InputError("no domain and problem are loaded, only plans; expected them when the node starts, or by problem/load")
+        return self.world
+
+    def world_of(self, texts: Sequence[str]) -> SharedWorld:
+        """Return the world in which these texts are read: plans that declare no objects may be asked about any."""
+        if self._is_loaded:
+            return self.world
+        return SharedWorld(with_names_of(self.world.problem, self._plans, texts), self.knowledge)
+
+    def read_goal(self, text: str) -> Condition:
+        """Return the goal that a text or a name stands for.
+
+        Raises:
+            InputError: it is no goal of this problem.
+        """
+        return self.loaded.read_goal(text)
 
     async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:
-        """Look for a plan that nobody carries out."""
+        """Answer a plan request."""
         return await self._maker.make(goal, planner, seconds)
 
+
+class ServedProblem:
+    """The services about knowledge and problem of a node, as `pnm.tasks.ServedWorld`.
+
+    Args:
+        current: the problem, which `load` replaces.
+        folder: where problems are saved, and loaded from.
+        begin_anew: has the task manager take over another problem; raises an `InputError` if it cannot, and nothing changes.
+    """
+
+    def __init__(self, current: CurrentProblem, folder: Path, begin_anew: Callable[[Problem], None]) -> None:
+        self._current = current
+        self._folder = folder
+        self._begin_anew = begin_anew
+
     async def query(self, questions: Sequence[str], /) -> list[tuple[str, str]]:
-        """Return what is known of each question, in order; of everything that is known, when there are none."""
-        return self._world_of(questions).query(questions)
+        """Return the answer to each question, in order; without questions, all facts."""
+        return self._current.world_of(questions).query(questions)
 
     async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
-        """Record all of it at once or nothing; return how many of the facts are news."""
-        return self._world_of((*add, *remove, *forget)).update(add, remove, forget)
+        """Record all changes or none; return how many facts changed."""
+        return self._current.world_of((*add, *remove, *forget)).update(add, remove, forget)
 
     async def get(self) -> tuple[str, str]:
-        """Return domain and problem in PDDL, the problem as the world is now."""
-        return self._loaded.domain_text(), self._loaded.problem_text()
+        """Return domain and problem in PDDL, the problem with the current state as its initial state."""
+        return self._current.loaded.domain_text(), self._current.loaded.problem_text()
 
     async def save(self, file: str, /) -> str:
-        """Write the problem as the world is now to a file in the folder; return its whole path."""
-        return str(await asyncio.to_thread(write_inside, self._folder, file, self._loaded.problem_text()))
+        """Write the problem with the current state to a file in the folder; return its whole path."""
+        return str(await asyncio.to_thread(write_inside, self._folder, file, self._current.loaded.problem_text()))
 
     async def load(self, domain: str, problem: str, /) -> None:
-        """Begin anew with another domain or problem; goals with names must make sense in it as well."""
-        known = self._world.problem.domain if domain.strip() else self._loaded.problem.domain
+        """Replace domain or problem, and the facts; goals with names must make sense in the new ones as well."""
+        current = self._current
+        known = current.world.problem.domain if domain.strip() else current.loaded.problem.domain
         loaded = await asyncio.to_thread(load_texts, domain, problem, self._folder, known)
-        SharedWorld(loaded, initial_knowledge(loaded), self._goals)
-        self.begins_anew(loaded)
-        world = initial_knowledge(loaded)
-        self._knowledge.begin_anew(world.facts(), world.objects_by_type(), world.rules)
-        self._begin(loaded)
+        initial = initial_knowledge(loaded)
+        SharedWorld(loaded, initial, current.goals)  # raises what is wrong with the goals
+        self._begin_anew(loaded)  # may refuse, so it comes before the first change
+        current.knowledge.begin_anew(initial.facts(), initial.objects_by_type(), initial.rules)
+        current.begin(loaded)
 
     def follow(self, tell: Callable[[Mapping[str, object]], None], /) -> Callable[[], None]:
-        """Tell what changes from now on, as fields of a message; return what stops that."""
-        self._world.attend()
-        return self._knowledge.listen(lambda batch: tell(self._world.changes(batch)) if batch else None)
+        """Pass on every change from now on, as fields of a message; return a function that ends that."""
+        self._current.world.attend()
+        return self._current.knowledge.listen(lambda batch: tell(self._current.world.changes(batch)) if batch else None)

@@ -1,4 +1,4 @@
-"""`pnm serve`: a managed node that takes goals and plans over ROS 2, until somebody ends it."""
+"""`pnm serve`: a managed ROS 2 node that accepts goals and plans as tasks."""
 
 from __future__ import annotations
 
@@ -10,26 +10,25 @@ from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 from uuid import UUID
 
-from planner_bridge.cli.console import TaskConsole, Terminal
 from planner_bridge.loading import load
+from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
-from planner_bridge.node.initial_world import common_knowledge
 from planner_bridge.node.options import PARAMETERS, Options
-from planner_bridge.node.problem_service import NOTHING, ServedProblem
+from planner_bridge.node.problem_service import NOTHING, CurrentProblem, ServedProblem
 from planner_bridge.node.world_queries import read_goals
 from planner_bridge.planning.solve import check_planner
-from planner_bridge.tasks.plan_task import sources_of, together
+from planner_bridge.tasks.plan_task import merge_bindings, sources_of
 from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.scheduling.task_manager import Room as Places
-from planner_bridge.tasks.scheduling.task_manager import TaskMaster
+from planner_bridge.tasks.scheduling.task_manager import Room, TaskMaster
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.bindings_file import read_bindings
 from pnm.clock import short_pauses
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.verification.verify import Proof
 from pnm.errors import InputError, Tolerated
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import NO_SENSING
@@ -38,90 +37,120 @@ from pnm.knowledge.sources.router import Sources
 from pnm.knowledge.sources.source import Asker
 from pnm.language.plan import read_world
 from pnm.language.runner import Performer, Program
-from pnm.ros.backend import Ros2Site
+from pnm.ros.backend import Ros2Backend
 from pnm.ros.node.parameters import ParameterValue
-from pnm.tasks import Make, ServedWorld, Tasks
-
-Warn: TypeAlias = Callable[[Iterable[Tolerated]], None]
+from pnm.tasks import Make, ServedWorld, TaskListener, Tasks
 
 NODE: Final = "pnm"
 _PREPARED: Final = 1.0
-"""Seconds in which the action servers that are there are found; plans are offered before those come that are not there yet."""
-
-_LET_GO: Final = 0.5
-"""Seconds for tasks that have had their time to end when the node is shut down."""
+"""Seconds to find the action servers that plans need; the node offers its plans then, even if some servers are missing."""
+_CLOSING: Final = 0.5
+"""Seconds more for tasks that did not end within the parameter ``cancel`` when the node is shut down."""
 
 
 @dataclass(frozen=True)
-class Room:
-    """What all tasks of the node share."""
+class NodeContext:
+    """The resources that all tasks of a node share."""
 
     options: Options
     problem: Problem | None
     performer: Performer
-    """Of the plans of the world."""
+    """Runs the plans of the world."""
     bindings: Bindings
-    site: Ros2Site
+    site: Ros2Backend
     knowledge: KnowledgeBase
     sources: Sources
 
 
 @dataclass(frozen=True)
-class Opened:
-    """Who pursues goals, and what else the node offers besides."""
+class NodeApi:
+    """What a node offers over ROS 2: tasks, plan requests, and the knowledge of its world."""
 
     tasks: Tasks
     make: Make
     world: ServedWorld
     knowledge_of: Callable[[UUID], tuple[Layered, Asker] | None]
-    """Finds the run whose request it is."""
+    """Finds the run that sent a request."""
     close: Callable[[], Awaitable[None]]
 
 
-async def open_tasks(room: Room) -> Opened:
-    """Return who pursues goals and carries out plans. This is the one place where it is made."""
-    options = room.options
+class NodeObserver:
+    """Follows the life cycle of a node: one empty method per event. The command line has one that prints."""
+
+    def unconfigured(self) -> None:
+        """Note that the node waits for a lifecycle manager."""
+
+    def tolerated(self, warnings: Iterable[Tolerated]) -> None:
+        """Note what is doubtful in the files that were read."""
+
+    def proved(self, plan: str, proof: Proof) -> None:
+        """Note that the machine of a plan is verified."""
+
+    def activated(self, actions: tuple[str, ...]) -> None:
+        """Note that goals are accepted, by the action servers of these names."""
+
+    def deactivated(self) -> None:
+        """Note that goals are rejected and tasks are paused."""
+
+    def missing(self, server: str) -> None:
+        """Note that an action server that a plan needs is missing."""
+
+    def failed(self, error: BaseException) -> None:
+        """Note that the action servers that plans need cannot be used."""
+
+    def listener(self, tasks: Tasks) -> TaskListener:
+        """Return the listener for the events of tasks."""
+        return TaskListener()
+
+
+async def make_task_manager(context: NodeContext) -> NodeApi:
+    """Make the task manager of a node and the problem that it serves."""
+    options = context.options
     settings = Settings(
         options.planner,
         options.planner_timeout,
-        bindings=room.bindings,
+        bindings=context.bindings,
         limits=Limits(replans=options.replans),
         on_failure=options.on_failure,
         on_change=options.on_change,
     )
     goals = read_goals(options.goals) if options.goals else {}
-    problem = room.problem or NOTHING
+    plans = [program.plan for program in context.performer.programs.values()]
     try:
-        plans = [program.plan for program in room.performer.programs.values()]
-        world = ServedProblem(problem, room.knowledge, goals, settings, options.problems, plans)
+        current = CurrentProblem(context.problem or NOTHING, context.knowledge, goals, settings, plans)
     except InputError as error:
         raise InputError(f"{options.goals}: {error}") from error
-    places = Places(options.max_tasks, options.max_queue, options.on_conflict)
-    master = TaskMaster(
-        problem, room.knowledge, room.site, settings, world.read_goal, source=room.sources, room=places, performer=room.performer
+    manager = TaskMaster(
+        current.problem,
+        context.knowledge,
+        context.site,
+        settings,
+        current.read_goal,
+        source=context.sources,
+        room=Room(options.max_tasks, options.max_queue, options.on_conflict),
+        performer=context.performer,
     )
-    world.begins_anew = master.begin_anew
-    return Opened(master, world.make, world, master.knowledge_of, master.close)
+    world = ServedProblem(current, options.problems, manager.begin_anew)
+    return NodeApi(manager, current.make, world, manager.knowledge_of, manager.close)
 
 
-def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], terminal: Terminal, warn: Warn) -> None:
+def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], observer: NodeObserver) -> None:
     """Serve until SIGINT or SIGTERM, or a transition that shuts the node down; the second signal leaves at once.
 
     Args:
-        given: parameters that are not as they are by default; what ROS says about them comes before.
+        given: parameters that differ from their defaults; ROS arguments override them.
         arguments: for ROS 2, beginning with ``--ros-args``, or none.
-        terminal: where people read along.
-        warn: is told what in the files was not as it should be.
+        observer: follows the life cycle and the tasks of the node.
 
     Raises:
         InputError: a parameter or a file is wrong; nothing was served.
-        RosError: ROS 2 is not there, or somebody else serves the same.
+        RosError: ROS 2 is missing, or another process serves under the same names.
     """
-    asyncio.run(_serve(given, arguments, terminal, warn))
+    asyncio.run(_serve(given, arguments, observer))
 
 
-async def _serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], terminal: Terminal, warn: Warn) -> None:
-    from pnm.ros.node.ros_thread import RosThread
+async def _serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], observer: NodeObserver) -> None:
+    from pnm.ros.node.ros_thread import RosThread  # here, because rclpy is an extra
 
     task = asyncio.current_task()
     assert task is not None
@@ -129,134 +158,129 @@ async def _serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], 
         asyncio.get_running_loop().add_signal_handler(number, task.cancel)
     ros = RosThread(NODE, args=arguments, managed=True)
     try:
-        await _live(ros, given, terminal, warn)
+        await _run_lifecycle(ros, given, observer)
     except asyncio.CancelledError:
         task.uncancel()
     finally:
         await asyncio.to_thread(ros.close)
 
 
-async def _live(ros: Any, given: Mapping[str, ParameterValue], terminal: Terminal, warn: Warn) -> None:
+async def _run_lifecycle(ros: Any, given: Mapping[str, ParameterValue], observer: NodeObserver) -> None:
     from pnm.ros.node.lifecycle import Lifecycle  # here, because rclpy is an extra
     from pnm.ros.node.parameters import declare
 
     options = Options.of(await ros.ask(partial(declare, ros.node, PARAMETERS, given)))
-    lifecycle = Lifecycle(ros, Serving(ros, options, terminal, warn))
+    lifecycle = Lifecycle(ros, ServingNode(ros, options, observer))
     await lifecycle.open()
     try:
         if options.autostart:
             await lifecycle.change("configure")
             await lifecycle.change("activate")
         else:
-            terminal.print("unconfigured: waits for its transitions", highlight=False)
+            observer.unconfigured()
         with short_pauses():
             await lifecycle.finalized.wait()
     finally:
         await lifecycle.close()
 
 
-class Serving:
-    """What the node does in each state of its life cycle.
+class ServingNode:
+    """The transitions of the node's life cycle, as `pnm.ros.node.lifecycle.ManagedTransitions`.
 
-    The mutable state is what is open, in the order in which it was opened; what tasks are offered with; and the names of the actions.
+    The mutable state is the stack of open resources, the task node, and the names of its actions.
     """
 
-    def __init__(self, ros: Any, options: Options, terminal: Terminal, warn: Warn) -> None:
+    def __init__(self, ros: Any, options: Options, observer: NodeObserver) -> None:
         self._ros = ros
         self._options = options
-        self._terminal = terminal
-        self._warn = warn
+        self._observer = observer
         self._open = AsyncExitStack()
-        self._tasks: Any = None
-        self._names: tuple[str, ...] = ()
+        self._node: Any = None
+        self._actions: tuple[str, ...] = ()
 
     async def configure(self) -> None:
-        """Read and check all files, and bring up what rejects goals until the node is activated."""
+        """Read and check all files, and bring up the actions, which reject goals until the node is activated."""
         async with AsyncExitStack() as stack:
-            room = await self._room(stack)
-            await self._offer(room, stack)
+            context = await self._open_context(stack)
+            await self._open_node(context, stack)
             self._open = stack.pop_all()
 
     async def activate(self) -> None:
-        """Take goals, and let tasks go on."""
-        await self._tasks.activate()
-        self._say(f"ready: {len(self._names)} action servers: {', '.join(self._names)}")
+        """Accept goals, and resume tasks."""
+        await self._node.activate()
+        self._observer.activated(self._actions)
 
     async def deactivate(self) -> None:
         """Reject goals, and pause tasks."""
-        await self._tasks.deactivate()
-        self._say("inactive: goals are rejected, and tasks are paused")
+        await self._node.deactivate()
+        self._observer.deactivated()
 
     async def cleanup(self) -> None:
-        """Cancel tasks, and let go of everything."""
+        """Cancel tasks, and close all resources."""
         await self._open.aclose()
 
-    async def _room(self, stack: AsyncExitStack) -> Room:
+    async def _open_context(self, stack: AsyncExitStack) -> NodeContext:
         options = self._options
         await _check_planner(options.planner)
         world = read_world(options.world, options.world_name) if options.world else None
         plans = tuple(world.plans.values()) if world else ()
         problem = load(options.domain, options.problem) if options.domain and options.problem else None
-        self._warn(dict.fromkeys(warning for one in (*plans, *((problem,) if problem else ())) for warning in one.warnings))
+        models = (*plans, *((problem,) if problem else ()))
+        self._observer.tolerated(dict.fromkeys(warning for model in models for warning in model.warnings))
         programs = {plan.name: Program.of(plan) for plan in plans}
         for name, program in programs.items():
-            self._terminal.print(f"[bold]plan[/]     {name}: proved {program.proof}", highlight=False, soft_wrap=True)
-        bindings = _bindings(options, problem).before(together(plans))
-        knowledge = common_knowledge(plans, problem)
+            self._observer.proved(name, program.proof)
+        bindings = _bindings(options, problem).before(merge_bindings(plans))
+        knowledge = initial_knowledge(*((problem,) if problem else ()), *plans)
         sensing = read_sensing(options.sensing, problem.vocabulary if problem else None) if options.sensing else NO_SENSING
-        site = Ros2Site(bindings, sensing, self._ros)
+        site = Ros2Backend(bindings, sensing, self._ros)
         stack.push_async_callback(site.close)
         await site.open(knowledge)
         folder = (options.world or options.domain or Path()).parent
         sources = open_sources(sources_of(plans), Surroundings(self._ros, folder), options.knowledge)
         stack.push_async_callback(sources.close)
-        return Room(options, problem, Performer(programs, site, knowledge, sources), bindings, site, knowledge, sources)
+        return NodeContext(options, problem, Performer(programs, site, knowledge, sources), bindings, site, knowledge, sources)
 
-    async def _offer(self, room: Room, stack: AsyncExitStack) -> None:
+    async def _open_node(self, context: NodeContext, stack: AsyncExitStack) -> None:
         from pnm.ros.action_server.goal_server import check_alone  # here, because rclpy is an extra
         from pnm.ros.tasks.task_node import TaskNode, action_names
 
-        tasks, plans = await self._ros.ask(partial(action_names, self._ros, room.performer.programs))
-        self._names = (*tasks, *plans.values())
-        await check_alone(self._ros, self._names)
-        opened = await open_tasks(room)
-        await self._share(room, opened)
-        await self._prepare(room.performer, stack)
-        self._tasks = TaskNode(self._ros, opened.tasks, opened.make, opened.world, plans)
-        stack.push_async_callback(_let_go, opened.close)
-        stack.callback(opened.tasks.listen(TaskConsole(self._terminal, opened.tasks)))
-        stack.push_async_callback(self._tasks.close, room.options.cancel)
-        await self._tasks.open()
+        performer = context.performer
+        task_actions, plan_actions = await self._ros.ask(partial(action_names, self._ros, performer.programs))
+        self._actions = (*task_actions, *plan_actions.values())
+        await check_alone(self._ros, self._actions)
+        api = await make_task_manager(context)
 
-    async def _share(self, room: Room, opened: Opened) -> None:
-        """Let action servers ask what whoever has sent them a goal knows."""
+        def knowledge_of(request: UUID) -> tuple[Layered, Asker] | None:
+            return performer.knowledge_of(request) or api.knowledge_of(request)
 
-        def find(request: UUID) -> tuple[Layered, Asker] | None:
-            found = room.performer.knowledge_of(request)
-            return opened.knowledge_of(request) if found is None else found
-
-        await room.site.share(room.performer.prefix, find, room.sources)
+        await context.site.share(performer.prefix, knowledge_of, context.sources)
+        await self._prepare(performer, stack)
+        self._node = TaskNode(self._ros, api.tasks, api.make, api.world, plan_actions)
+        # The stack closes in reverse: first the node, which gives tasks their time to end and answers all goals;
+        # then what prints, so that it has seen every task end; then the task manager.
+        stack.push_async_callback(_close_in_time, api.close)
+        stack.callback(api.tasks.listen(self._observer.listener(api.tasks)))
+        stack.push_async_callback(self._node.close, context.options.cancel)
+        await self._node.open()
 
     async def _prepare(self, performer: Performer, stack: AsyncExitStack) -> None:
-        """Look for the action servers that the plans need, and tell later which are missing."""
+        """Look for the action servers that the plans need; report later which are missing."""
         preparing = asyncio.ensure_future(performer.prepare())
         stack.callback(preparing.cancel)
         await asyncio.wait((preparing,), timeout=_PREPARED)
         if preparing.done():
             preparing.result()  # raises what is wrong
-        preparing.add_done_callback(self._miss)
+        preparing.add_done_callback(self._prepared)
 
-    def _miss(self, preparing: asyncio.Future[tuple[str, ...]]) -> None:
+    def _prepared(self, preparing: asyncio.Future[tuple[str, ...]]) -> None:
         if preparing.cancelled():
             return
         if error := preparing.exception():
-            self._terminal.print(f"[bold red]wrong[/]    {error}", highlight=False, soft_wrap=True)
+            self._observer.failed(error)
             return
         for name in preparing.result():
-            self._terminal.print(f"[bold yellow]missing[/]  there is no action server {name} yet", highlight=False, soft_wrap=True)
-
-    def _say(self, text: str) -> None:
-        self._terminal.print(text, highlight=False, soft_wrap=True, markup=False)
+            self._observer.missing(name)
 
 
 async def _check_planner(planner: str) -> None:
@@ -267,10 +291,10 @@ async def _check_planner(planner: str) -> None:
         cancel.set()
 
 
-async def _let_go(close: Callable[[], Awaitable[None]]) -> None:
-    """Close what pursues tasks; those that have not ended in their time by now are not waited for."""
+async def _close_in_time(close: Callable[[], Awaitable[None]]) -> None:
+    """Close the task manager; tasks that have not ended by now are left alone."""
     with suppress(TimeoutError):
-        async with asyncio.timeout(_LET_GO):
+        async with asyncio.timeout(_CLOSING):
             await close()
 
 

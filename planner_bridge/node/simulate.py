@@ -16,11 +16,12 @@ from pathlib import Path
 from typing import TextIO
 
 from planner_bridge.model.grounding import ground_action, initial_knowledge, modelled_duration
-from planner_bridge.model.problem import ActionSchema, Problem
+from planner_bridge.model.problem import Problem
 from planner_bridge.simulation import robots_of
 from pnm.actions.faults import Faults
 from pnm.actions.simulated_robots import SimulatedRobots
-from pnm.core.knowledge_base import show_statement
+from pnm.core.knowledge_base import statement_text
+from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.bindings import Bindings, placeholders
 from pnm.core.machine.plan_graph import GroundAction
@@ -49,9 +50,7 @@ def play(problem: Problem, bindings: Bindings, faults: Faults, speed: float, log
 
 
 async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: float, log: TextIO | None) -> None:
-    from pnm.ros.action_server.simulated_servers import ActionServers, Offer  # here, because rclpy is an extra
-    from pnm.ros.action_server.state_publisher import StatePublisher
-    from pnm.ros.node.ros_thread import RosThread
+    from pnm.ros.node.ros_thread import RosThread  # here, because rclpy is an extra
 
     loop = asyncio.get_running_loop()
     stopped = asyncio.Event()
@@ -60,21 +59,22 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
     robots = robots_of(problem, bindings, faults, speed=speed)
     ros = RosThread("robots")
     try:
+        from pnm.ros.action_server.simulated_servers import Offer, SimulatedServers, publish_state  # needs rclpy, which is there by now
+
         logged = LoggedRobots(robots, log)
-        servers = ActionServers(ros, logged, loop, robots.progress)
-        found = serving(problem, bindings)
-        publisher = StatePublisher(ros, loop, robots.world, robots.world.reported(bindings.assumed))
-        await publisher.open(robots.begin)  # before the servers: who finds them shall know the world
-        await servers.offer([Offer(one.server, one.type, one.decode) for one in found])
-        print(f"ready: {len(found)} action servers: {', '.join(one.server for one in found)}", flush=True)
+        models = server_models(problem, bindings)
+        # The state before the servers: a client that finds them shall know the world.
+        await publish_state(ros, robots.world, robots.world.reported(bindings.assumed), robots.begin)
+        await SimulatedServers(ros, logged, robots.progress).open([Offer(model.server, model.type, model.decode) for model in models])
+        print(f"ready: {len(models)} action servers: {', '.join(model.server for model in models)}", flush=True)
         await stopped.wait()
-        logged.write("state", facts=sorted(starmap(show_statement, robots.world.truth.facts().items())))
+        logged.write("state", facts=sorted(starmap(statement_text, robots.world.truth.facts().items())))
     finally:
-        await asyncio.to_thread(ros.close)  # it may be waiting for an answer of this loop
+        await asyncio.to_thread(ros.close)  # not on this thread: the ROS thread may be waiting for this loop
 
 
 @dataclass(frozen=True)
-class Serving:
+class ServerModel:
     """One action server and the schemas it may perform, each with the arguments its name fixes."""
 
     server: str
@@ -123,7 +123,7 @@ def _arguments(schema: ActionSchema, bindings: Bindings, data: Mapping[str, obje
     return found
 
 
-def serving(problem: Problem, bindings: Bindings) -> list[Serving]:
+def server_models(problem: Problem, bindings: Bindings) -> list[ServerModel]:
     """Return every action server that performs an action of the problem."""
     found: dict[str, list[tuple[ActionSchema, Mapping[str, str]]]] = {}
     types: dict[str, str] = {}
@@ -132,7 +132,7 @@ def serving(problem: Problem, bindings: Bindings) -> list[Serving]:
             server = (bindings.of(schema.name).server or schema.name).format_map(fixed)
             found.setdefault(server, []).append((schema, fixed))
             types.setdefault(server, bindings.of(schema.name).type or DEFAULT_TYPE)
-    return [Serving(server, types[server], tuple(choices), problem, bindings) for server, choices in found.items()]
+    return [ServerModel(server, types[server], tuple(choices), problem, bindings) for server, choices in found.items()]
 
 
 def _fixed(problem: Problem, schema: ActionSchema, bindings: Bindings) -> Iterator[dict[str, str]]:
@@ -196,4 +196,4 @@ class LoggedRobots:
         self._clashes = len(self.robots.clashes)
 
     def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
-        self.write("change", facts=sorted(starmap(show_statement, changes.items())))
+        self.write("change", facts=sorted(starmap(statement_text, changes.items())))

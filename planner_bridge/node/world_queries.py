@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import Final, assert_never
+from typing import Final
 
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.problem import Problem
@@ -20,10 +20,11 @@ from planner_bridge.pddl.read.symbols import SymbolTable
 from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Group, Node, parse, wrong
 from planner_bridge.pddl.syntax.words import number, number_text, operands
-from pnm.core.knowledge_base import KnowledgeBase, show_statement
-from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, evaluate
-from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Unknown, Value, show
-from pnm.errors import InputError, Position, meant
+from pnm.core.knowledge_base import KnowledgeBase, statement_text
+from pnm.core.logic.conditions import Condition, Exists, ForAll, operands_of
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Unknown, Value, fluent_text
+from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import load_yaml
 
 MAX_TEXTS: Final = 10_000
@@ -90,7 +91,7 @@ class SharedWorld:
         """
         _bounded(questions, "questions")
         if not questions:
-            return [(show(fluent), _said(value)) for fluent, value in self._knowledge.facts().items()]
+            return [(fluent_text(fluent), _said(value)) for fluent, value in self._knowledge.facts().items()]
         read = [self._question(_single(text, f"questions[{index}]")) for index, text in enumerate(questions)]
         return [(text, _said(self._answer(question))) for text, question in zip(questions, read, strict=True)]
 
@@ -114,7 +115,7 @@ class SharedWorld:
                         continue
                     value = UNDEFINED
                 if changes.setdefault(fluent, value) != value:
-                    raise wrong(node, f"another one of the changes says something else of {show(fluent)}")
+                    raise wrong(node, f"another one of the changes says something else of {fluent_text(fluent)}")
         return len(self._knowledge.update(changes))
 
     def attend(self) -> None:
@@ -132,19 +133,19 @@ class SharedWorld:
         for fluent, value in batch.items():
             before = self._objects.pop(fluent, UNDEFINED)
             if before not in (UNDEFINED, value) and value is not UNKNOWN:
-                removed.append(show_statement(fluent, before))
+                removed.append(statement_text(fluent, before))
             match value:
                 case Unknown():
-                    unknown.append(show(fluent))
+                    unknown.append(fluent_text(fluent))
                 case bool():
-                    (added if value else removed).append(show(fluent))
+                    (added if value else removed).append(fluent_text(fluent))
                 case str():
                     if value != UNDEFINED:
                         self._objects[fluent] = value
                     if value != UNDEFINED or before == UNDEFINED:  # nobody knew whether it has an object: it has none
-                        added.append(show_statement(fluent, value))
+                        added.append(statement_text(fluent, value))
                 case _:
-                    numbers[show(fluent)] = float(value)
+                    numbers[fluent_text(fluent)] = float(value)
         return {"added": added, "removed": removed, "unknown": unknown, "fluents": [*numbers], "values": [*numbers.values()]}
 
     # --- domain, problem and goals ---------------------------------------------------------------
@@ -170,7 +171,7 @@ class SharedWorld:
             return self._goals[text]
         if text[0] not in "(;":
             known = f"expected one of {', '.join(self._goals)}, or a condition" if self._goals else ""
-            hint = meant(text, self._goals) or known or "expected a condition such as (at r1 kitchen)"
+            hint = suggestion(text, self._goals) or known or "expected a condition such as (at r1 kitchen)"
             raise InputError(f"there is no goal {text[:80]!r}; {hint}", Position("goal", 1, 1))
         return self._condition(text, "goal")
 
@@ -191,20 +192,12 @@ class SharedWorld:
             raise wrong(node, f"its quantifiers range over more than {MAX_CHOICES} choices of objects")
         return found
 
-    def _choices(self, found: Condition) -> int:
-        match found:
-            case Holds() | Compare() | Computed():
-                return 1
-            case Not(operand):
-                return self._choices(operand)
-            case All(operands) | Any(operands):
-                return sum(map(self._choices, operands))
-            case Implies(left, right):
-                return self._choices(left) + self._choices(right)
-            case ForAll(variables, body) | Exists(variables, body):
-                return self._choices(body) * prod(len(self._knowledge.objects(variable.types)) for variable in variables)
-            case _:
-                assert_never(found)
+    def _choices(self, condition: Condition) -> int:
+        """Return how many facts and comparisons the condition becomes without quantifiers."""
+        inner = sum(map(self._choices, operands_of(condition))) if operands_of(condition) else 1
+        if isinstance(condition, ForAll | Exists):
+            return inner * prod(len(self._knowledge.objects(variable.types)) for variable in condition.variables)
+        return inner
 
     def _answer(self, question: Condition | Function) -> Value | Unknown:
         if not isinstance(question, Function):
@@ -229,7 +222,7 @@ class SharedWorld:
             return self._fact(node), False
         fluent, value = self._added(node)
         if not isinstance(value, str):
-            raise wrong(node, f"{show(fluent)} always has a number; expected it among what is added or forgotten")
+            raise wrong(node, f"{fluent_text(fluent)} always has a number; expected it among what is added or forgotten")
         return fluent, value
 
     def _forgotten(self, node: Node) -> tuple[Fluent, Unknown]:

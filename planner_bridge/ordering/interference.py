@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import assert_never
 
 from planner_bridge.model.forbidden_actions import changed, guarded, unused
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.model.problem import Declaration, Problem
+from planner_bridge.model.problem import Problem
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents
-from pnm.core.logic.effects import Effects, ForEach, Set, When, assignments, read, unconditional
-from pnm.core.logic.expressions import NOTHING, Constant, Environment, Fluent, State, bind, choices, show
+from pnm.core.logic.conditions import Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents, operands_of
+from pnm.core.logic.domain import Declaration
+from pnm.core.logic.effects import Effects, ForEach, Set, When, possible_assignments, read
+from pnm.core.logic.expressions import NOTHING, Constant, Environment, Fluent, State, bind, choices, fluent_text
 from pnm.core.machine.plan_graph import ActionCall
 
 
@@ -44,9 +44,9 @@ class Footprint:
 def conflict(mine: Footprint, other: Footprint) -> str:
     """Say what stands in the way of carrying out both plans at once; empty when nothing does."""
     if disturbed := other.disturbed_by(mine):
-        return f"it would change {show(disturbed)}, which the other needs"
+        return f"it would change {fluent_text(disturbed)}, which the other needs"
     if disturbed := mine.disturbed_by(other):
-        return f"it needs {show(disturbed)}, which the other is going to change"
+        return f"it needs {fluent_text(disturbed)}, which the other is going to change"
     return ""
 
 
@@ -86,9 +86,6 @@ def _needed(condition: Condition, value: bool, state: State, env: Environment = 
             yield bind(fluent, env), value
         case Not(inner):
             yield from _needed(inner, not value, state, env)
-        case All(parts) | Any(parts):
-            for part in parts:
-                yield from _needed(part, value, state, env)
         case Implies(condition, then):
             yield from _needed(condition, not value, state, env)
             yield from _needed(then, value, state, env)
@@ -98,12 +95,13 @@ def _needed(condition: Condition, value: bool, state: State, env: Environment = 
         case Compare() | Computed():
             yield from ((fluent, None) for fluent in fluents(condition, state, env))
         case _:
-            assert_never(condition)
+            for part in operands_of(condition):
+                yield from _needed(part, value, state, env)
 
 
 def _written(effects: Effects, state: State) -> dict[Fluent, set[bool | None]]:
     found: dict[Fluent, set[bool | None]] = {}
-    for fluent, effect, _ in assignments(unconditional(effects), state):
+    for fluent, effect, _ in possible_assignments(effects, state):
         value = effect.value.value if isinstance(effect.value, Constant) else None
         found.setdefault(fluent, set()).add(value if isinstance(value, bool) else None)
     return found
@@ -121,7 +119,7 @@ def around(problem: Problem, others: Iterable[Footprint]) -> Problem:
     return problem
 
 
-def at_best(problem: Problem, under_way: Iterable[ActionCall]) -> Problem:
+def optimistic_state(problem: Problem, under_way: Iterable[ActionCall]) -> Problem:
     """Return a problem that begins when these calls are over, with every fact that may be so then.
 
     That is what they make true when they end well, and what they had made false when they do not.

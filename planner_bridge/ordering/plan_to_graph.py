@@ -17,7 +17,7 @@ from planner_bridge.ordering.causal_links import Causes, Kept, Kind
 from planner_bridge.ordering.enclosing_actions import tightened
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import fluents, names
-from pnm.core.logic.effects import Effects, ForEach, Set, When, written
+from pnm.core.logic.effects import Effects, Set, When, every_effect, written
 from pnm.core.logic.expressions import UNKNOWN, Fluent, expression_fluents
 from pnm.core.logic.rules import Rules
 from pnm.core.logic.trajectory import instances, names_in
@@ -143,14 +143,14 @@ def _relevant(problem: Problem) -> frozenset[str]:
 def _asked(effects: Effects) -> list[str]:
     """Return the names that effects read, a number's own increase left out."""
     found: list[str] = []
-    for effect in effects:
+    for effect in every_effect(effects):
         match effect:
             case Set(fluent, value, operation):
                 found += [one[0] for one in expression_fluents(value)]
                 if operation not in ("increase", "decrease"):
                     found.append(fluent[0])
-            case When(condition, inner):
-                found += [*names(condition), *_asked(inner)]
-            case ForEach(_, inner):
-                found += _asked(inner)
+            case When(condition):
+                found += names(condition)
+            case _:
+                pass
     return found

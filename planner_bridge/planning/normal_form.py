@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 from itertools import chain, count
 from typing import Final
 
-from planner_bridge.model.problem import ActionSchema, Metric, Problem
+from planner_bridge.model.problem import Metric, Problem
 from pnm.core.logic.conditions import TRUE, All, Compare, Condition, Exists, Not, conjuncts, every_part, ground, names
+from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import Effects, ForEach, Set, When, ground_effects
 from pnm.core.logic.expressions import Arithmetic, Constant, Expression, Fluent, ValueOf, Variable, bind, expression_fluents
 

@@ -7,8 +7,9 @@ from typing import Final
 
 from planner_bridge.model.grounding import initial_knowledge, modelled_duration
 from planner_bridge.model.plan import Plan, PlanStep
-from planner_bridge.model.problem import ActionSchema, Problem
-from pnm.errors import InputError, Position, meant
+from planner_bridge.model.problem import Problem
+from pnm.core.logic.domain import ActionSchema
+from pnm.errors import InputError, Position, suggestion
 
 _LINE: Final = re.compile(r"\s*(?:(?P<time>[0-9.eE+-]+)\s*:)?\s*\((?P<call>[^()]*)\)\s*(?:\[(?P<duration>[0-9.eE+-]+)\])?\s*")
 _APART: Final = 0.001
@@ -49,7 +50,7 @@ def _step(line: str, problem: Problem, position: Position, now: float) -> PlanSt
     schema = problem.domain.actions.get(action)
     if schema is None:
         hint = (
-            meant(action, problem.domain.actions)
+            suggestion(action, problem.domain.actions)
             or f"expected one of {', '.join(problem.domain.actions) or 'none, for there is no domain'}"
         )
         raise InputError(f"there is no action {action!r}; {hint}", position)
@@ -68,7 +69,7 @@ def _check(schema: ActionSchema, arguments: tuple[str, ...], problem: Problem, p
     for variable, argument in zip(schema.parameters, arguments, strict=True):
         fitting = {name for kind in variable.types for name in problem.objects_by_type.get(kind, ())}
         if argument not in fitting:
-            hint = meant(argument, fitting) or f"expected one of {', '.join(sorted(fitting)[:8]) or 'none, for there are none'}"
+            hint = suggestion(argument, fitting) or f"expected one of {', '.join(sorted(fitting)[:8]) or 'none, for there are none'}"
             raise InputError(f"{argument!r} is no object for {variable.name} of {schema.name}; {hint}", position)
 
 

@@ -33,7 +33,7 @@ from planner_bridge.planning.engines import ENGINES, Feature, problem_kind, requ
 from planner_bridge.planning.kairos import DEFAULT_PLANNER
 from planner_bridge.planning.search import search
 from planner_bridge.planning.validate import validated
-from pnm.errors import InputError, meant
+from pnm.errors import InputError, suggestion
 
 _GRACE: Final = 2.0
 """Seconds that a process gets to end by itself once the stop file is there."""
@@ -130,7 +130,7 @@ def _known(planners: tuple[str, ...]) -> tuple[str, ...]:
     for name in planners:
         if name != DEFAULT_PLANNER and name not in ENGINES:
             known = (DEFAULT_PLANNER, *ENGINES)
-            hint = meant(name, known)
+            hint = suggestion(name, known)
             raise InputError(f"{name!r} cannot take part in a race; these can: {', '.join(known)}{f'; {hint}' if hint else ''}")
     return tuple(dict.fromkeys(planners))
 

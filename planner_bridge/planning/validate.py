@@ -36,14 +36,15 @@ import kairos
 from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
 from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, expected_and_observed, snapshot
-from planner_bridge.model.problem import ActionSchema, Problem
+from planner_bridge.model.problem import Problem
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.plan_text import plan_text
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TOLERANCE, evaluate
-from pnm.core.logic.effects import assignments, unconditional
-from pnm.core.logic.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, show, value_of
-from pnm.core.logic.trajectory import Constraint, moments, seen_of
+from pnm.core.logic.domain import ActionSchema
+from pnm.core.logic.effects import assignments, possible_assignments
+from pnm.core.logic.evaluation import TOLERANCE, evaluate
+from pnm.core.logic.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, fluent_text, value_of
+from pnm.core.logic.trajectory import Constraint, moments, observed_of
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
 from pnm.errors import PnmError
 
@@ -85,9 +86,9 @@ def _check_constraints(constraints: Iterable[Constraint], states: Iterator[tuple
     progression = ConstraintProgression(constraints, state, time)
     for time, state in states:
         if violated := progression.advance(state, time):
-            raise InvalidPlan(f"{violated} is violated at {time:g} s: {seen_of(violated, state)}")
+            raise InvalidPlan(f"{violated} is violated at {time:g} s: {observed_of(violated, state)}")
     for constraint in progression.unfulfilled(state, time):
-        raise InvalidPlan(f"{constraint} is not fulfilled at the end: {seen_of(constraint, state)}")
+        raise InvalidPlan(f"{constraint} is not fulfilled at the end: {observed_of(constraint, state)}")
 
 
 def _states(problem: Problem, plan: Plan, samples: Iterable[float] = ()) -> Iterator[tuple[float, KnowledgeBase]]:
@@ -113,7 +114,7 @@ def _states(problem: Problem, plan: Plan, samples: Iterable[float] = ()) -> Iter
             raise InvalidPlan(f"{steps[error.call]} cannot {error.stage}{when}: {error}") from error
         for fluent, value in changes.items():
             if value is UNKNOWN and fluent[0].lower() != _MAY_BE_UNSET:
-                raise InvalidPlan(f"{show(fluent)} is changed{when}, but it has no value, or is given none")
+                raise InvalidPlan(f"{fluent_text(fluent)} is changed{when}, but it has no value, or is given none")
         yield happening.time, simulation.state
     if evaluate(problem.goal, simulation.state) is not True:
         raise InvalidPlan(f"the goal does not hold at the end: {expected_and_observed(problem.goal, simulation.state)}")
@@ -235,7 +236,7 @@ def _check_interference(happening: _Happening, steps: Sequence[_Step], simulatio
         effects = action.start_effects if starts else action.end_effects
         for fluent, effect, _ in assignments(effects, recorder):
             writers.setdefault(fluent, []).append((event.call, _kind_of_change(effect.operation, effect.value)))
-        for _, effect, env in assignments(unconditional(effects), recorder):
+        for _, effect, env in possible_assignments(effects, recorder):
             value_of(effect.value, recorder, env)
         for fluent in recorder.read:
             readers.setdefault(fluent, []).append(event.call)
@@ -247,7 +248,9 @@ def _check_interference(happening: _Happening, steps: Sequence[_Step], simulatio
         kinds = {kind for _, kind in written}
         if len(involved) > 1 and (read or len(kinds) > 1 or kinds == {"assign"}):
             first, second = ("what changes by itself" if call == _BY_ITSELF else f"{steps[call]}" for call in sorted(involved)[:2])
-            raise InvalidPlan(f"{first} and {second} get in each other's way{when}: both have to do with {show(fluent)}, which changes")
+            raise InvalidPlan(
+                f"{first} and {second} get in each other's way{when}: both have to do with {fluent_text(fluent)}, which changes"
+            )
 
 
 def _kind_of_change(operation: str, value: Expression) -> str:

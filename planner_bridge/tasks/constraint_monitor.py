@@ -17,15 +17,16 @@ from typing import Final
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.grounding import problem_now
-from planner_bridge.model.problem import Preference, Problem
+from planner_bridge.model.problem import Problem
 from planner_bridge.tasks.replanning import Progress, why_not
 from planner_bridge.tasks.result import ConstraintResult, PreferenceResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.actions.backend import schedule
 from pnm.clock import TimeLimit
 from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.domain import Preference
 from pnm.core.logic.expressions import NOTHING, Environment, choices
-from pnm.core.logic.trajectory import Constraint, Watch, instances, is_fulfilled, names_in, seen_of, shifted
+from pnm.core.logic.trajectory import Constraint, ConstraintProgress, instances, is_fulfilled, names_in, observed_of, shifted
 from pnm.tasks import Code
 
 SETTLING: Final = 0.01
@@ -39,7 +40,7 @@ class _Watched:
     constraint: Constraint
     names: frozenset[str]
     """The predicates and functions it mentions."""
-    watch: Watch
+    watch: ConstraintProgress
     violation: Violation | None = None
 
     @property
@@ -64,7 +65,7 @@ class Monitor:
         self._looked = False
 
     def _instance(self, constraint: Constraint, env: Environment = NOTHING) -> list[_Watched]:
-        return [_Watched(one, names_in(one), Watch((one,))) for one in instances(constraint, self._knowledge, env)]
+        return [_Watched(one, names_in(one), ConstraintProgress((one,))) for one in instances(constraint, self._knowledge, env)]
 
     def _instances(self, preference: Preference) -> list[list[_Watched]]:
         wanted = preference.wanted
@@ -102,7 +103,7 @@ class Monitor:
         if before.violated or not watched.watch.violated:
             return None
         time = now if before.doubtful_since is None else before.doubtful_since
-        watched.violation = Violation(watched.constraint, time, seen_of(watched.constraint, self._knowledge))
+        watched.violation = Violation(watched.constraint, time, observed_of(watched.constraint, self._knowledge))
         return watched.violation
 
     def _lag(self, watched: _Watched) -> float:
@@ -156,7 +157,7 @@ class Monitor:
     def _violation(self, watched: _Watched, now: float) -> Violation | None:
         if watched.violation or is_fulfilled(watched.watch.rest, self._knowledge, now):
             return watched.violation
-        return Violation(watched.constraint, now, seen_of(watched.constraint, self._knowledge))
+        return Violation(watched.constraint, now, observed_of(watched.constraint, self._knowledge))
 
     def preference_results(self, now: float) -> tuple[PreferenceResult, ...]:
         """Return what became of the preferences of every name if the task ends now; those of actions are not monitored."""

@@ -15,7 +15,7 @@ from planner_bridge.ordering.interference import Footprint
 from planner_bridge.tasks.replanning import History
 from planner_bridge.tasks.result import Stopwatch
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from pnm.actions.backend import Site
+from pnm.actions.backend import Backend
 from pnm.core.execution.resources import Resources
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.plan_graph import ActionCall
@@ -133,7 +133,7 @@ class Mission:
     """
 
     problem: Problem
-    site: Site
+    site: Backend
     settings: Settings
     observer: TaskObserver
     seconds: Stopwatch

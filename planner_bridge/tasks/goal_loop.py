@@ -26,7 +26,7 @@ from planner_bridge.tasks.settings import OnChange
 from planner_bridge.tasks.task_history import Chronicle, Way, sentence, tries_again
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.run import Run
-from pnm.core.logic.conditions import evaluate
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.plan_graph import PlanGraph, PlanGraphError
 from pnm.core.machine.verification.explore import Unsound

@@ -13,7 +13,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping
 from enum import Enum, auto
-from typing import Final, assert_never
+from typing import assert_never
 
 from planner_bridge.model.plan_simulation import NotProjectable
 from planner_bridge.ordering.interference import Footprint, footprint
@@ -26,14 +26,15 @@ from planner_bridge.tasks.replanning import GiveUp, History, Progress, Resume, d
 from planner_bridge.tasks.settings import OnChange
 from planner_bridge.tasks.task_history import Chronicle, Way
 from pnm.core.execution.call_requests import UnderWay
-from pnm.core.execution.call_results import HANDED_OVER, RUNNING, Failure, RunResult
+from pnm.core.execution.call_results import Failure, RunResult
 from pnm.core.execution.events import Observer
 from pnm.core.execution.run import Run
-from pnm.core.logic.conditions import evaluate, names
-from pnm.core.logic.effects import assignments, names_written, unconditional
+from pnm.core.logic.conditions import names
+from pnm.core.logic.effects import names_written, possible_assignments
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import OnFailure, Rule
+from pnm.core.machine.machine import CallOutcome, OnFailure, Rule
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph, PlanGraphError
 from pnm.core.machine.requests import Outcome, Report, Request
 from pnm.core.machine.verification.explore import Unsound
@@ -117,11 +118,11 @@ def is_relevant(progress: Progress, changed: Mapping[Fluent, object]) -> bool:
 
 def is_foreseen(progress: Progress, changed: Mapping[Fluent, Value | Unknown], state: State) -> bool:
     """Tell whether calls that have begun are what makes these changes: each to what one of them writes, or a number it computes."""
-    begun = [one.call for one in progress.calls if one.outcome != "waiting" and _writes(one.call) & {fluent[0] for fluent in changed}]
+    mentioned = {fluent[0] for fluent in changed}
+    begun = [one.call for one in progress.calls if one.kind is not CallOutcome.WAITING and _writes(one.call) & mentioned]
     written: dict[Fluent, list[Value | None]] = {}
     for call in begun:
-        effects = unconditional((*call.action.start_effects, *call.action.end_effects))
-        for fluent, effect, _ in assignments(effects, state):
+        for fluent, effect, _ in possible_assignments((*call.action.start_effects, *call.action.end_effects), state):
             written.setdefault(fluent, []).append(effect.value.value if isinstance(effect.value, Constant) else None)
     return all(value in written.get(fluent, ()) or None in written.get(fluent, ()) for fluent, value in changed.items())
 
@@ -133,9 +134,6 @@ def _reads(call: ActionCall) -> frozenset[str]:
 
 def _writes(call: ActionCall) -> frozenset[str]:
     return names_written((*call.action.start_effects, *call.action.end_effects))
-
-
-_BEGUN: Final = frozenset({RUNNING, HANDED_OVER})
 
 
 class _Advice(Enum):
@@ -196,7 +194,7 @@ class Relay:
     def progress(self) -> Progress:
         """How far the current plan has come."""
         calls = self.run.told().calls
-        return Progress(self.run.machine.plan, calls, frozenset(one.call.index for one in calls if one.outcome in _BEGUN))
+        return Progress(self.run.machine.plan, calls, frozenset(one.call.index for one in calls if one.is_under_way))
 
     @property
     def footprint(self) -> Footprint:
@@ -264,7 +262,7 @@ class Relay:
         finally:
             trouble.cancel()
         self._trouble.clear()
-        return not execution.done()
+        return not self.executor.ended
 
     def _advice(self) -> _Advice:
         progress, has_failed = self.progress, bool(self.run.told().failures)
@@ -358,8 +356,8 @@ class Relay:
 
     async def _at_rest(self, execution: asyncio.Future[RunResult]) -> bool:
         """Wait until everything that is under way can be handed over; tell whether the run is still going on then."""
-        while not execution.done():
-            is_settled = all(one.outcome != RUNNING for one in self.run.told().calls)
+        while not self.executor.ended:
+            is_settled = all(one.kind is not CallOutcome.RUNNING for one in self.run.told().calls)
             if is_settled and set(self.run.open_requests) == {one.request for one in self.run.under_way()}:
                 return True
             await self.executor.happens()

@@ -18,7 +18,7 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus
 from planner_bridge.model.plan_simulation import projected_state
 from planner_bridge.model.problem import Problem
-from planner_bridge.ordering.interference import Footprint, around, at_best, footprint
+from planner_bridge.ordering.interference import Footprint, around, footprint, optimistic_state
 from planner_bridge.ordering.plan_to_graph import calls_of, one_by_one
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.constraint_monitor import Supervision
@@ -99,7 +99,7 @@ class Search:
         """Return those after whose calls that are under way there may be a plan: while a robot moves, it is nowhere."""
         if not begun or found.status not in _NO_PLAN:
             return ()
-        hopeful = at_best(now, [call for one in begun for call in one.calls])
+        hopeful = optimistic_state(now, [call for one in begun for call in one.calls])
         other = await self._solve(hopeful, limit)
         if other.plan is None:
             return ()

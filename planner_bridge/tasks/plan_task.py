@@ -15,34 +15,34 @@ from math import isfinite
 from pathlib import Path
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall
+from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.interference import Footprint, footprint
 from planner_bridge.pipeline import Where, pursue_on
+from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.control import Over, Standing
 from planner_bridge.tasks.replanning import History
 from planner_bridge.tasks.result import Episode, Stopwatch, TaskResult, code_of_run
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.tasks.task import Task
 from planner_bridge.yaml.reader import read
-from pnm.actions.backend import RobotsSite, Site, schedule
+from pnm.actions.backend import Backend, schedule
 from pnm.actions.faults import NO_FAULTS, Faults
-from pnm.actions.simulated_robots import simulated_robots
 from pnm.clock import run_async
-from pnm.core.execution.call_results import UNCONFIRMED, RunResult
+from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TRUE
-from pnm.core.logic.effects import names_written
 from pnm.core.logic.expressions import Unknown
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.machine import OnFailure
-from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.machine import CallOutcome, OnFailure
+from pnm.core.machine.plan_graph import ActionCall, Cause
 from pnm.errors import InputError, Tolerated
 from pnm.knowledge.sources.registry import Choice, Surroundings, open_sources
 from pnm.knowledge.sources.router import Sources
 from pnm.language.plan import HandWrittenPlan, read_plans
 from pnm.language.runner import Performance, Performer, Program
-from pnm.ros.backend import Ros2Site
+from pnm.ros.backend import Ros2Backend
 from pnm.tasks import Code, TaskEnding, TaskState
 
 
@@ -129,7 +129,7 @@ class Recital:
     def _ending(self, result: RunResult) -> TaskEnding:
         over = self._standing.stopped or Over(Code.TIMED_OUT, result.reason)  # who else stops it is its own limit
         reason = over.reason if result.stopped and not result.goal else result.reason
-        cause = "" if result.goal or result.stopped else result.failures[0].cause if result.failures else "goal_false"
+        cause = "" if result.goal or result.stopped else result.failures[0].cause if result.failures else Cause.GOAL_FALSE
         return TaskEnding(code_of_run(result, over.code), reason, results=self._performance.results, cause=cause)
 
 
@@ -220,8 +220,10 @@ def carry_out(
         warn(plans[chosen].warnings)
     with seconds.of("translate"):
         programs = {name: Program.of(plans[name]) for name in calling(plans, chosen)}
-    bindings = together(plans.values())
-    site: Site = Ros2Site(bindings, sensing=settings.sensing) if actions == "ros2" else simulated_site(plans[chosen], bindings, faults)
+    bindings = merge_bindings(plans.values())
+    site: Backend = (
+        Ros2Backend(bindings, sensing=settings.sensing) if actions == "ros2" else simulated_backend(plans[chosen], bindings, faults)
+    )
     choices = sources_of(plans.values())
     task = _WrittenTask(
         programs,
@@ -248,7 +250,7 @@ class _WrittenTask:
 
     programs: Mapping[str, Program]
     name: str
-    site: Site
+    site: Backend
     settings: Settings
     observer: TaskObserver
     seconds: Stopwatch
@@ -261,7 +263,7 @@ class _WrittenTask:
 
     async def perform(self, parameters: Mapping[str, object]) -> PlanResult:
         plan = self._program.plan
-        world = KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules)
+        world = initial_knowledge(plan)
         try:
             await self.site.open(world)
             sources = self.open_sources()
@@ -300,7 +302,8 @@ class _WrittenTask:
             return replace(task, reason=f"{task.reason}; no planner can be asked: {error}")
         calls = [failure.call for failure in task.failures if failure.replan and isinstance(failure.call, ActionCall)]
         given_up = {ForbiddenCall.of(call.action): self.settings.limits.forbid_after for call in calls}
-        history = History(given_up, frozenset(ForbiddenCall.of(one.call.action) for one in task.calls if one.outcome == UNCONFIRMED))
+        unconfirmed = (one.call.action for one in task.calls if one.kind is CallOutcome.UNCONFIRMED)
+        history = History(given_up, frozenset(map(ForbiddenCall.of, unconfirmed)))
         rest = await pursue_on(problem, self.site, self.settings, self.observer, self.seconds, knowledge=world, history=history)
         return replace(rest, episodes=(*task.episodes, *rest.episodes), began=task.began)
 
@@ -321,7 +324,7 @@ def problem_of(plan: HandWrittenPlan, world: KnowledgeBase) -> Problem:
     return replace(described, init=init, timed=(), goal=plan.goal)
 
 
-def together(plans: Iterable[HandWrittenPlan]) -> Bindings:
+def merge_bindings(plans: Iterable[HandWrittenPlan]) -> Bindings:
     """Return the bindings of all plans, which are those of their domains."""
     return reduce(Bindings.before, (plan.bindings for plan in plans), Bindings())
 
@@ -332,15 +335,3 @@ def sources_of(plans: Iterable[HandWrittenPlan]) -> tuple[Choice, ...]:
     for choice in (choice for plan in plans for choice in plan.sources):
         found.setdefault(f"{choice.name} {choice.options}", choice)
     return tuple(found.values())
-
-
-def simulated_site(plan: HandWrittenPlan, bindings: Bindings, faults: Faults = NO_FAULTS) -> RobotsSite:
-    """Return simulated robots in a world that starts as the plan says."""
-    calls = plan.graph.calls
-    written = (names_written((*call.action.start_effects, *call.action.end_effects)) for call in calls)
-    timed = (frozenset(fluent[0] for fluent in change.changes) for change in plan.timed)
-    truth = KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules)
-    lasting = bool(plan.timed) or any(call.action.duration is not None for call in calls)
-    changing, capacities = frozenset().union(*written, *timed), plan.graph.capacities
-    robots = simulated_robots(truth, changing, bindings, faults, plan.timed, lasting=lasting, capacities=capacities)
-    return RobotsSite(robots, bindings.assumed)

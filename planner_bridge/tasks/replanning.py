@@ -8,19 +8,20 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Final
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, observed_instead, snapshot
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import in_causal_order
-from pnm.core.execution.call_results import UNCONFIRMED, CallResult, Failure
+from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import evaluate
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.trajectory import Constraint
-from pnm.core.machine.plan_graph import ActionCall, Moment, PlanEvent, PlanGraph
+from pnm.core.machine.machine import CallOutcome
+from pnm.core.machine.plan_graph import ActionCall, Cause, Moment, PlanEvent, PlanGraph
 
-_FINISHED = frozenset({"succeeded", "already true"})
-_WORLD = frozenset({"precondition_false", "invariant_false", "data_missing", "withheld"})
+_WORLD: Final = frozenset({Cause.PRECONDITION_FALSE, Cause.INVARIANT_FALSE, Cause.DATA_MISSING, Cause.WITHHELD})
 """Causes that speak against the state of the world, of knowledge or of resources, not against the action."""
 
 
@@ -66,11 +67,11 @@ class History:
                 call = ForbiddenCall.of(failed_call.action)
                 failed[call] = failed.get(call, 0) + 1
         for one in calls:
-            if one.outcome == "succeeded":
+            if one.kind is CallOutcome.SUCCEEDED:
                 failed.pop(ForbiddenCall.of(one.call.action), None)
         at_work = [call for failure, call in of_calls if failure.unconfirmed]
-        at_work += [one.call for one in calls if one.outcome == UNCONFIRMED]
-        progress = any(one.outcome == "succeeded" for one in calls)
+        at_work += [one.call for one in calls if one.kind is CallOutcome.UNCONFIRMED]
+        progress = any(one.kind is CallOutcome.SUCCEEDED for one in calls)
         return History(
             failed,
             self.unconfirmed | {ForbiddenCall.of(call.action) for call in at_work},
@@ -143,7 +144,7 @@ class Progress:
 
     @cached_property
     def _finished(self) -> frozenset[int]:
-        over = (one.call.index for one in self.calls if one.outcome in _FINISHED)
+        over = (one.call.index for one in self.calls if one.is_done)
         return frozenset(over) - self.under_way
 
     @cached_property
@@ -162,7 +163,7 @@ class Progress:
 
     def without(self, call: int) -> Progress:
         """Return the same plan as if the call were done."""
-        done = replace(self.calls[call], outcome="already true")
+        done = replace(self.calls[call], kind=CallOutcome.ALREADY_TRUE)
         return replace(self, calls=(*self.calls[:call], done, *self.calls[call + 1 :]))
 
 

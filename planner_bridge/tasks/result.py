@@ -13,9 +13,10 @@ from typing import Any, Final, Literal, TypeAlias
 
 from planner_bridge.model.plan import PlanningStatus
 from planner_bridge.tasks.replanning import Decision, GiveUp, PlanAgain, Resume
-from pnm.core.execution.call_results import HANDED_OVER, CallResult, Failure, RunResult
+from pnm.core.execution.call_results import CallResult, Failure, RunResult
 from pnm.core.logic.trajectory import Constraint
-from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.machine import CallOutcome, PetriNetMachine
+from pnm.core.machine.plan_graph import Cause
 from pnm.tasks import Code
 
 _PLANNING: Final = {
@@ -26,16 +27,16 @@ _PLANNING: Final = {
 }
 
 _CAUSES: Final = {
-    "precondition_false": Code.CONDITION_LOST,
-    "invariant_false": Code.CONDITION_LOST,
-    "data_missing": Code.CONDITION_LOST,
-    "timed_out": Code.TIMED_OUT,
-    "too_late": Code.TIMED_OUT,
-    "deadline_missed": Code.TIMED_OUT,
-    "unavailable": Code.SERVER_UNAVAILABLE,
-    "withheld": Code.SERVER_UNAVAILABLE,
-    "rejected": Code.SERVER_UNAVAILABLE,
-    "lost": Code.SERVER_UNAVAILABLE,
+    Cause.PRECONDITION_FALSE: Code.CONDITION_LOST,
+    Cause.INVARIANT_FALSE: Code.CONDITION_LOST,
+    Cause.DATA_MISSING: Code.CONDITION_LOST,
+    Cause.TIMED_OUT: Code.TIMED_OUT,
+    Cause.TOO_LATE: Code.TIMED_OUT,
+    Cause.DEADLINE_MISSED: Code.TIMED_OUT,
+    Cause.UNAVAILABLE: Code.SERVER_UNAVAILABLE,
+    Cause.WITHHELD: Code.SERVER_UNAVAILABLE,
+    Cause.REJECTED: Code.SERVER_UNAVAILABLE,
+    Cause.LOST: Code.SERVER_UNAVAILABLE,
 }
 
 
@@ -113,7 +114,7 @@ class TaskResult:
     @property
     def calls(self) -> tuple[CallResult, ...]:
         """What became of the calls of all episodes; of a call that was handed on, where it ended."""
-        return tuple(call for episode in self.episodes for call in episode.result.calls if call.outcome != HANDED_OVER)
+        return tuple(call for episode in self.episodes for call in episode.result.calls if call.kind is not CallOutcome.HANDED_OVER)
 
     @property
     def failures(self) -> tuple[Failure, ...]:

@@ -6,16 +6,16 @@ import asyncio
 from collections import deque
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
-from typing import Final, Protocol, TypeAlias
+from typing import Final, Protocol, TypeAlias, assert_never
 from uuid import UUID
 
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.ordering.interference import Footprint
 from planner_bridge.tasks.replanning import PlanAgain, Resume
 from planner_bridge.tasks.settings import TaskObserver
-from pnm.core.execution.call_results import HANDED_OVER, RUNNING, SUSPENDED, Failure, RunResult
+from pnm.core.execution.call_results import Failure, RunResult
 from pnm.core.execution.run import Run
-from pnm.core.machine.machine import PetriNetMachine, Rule
+from pnm.core.machine.machine import CallOutcome, PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Outcome, Request
 from pnm.core.machine.verification.verify import Proof
@@ -25,16 +25,22 @@ from pnm.tasks import Code, Moment, Status, Step, StepState, TaskEnding, TaskLis
 TRACE: Final = 200
 """The events of a task that are kept, the last ones."""
 
-_STATES: Final = {
-    "waiting": StepState.WAITING,
-    RUNNING: StepState.RUNNING,
-    HANDED_OVER: StepState.RUNNING,
-    SUSPENDED: StepState.WAITING,
-    "succeeded": StepState.DONE,
-    "already true": StepState.DONE,
-    "skipped": StepState.SKIPPED,
-    "canceled": StepState.SKIPPED,
-}
+
+def step_state(outcome: CallOutcome) -> StepState:
+    """Return how far a call with this outcome has come."""
+    match outcome:
+        case CallOutcome.WAITING | CallOutcome.SUSPENDED:
+            return StepState.WAITING
+        case CallOutcome.RUNNING | CallOutcome.HANDED_OVER:
+            return StepState.RUNNING
+        case CallOutcome.SUCCEEDED | CallOutcome.ALREADY_TRUE:
+            return StepState.DONE
+        case CallOutcome.SKIPPED | CallOutcome.CANCELED:
+            return StepState.SKIPPED
+        case CallOutcome.UNCONFIRMED | CallOutcome.PASSED_OVER | CallOutcome.FAILED:
+            return StepState.FAILED
+        case _:
+            assert_never(outcome)
 
 
 class Doing(Protocol):
@@ -154,7 +160,7 @@ class Task(TaskObserver):
             if ordering.before.call < len(graph.calls) and ordering.after.call < len(graph.calls):
                 before.setdefault(ordering.after.call, []).append(ordering.before.call)
         told = {one.call.index: one for one in run.told().calls}
-        states = {index: _STATES.get(one.outcome, StepState.FAILED) for index, one in told.items()}
+        states = {index: step_state(one.kind) for index, one in told.items()}
         begun = {index: one.call.action.arguments for index, one in told.items() if one.started is not None}
         return tuple(
             Step(
@@ -269,7 +275,7 @@ class Task(TaskObserver):
 
     def fired(self, transition: str, rule: Rule, now: float) -> None:
         """Tell that a transition has fired; too much for the trace of the task."""
-        if rule.name == "begin_anew":
+        if rule.restarts:
             self.restarts += 1
             self.listener.changed(self.id)
         self.listener.happened(Moment(self.id, now, "fired", transition))

@@ -12,18 +12,18 @@ from planner_bridge.tasks.result import Episode
 from pnm.core.execution.call_results import Failure, RunResult
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.machine.plan_graph import ActionCall, Cause
 
-_DEEDS: Final = {
-    "aborted": "was aborted",
-    "canceled": "was cancelled",
-    "rejected": "was rejected",
-    "timed_out": "timed out",
-    "unavailable": "found no server",
-    "lost": "lost its server",
-    "withheld": "has waited in vain for what others keep",
+_HAPPENED: Final = {
+    Cause.ABORTED: "was aborted",
+    Cause.CANCELED: "was cancelled",
+    Cause.REJECTED: "was rejected",
+    Cause.TIMED_OUT: "timed out",
+    Cause.UNAVAILABLE: "found no server",
+    Cause.LOST: "lost its server",
+    Cause.WITHHELD: "has waited in vain for what others keep",
 }
-"""What has happened to a call, by the cause of its failure."""
+"""Predicates of sentences about calls, by the cause of the failure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ def tries_again(seconds: float, result: RunResult) -> str:
 
 def _happened(failure: Failure) -> str:
     subject = failure.call.action if isinstance(failure.call, ActionCall) else failure.call
-    return f"{subject} {_DEEDS.get(failure.cause, f'failed: {failure.cause}')}"
+    return f"{subject} {_HAPPENED.get(failure.cause, f'failed: {failure.cause}')}"
 
 
 def sentence(*parts: str) -> str:

@@ -20,14 +20,15 @@ from typing import Final, assert_never
 
 from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanStep
-from planner_bridge.model.problem import ActionSchema, Problem
+from planner_bridge.model.problem import Problem
 from planner_bridge.pddl.syntax.pretty_print import flat
 from planner_bridge.pddl.syntax.words import number_text
 from planner_bridge.pddl.write.forms import effects_form
 from planner_bridge.yaml.emitter import Bare, Entry, Mapping, Sequence, Value, document, items, quoted, single
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, ground
+from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import Effects, ForEach, Set, When, ground_effects
-from pnm.core.logic.expressions import NOTHING, UNDEFINED, Arithmetic, Constant, Expression, Fluent, State, ValueOf, choices, show
+from pnm.core.logic.expressions import NOTHING, UNDEFINED, Arithmetic, Constant, Expression, Fluent, State, ValueOf, choices, fluent_text
 from pnm.errors import InputError
 
 _KNOWLEDGE_BASE: Final = ("rpn_planner_kb.rpn_planner_knowledge_base", "RPKnowledgeBase")
@@ -251,8 +252,8 @@ class _Writer:
         if name in _RESERVED:
             name += "_"
         if self.names.setdefault(name, fluent) != fluent or _NAME.fullmatch(name) is None:
-            reason = f"{name!r} stands for {show(self.names[name])}" if self.names[name] != fluent else f"{name!r} is no name there"
-            raise InputError(f"the first implementation has no variable for {show(fluent)}: {reason}")
+            reason = f"{name!r} stands for {fluent_text(self.names[name])}" if self.names[name] != fluent else f"{name!r} is no name there"
+            raise InputError(f"the first implementation has no variable for {fluent_text(fluent)}: {reason}")
         return name
 
 

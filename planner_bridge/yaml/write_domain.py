@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Final
 
-from planner_bridge.model.problem import ActionSchema, Declaration, Domain, Problem
+from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pddl.comments.table import NO_NOTES, Notes, Table, write_with_notes
 from planner_bridge.pddl.syntax.anchors import ACTION, fact_anchor, hierarchy_anchor, rule_anchor
 from planner_bridge.pddl.syntax.pretty_print import flat
@@ -16,6 +16,7 @@ from planner_bridge.pddl.write.writer import change_form, rule_form
 from planner_bridge.yaml.emitter import Bare, Entry, Mapping, Sequence, Value, depth, document, items, single
 from planner_bridge.yaml.write_formulas import conditions, constraints, duration, effects, expression, preferences, typed
 from pnm.core.logic.conditions import TRUE
+from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.rules import Rule
 from pnm.errors import InputError

@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from itertools import groupby
 from typing import Final, assert_never
 
-from planner_bridge.model.problem import DurationConstraint, Preference
 from planner_bridge.pddl.comments.table import NO_NOTES, Notes
 from planner_bridge.pddl.syntax.anchors import form_anchor
 from planner_bridge.pddl.syntax.pretty_print import flat
@@ -15,8 +14,9 @@ from planner_bridge.pddl.write.forms import condition_form, effects_form, types_
 from planner_bridge.pddl.write.writer import constraint_form, preference_form
 from planner_bridge.yaml.emitter import Bare, Entry, Mapping, Sequence, Value, items, single
 from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
+from pnm.core.logic.domain import DurationConstraint, Preference
 from pnm.core.logic.effects import Effect, Effects, ForEach, Set, When
-from pnm.core.logic.expressions import Arithmetic, Constant, Expression, ValueOf, Variable, show
+from pnm.core.logic.expressions import Arithmetic, Constant, Expression, ValueOf, Variable, fluent_text
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError
 
@@ -46,7 +46,7 @@ def _noted(condition: Condition, notes: Notes) -> Entry:
 def _condition(condition: Condition, notes: Notes) -> Value:
     match condition:
         case Holds(fluent):
-            return show(fluent)
+            return fluent_text(fluent)
         case Compare(operation, left, right):
             return single(
                 "Comparison", items([operation, items([expression(left), expression(right)], short=True)], short=True), short=True
@@ -114,11 +114,11 @@ def _effect_noted(effect: Effect, notes: Notes) -> Entry:
 def _effect(effect: Effect, notes: Notes) -> Value:
     match effect:
         case Set(fluent, Constant(True)):
-            return show(fluent)
+            return fluent_text(fluent)
         case Set(fluent, Constant(False)):
-            return single("not", show(fluent))
+            return single("not", fluent_text(fluent))
         case Set(fluent, value, operation):
-            return single(operation.replace("-", "_"), items([show(fluent), expression(value)], short=True), short=True)
+            return single(operation.replace("-", "_"), items([fluent_text(fluent), expression(value)], short=True), short=True)
         case When(condition, inner, early):
             tested = Entry(conditions(condition, notes), "at_start" if early else "condition")
             return single("when", Mapping((tested, Entry(effects(inner, notes), "effects"))))

@@ -21,7 +21,7 @@ DISCOVERY: Final = 10.0
 """Seconds that robots may take to appear which are started together with us; later, who is missing fails by name."""
 
 
-class Site(Protocol):
+class Backend(Protocol):
     """Carries out actions and reports about the world."""
 
     @property
@@ -65,7 +65,7 @@ def schedule(knowledge: KnowledgeBase, timed: Iterable[TimedChange], began: floa
     return stop
 
 
-class RobotsSite:
+class SimulatedBackend:
     """Simulated robots in this process; under virtual time a run takes no time at all."""
 
     def __init__(self, robots: SimulatedRobots, assumed: frozenset[str] = frozenset()) -> None:

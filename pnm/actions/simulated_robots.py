@@ -14,11 +14,11 @@ from typing import Final
 from uuid import UUID
 
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
-from pnm.actions.simulated_world import Activity, World
+from pnm.actions.simulated_world import Activity, SimulatedWorld
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.computed_values import MISSING, Question, compute
-from pnm.core.logic.conditions import TOLERANCE
 from pnm.core.logic.effects import Changes, TimedChange
+from pnm.core.logic.evaluation import TOLERANCE
 from pnm.core.logic.expressions import Fluent, Unknown, Value, bind
 from pnm.core.logic.operators import Uncomputable
 from pnm.core.machine.bindings import Bindings
@@ -55,7 +55,7 @@ class SimulatedRobots:
     The mutable state is the jobs going on, the clashes, the servers lost, and how often each fault was looked at.
     """
 
-    world: World
+    world: SimulatedWorld
     faults: Faults = NO_FAULTS
     bindings: Bindings = field(default_factory=Bindings)
     scheduled: tuple[TimedChange, ...] = ()
@@ -237,7 +237,7 @@ class _Server:
     """What a simulated server computes its result from: the goal it was sent, and the world."""
 
     goal: Mapping[str, object]
-    world: World
+    world: SimulatedWorld
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
         """Return the true value of a fluent, which may name fields of the goal."""
@@ -256,7 +256,7 @@ class _Server:
         return MISSING
 
 
-def returned(request: Request, world: World) -> dict[str, object]:
+def returned(request: Request, world: SimulatedWorld) -> dict[str, object]:
     """Return what a simulated server answers, as far as there are values.
 
     Raises:
@@ -290,10 +290,12 @@ def simulated_robots(
         capacities: how many jobs may use a resource at the same time; one for those not listed.
     """
     hidden = {fluent[0] for change in faults.changes for fluent in change.changes}
-    return SimulatedRobots(World(truth, changing | hidden), faults, bindings, timed, 0.0 if lasting else 1.0, speed, capacities or {})
+    return SimulatedRobots(
+        SimulatedWorld(truth, changing | hidden), faults, bindings, timed, 0.0 if lasting else 1.0, speed, capacities or {}
+    )
 
 
-def sense(world: World, knowledge: KnowledgeBase, assumed: Iterable[str] = ()) -> None:
+def sense(world: SimulatedWorld, knowledge: KnowledgeBase, assumed: Iterable[str] = ()) -> None:
     """Let knowledge be told of everything in the world that somebody watches.
 
     At once, but the report that an action has ended comes after what its end has changed.

@@ -9,14 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TRUE, Computed, Condition, evaluate, every_part, failing
+from pnm.core.logic.conditions import TRUE, Computed, Condition, every_part
 from pnm.core.logic.effects import Changes, changes, decided, undo, values_before
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.explain import failing
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError
 
 
-class World:
+class SimulatedWorld:
     """The true state, and the actions that are going on in it.
 
     Raises:
@@ -60,7 +62,7 @@ class World:
 class Activity:
     """A ground action going on in the world."""
 
-    def __init__(self, world: World, action: GroundAction) -> None:
+    def __init__(self, world: SimulatedWorld, action: GroundAction) -> None:
         self.world = world
         self.action = action
         self._ending = decided(action.end_effects, world.truth)

@@ -18,9 +18,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from pnm.core.logic.computed_values import MISSING
-from pnm.core.logic.derived_facts import Consequences
+from pnm.core.logic.derived_facts import DerivedFacts
 from pnm.core.logic.effects import Changes
-from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Unknown, Value, nothing_like, same, show
+from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Unknown, Value, absent_value, fluent_text, same_value
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.errors import InputError
 
@@ -55,7 +55,7 @@ class KnowledgeBase:
         self._objects: dict[str, tuple[str, ...]] = dict(objects or {})
         self._sensed: dict[str, float] = dict(sensed or {})
         self._listeners: list[Listener] = []
-        self._consequences = Consequences(rules, self._facts, self.objects)
+        self._consequences = DerivedFacts(rules, self._facts, self.objects)
 
     def __repr__(self) -> str:
         return f"<KnowledgeBase {len(self._facts)} facts, {len(self._variables)} variables, {len(self._sensed)} sensed names>"
@@ -109,7 +109,7 @@ class KnowledgeBase:
                 raise InputError(f"not a fluent: {fluent!r}; expected a tuple of names such as ('at', 'r1', 'kitchen')")
         if self._derived:
             self._refuse_derived(changes)
-        real = {fluent: value for fluent, value in changes.items() if not same(self._facts.get(fluent), value)}
+        real = {fluent: value for fluent, value in changes.items() if not same_value(self._facts.get(fluent), value)}
         self._facts.update(real)
         if real:
             self._consequences.forget({fluent[0] for fluent in real})
@@ -130,7 +130,7 @@ class KnowledgeBase:
         gone: Changes = {}
         for fluent, value in self._facts.items():
             if fluent[0] in names and fluent not in facts and value is not UNKNOWN:
-                gone[fluent] = nothing_like(value)
+                gone[fluent] = absent_value(value)
         return self.update({**gone, **facts})
 
     def begin_anew(self, facts: Mapping[Fluent, Value | Unknown], objects: Mapping[str, tuple[str, ...]], rules: Rules) -> None:
@@ -149,18 +149,18 @@ class KnowledgeBase:
             raise
         reported = {fluent: value for fluent, value in self._facts.items() if self.is_sensed(fluent) and not self._derives(fluent)}
         facts = {**{fluent: value for fluent, value in facts.items() if not self.is_sensed(fluent)}, **reported}
-        changes = {fluent: nothing_like(value) for fluent, value in self._facts.items() if fluent not in facts and value is not UNKNOWN}
-        changes |= {fluent: value for fluent, value in facts.items() if not same(self._facts.get(fluent), value)}
+        changes = {fluent: absent_value(value) for fluent, value in self._facts.items() if fluent not in facts and value is not UNKNOWN}
+        changes |= {fluent: value for fluent, value in facts.items() if not same_value(self._facts.get(fluent), value)}
         self._facts.clear()
         self._facts.update(facts)
         self._objects = dict(objects)
-        self._consequences = Consequences(rules, self._facts, self.objects)
+        self._consequences = DerivedFacts(rules, self._facts, self.objects)
         for listener in tuple(self._listeners):
             listener(changes)
 
     def _refuse_derived(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
         for fluent in filter(self._derives, changes):
-            raise InputError(f"{show(fluent)} follows from rules; it is neither set nor reported")
+            raise InputError(f"{fluent_text(fluent)} follows from rules; it is neither set nor reported")
 
     def _derives(self, fluent: object) -> bool:
         return isinstance(fluent, tuple) and fluent[:1] != () and fluent[0] in self._derived
@@ -237,11 +237,11 @@ class Layered:
         return self.world.variable(name) if found is MISSING else found
 
 
-def show_statement(fluent: Fluent, value: Value | Unknown) -> str:
+def statement_text(fluent: Fluent, value: Value | Unknown) -> str:
     """Write what `parse_statement` reads."""
     if isinstance(value, bool):
-        return show(fluent) if value else f"(not {show(fluent)})"
-    return f"(= {show(fluent)} {Constant(value) if not isinstance(value, Unknown) else value.value})"
+        return fluent_text(fluent) if value else f"(not {fluent_text(fluent)})"
+    return f"(= {fluent_text(fluent)} {Constant(value) if not isinstance(value, Unknown) else value.value})"
 
 
 _FLUENT = re.compile(r"\(\s*([^\s()]+(?:\s+[^\s()]+)*)\s*\)\Z")

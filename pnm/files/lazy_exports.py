@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import ast
+from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 
-def lazily(package: str, where: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Return the `__getattr__` and the `__dir__` of a package, given the module of every public name."""
+def lazy_exports(package: str, file: str) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
+    """Return `__all__`, `__getattr__` and `__dir__` of a package whose public names are those imported under ``if TYPE_CHECKING:``.
 
-    def find(name: str) -> Any:
-        if name not in where:
+    That block is the one list of the names: type checkers follow it, and it is read here to find the module of every name.
+
+    Args:
+        package: the name of the package.
+        file: its ``__init__.py``.
+    """
+    body = ast.parse(Path(file).read_bytes()).body
+    imports = [node for block in body if isinstance(block, ast.If) for node in block.body if isinstance(node, ast.ImportFrom)]
+    modules = {alias.name: node.module or "" for node in imports for alias in node.names}
+
+    def load(name: str) -> Any:
+        if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(where[name]), name)
+        return getattr(import_module(modules[name]), name)
 
-    return find, lambda: [*where]
+    public = sorted(modules, key=lambda name: (not name.isupper(), name[0].islower(), name))
+    return public, load, lambda: sorted(modules)

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import yaml
 
-from pnm.errors import InputError, Position, meant
+from pnm.errors import InputError, Position, suggestion
 
 MAX_NODES: Final = 200_000
 """Values in a file, those behind an alias counted at every use: an alias bomb is refused."""
@@ -80,7 +80,7 @@ class _Loader(yaml.SafeLoader):
             event: Any = self.peek_event()  # type: ignore[no-untyped-call]
             if event.anchor not in self.anchors:
                 if event.anchor not in self._known:
-                    hint = meant(event.anchor, [*self.anchors, *self._known])
+                    hint = suggestion(event.anchor, [*self.anchors, *self._known])
                     problem = f"found undefined alias {event.anchor!r}{f'; {hint}' if hint else ''}"
                     raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
                 self.get_event()  # type: ignore[no-untyped-call]

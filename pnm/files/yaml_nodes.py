@@ -14,7 +14,7 @@ from typing import Final, TypeVar
 
 import yaml
 
-from pnm.errors import InputError, Position, meant
+from pnm.errors import InputError, Position, suggestion
 from pnm.files.text import read_text
 from pnm.files.yaml_loader import NO_ANCHORS, TEXTS, compose, is_null, kind, position
 
@@ -115,7 +115,7 @@ class Mapped:
         """Refuse every key but the known ones, naming the nearest."""
         for key, (where, _) in self.nodes.items():
             if key not in known:
-                hint = meant(key, known) or f"expected one of {', '.join(known)}"
+                hint = suggestion(key, known) or f"expected one of {', '.join(known)}"
                 raise InputError(f"unknown key {key!r}; {hint}", where)
 
     def position(self, key: str) -> Position:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final, TypeAlias, assert_never
 
-from pnm.core.logic.conditions import TOLERANCE
+from pnm.core.logic.evaluation import TOLERANCE
 from pnm.core.logic.operators import Uncomputable, operate
 from pnm.errors import InputError, PnmError
 
@@ -139,7 +139,7 @@ def _outcomes(tests: Iterable[Test], look: Look) -> set[bool]:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class FieldValue:
     """Where a value comes from: a field, and a table in which it is looked up if there is one."""
 
     field: Field

@@ -10,12 +10,25 @@ from pathlib import Path
 from typing import Final
 
 from pnm.core.knowledge_base import parse_fluent
-from pnm.core.logic.declared_names import Kind, Signature, Vocabulary
+from pnm.core.logic.declared_names import FluentKind, Signature, Vocabulary
 from pnm.core.logic.expressions import UNDEFINED, Fluent, Variable
-from pnm.errors import InputError, Position, meant
+from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import Mapped, Node, load_yaml
-from pnm.knowledge.message_fields import COMPARISONS, Comparison, Every, Field, Flag, Negation, Some, Source, Test, parse_field
-from pnm.knowledge.sensor_model import VALUE, Choice, Fact, Number, Object, Polled, Sensing, Sensor, Statement, Stored, Topic, placeholders
+from pnm.knowledge.message_fields import COMPARISONS, Comparison, Every, Field, FieldValue, Flag, Negation, Some, Test, parse_field
+from pnm.knowledge.sensor_model import (
+    VALUE,
+    ByService,
+    ByTopic,
+    ExclusiveFact,
+    Fact,
+    Number,
+    Object,
+    Sensing,
+    Sensor,
+    Statement,
+    Stored,
+    placeholders,
+)
 
 EVERY: Final = 1.0
 """Seconds between two requests to a service."""
@@ -77,7 +90,7 @@ class _Reader:
         key = "topic" if is_topic else "service"
         entry.only(key, *_OWN, *(() if is_topic else ("request", "every", "limit")))
         variables = self._variables()
-        way = Topic() if is_topic else self._polled(variables)
+        way = ByTopic() if is_topic else self._polled(variables)
         sensor = Sensor(
             self._name(key, variables, way),
             self._type("msg" if is_topic else "srv"),
@@ -85,7 +98,7 @@ class _Reader:
             (*self._facts(variables), *self._stored(variables)),
             way,
             _seconds(entry, "stale", self.stale),
-            entry.number("lag", None if isinstance(way, Topic) else way.every + way.limit),
+            entry.number("lag", None if isinstance(way, ByTopic) else way.every + way.limit),
             entry.start,
         )
         if not sensor.statements:
@@ -109,15 +122,15 @@ class _Reader:
             found.append(Variable(f"?{name}", (kind.text,)))
         return tuple(found)
 
-    def _name(self, key: str, variables: tuple[Variable, ...], way: Topic | Polled) -> str:
+    def _name(self, key: str, variables: tuple[Variable, ...], way: ByTopic | ByService) -> str:
         name, where = _text(self.entry, key, "/{robot}/battery"), self.entry.position(key)
         if not _NAME.fullmatch(name):
             raise InputError(f"not a name in ROS: {name!r}; expected something like /{{robot}}/battery", where)
         self._placeholders(name, variables, where)
-        told = {*placeholders(name), *(_terms(way.request) if isinstance(way, Polled) else ())}
+        told = {*placeholders(name), *(_terms(way.request) if isinstance(way, ByService) else ())}
         for variable in variables:
             if variable.name[1:] not in told:
-                also = "" if isinstance(way, Topic) else ", nor the request"
+                also = "" if isinstance(way, ByTopic) else ", nor the request"
                 raise InputError(f"{name!r} does not name {{{variable.name[1:]}}}{also}, so all would be told the same", where)
         return name
 
@@ -130,7 +143,7 @@ class _Reader:
     def _variable(self, name: str, variables: Iterable[Variable], where: Position) -> Variable:
         own = {variable.name: variable for variable in variables}
         if name not in own:
-            raise InputError(f"{name} is not in 'for'; {meant(name, own) or _expected(own)}", where)
+            raise InputError(f"{name} is not in 'for'; {suggestion(name, own) or _expected(own)}", where)
         return own[name]
 
     def _type(self, kind: str) -> str | None:
@@ -140,14 +153,14 @@ class _Reader:
             raise InputError(f"not such a type: {found!r}; expected something like {example}", self.entry.position("type"))
         return found
 
-    def _polled(self, variables: tuple[Variable, ...]) -> Polled:
+    def _polled(self, variables: tuple[Variable, ...]) -> ByService:
         request = self.entry.plain("request")
         if request is not None and not isinstance(request, dict):
             raise InputError("expected the fields of the request and their values", self.entry.position("request"))
         for name in _terms(request or {}):
             self._variable(f"?{name}", variables, self.entry.position("request"))
         every, limit = _seconds(self.entry, "every", EVERY), _seconds(self.entry, "limit", LIMIT)
-        return Polled(request or {}, every or EVERY, limit or LIMIT)
+        return ByService(request or {}, every or EVERY, limit or LIMIT)
 
     # --- what it says ---
 
@@ -164,20 +177,20 @@ class _Reader:
         is_choice = kind == "fact" and VALUE in fluent
         if kind == "fact" and not is_choice:
             entry.only("fact", "field", "when")
-            self._typed(fluent, Kind.FACT, variables, where)
+            self._typed(fluent, FluentKind.FACT, variables, where)
             return Fact(fluent, self._test(entry), where)
         entry.only(kind, "field", "table")
         if kind == "number":
-            self._typed(fluent, Kind.NUMBER, variables, where)
+            self._typed(fluent, FluentKind.NUMBER, variables, where)
             return Number(fluent, self._source(entry, None), where)
-        signature = self._typed(fluent, Kind.FACT if is_choice else Kind.OBJECT, variables, where)
+        signature = self._typed(fluent, FluentKind.FACT if is_choice else FluentKind.OBJECT, variables, where)
         if not is_choice:
             types = signature.values if signature else ("object",)
             return Object(fluent, self._source(entry, types), types, where)
         if fluent.count(VALUE) > 1:
             raise InputError(f"{VALUE} is there twice; expected it once", where)
         types = signature.parameters[fluent.index(VALUE) - 1] if signature else ("object",)
-        return Choice(fluent, self._source(entry, types), types, where)
+        return ExclusiveFact(fluent, self._source(entry, types), types, where)
 
     def _stored(self, variables: tuple[Variable, ...]) -> Iterable[Statement]:
         for entry in self.entry.sequence("variables"):
@@ -188,7 +201,7 @@ class _Reader:
                 if variable.name[1:] not in placeholders(name):
                     raise InputError(f"{name!r} does not name {{{variable.name[1:]}}}, so all would be one variable", where)
             table = entry.plain("table")
-            yield Stored(name, Source(self._field(entry), self._table(entry) if table is not None else None), where)
+            yield Stored(name, FieldValue(self._field(entry), self._table(entry) if table is not None else None), where)
 
     def _fluent(self, text: str, where: Position) -> Fluent:
         try:
@@ -196,9 +209,13 @@ class _Reader:
         except InputError as error:
             raise InputError(error.message, where) from error
 
-    def _typed(self, fluent: Fluent, kind: Kind, variables: tuple[Variable, ...], where: Position) -> Signature | None:
+    def _typed(self, fluent: Fluent, kind: FluentKind, variables: tuple[Variable, ...], where: Position) -> Signature | None:
         """Check the names of a fluent and return its signature, if that is known."""
-        own = [self._variable(term, variables, where) for term in fluent[1:] if term[0] == "?" and (term != VALUE or kind is not Kind.FACT)]
+        own = [
+            self._variable(term, variables, where)
+            for term in fluent[1:]
+            if term[0] == "?" and (term != VALUE or kind is not FluentKind.FACT)
+        ]
         if self.known is None:
             return None
         signature = self.known.check_kind(fluent[0], kind, where)
@@ -223,10 +240,10 @@ class _Reader:
         except InputError as error:
             raise node.wrong(error.message) from error
 
-    def _source(self, entry: Mapped, types: tuple[str, ...] | None) -> Source:
+    def _source(self, entry: Mapped, types: tuple[str, ...] | None) -> FieldValue:
         """Read where a number, or the name of an object of these types, comes from."""
         if "table" not in entry.nodes:
-            return Source(self._field(entry))
+            return FieldValue(self._field(entry))
         table = self._table(entry)
         for name, _, node in _mapping(entry, "table").entries():
             value = table[name]
@@ -237,7 +254,7 @@ class _Reader:
                 raise node.wrong(f"expected the name of an object for {name!r}, or {UNDEFINED}")
             elif self.known is not None and value != UNDEFINED:
                 self.known.check_object(value, types, node.position)
-        return Source(self._field(entry), table)
+        return FieldValue(self._field(entry), table)
 
     def _table(self, entry: Mapped) -> dict[str, object]:
         found = {name: node.plain() for name, _, node in _mapping(entry, "table").entries()}

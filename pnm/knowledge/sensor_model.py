@@ -14,9 +14,9 @@ from itertools import product
 from typing import Final, TypeAlias, assert_never
 
 from pnm.core.logic.declared_names import Signature
-from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Environment, Fluent, Unknown, Value, Variable, bind, show
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, Variable, bind, fluent_text
 from pnm.errors import InputError, Position
-from pnm.knowledge.message_fields import Look, Source, Test, Unreadable, shown, succeeds, without_nan
+from pnm.knowledge.message_fields import FieldValue, Look, Test, Unreadable, shown, succeeds, without_nan
 
 VALUE: Final = "?value"
 """In a fact: the object that the field names; the fact holds with this one and with no other."""
@@ -38,11 +38,11 @@ class Fact:
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class ExclusiveFact:
     """Of the facts that the fluent stands for, with `VALUE` for any object of the types, the one with the named object is so."""
 
     fluent: Fluent
-    source: Source
+    source: FieldValue
     types: tuple[str, ...]
     position: Position = field(compare=False)
 
@@ -52,7 +52,7 @@ class Number:
     """The function has the number for its value."""
 
     fluent: Fluent
-    source: Source
+    source: FieldValue
     position: Position = field(compare=False)
 
 
@@ -61,7 +61,7 @@ class Object:
     """The function has the named object of these types for its value."""
 
     fluent: Fluent
-    source: Source
+    source: FieldValue
     types: tuple[str, ...]
     position: Position = field(compare=False)
 
@@ -71,20 +71,20 @@ class Stored:
     """The variable, in whose name ``{r}`` stands for an object, has the value."""
 
     name: str
-    source: Source
+    source: FieldValue
     position: Position = field(compare=False)
 
 
-Statement: TypeAlias = Fact | Choice | Number | Object | Stored
+Statement: TypeAlias = Fact | ExclusiveFact | Number | Object | Stored
 
 
 @dataclass(frozen=True, slots=True)
-class Topic:
+class ByTopic:
     """Listened to."""
 
 
 @dataclass(frozen=True, slots=True)
-class Polled:
+class ByService:
     """Asked, and asked again so many seconds after it has answered or failed to."""
 
     request: Mapping[str, object]
@@ -103,7 +103,7 @@ class Sensor:
     """Found from the ROS graph if None."""
     variables: tuple[Variable, ...]
     statements: tuple[Statement, ...]
-    way: Topic | Polled
+    way: ByTopic | ByService
     stale: float | None
     """Seconds without a report after which all of it is unknown."""
     lag: float | None
@@ -144,14 +144,14 @@ class Instance:
     """A sensor for one choice of objects."""
 
     sensor: Sensor
-    env: Environment
+    env: Mapping[str, str]
 
     @property
     def name(self) -> str:
         """The name of its topic or service; names in ROS have no hyphens, names in PDDL often do."""
         return filled(self.sensor.name, self.env).replace("-", "_")
 
-    def request(self, way: Polled) -> dict[str, object]:
+    def request(self, way: ByService) -> dict[str, object]:
         """Return what a service is asked with."""
         return {name: _resolved(value, self.env) for name, value in way.request.items()}
 
@@ -180,23 +180,23 @@ def instances(sensing: Sensing, objects: Objects) -> tuple[Instance, ...]:
             for one in _subjects(statement, instance.env, objects):
                 if one in speaks:
                     other = speaks[one].position
-                    what = one if isinstance(one, str) else show(one)
+                    what = one if isinstance(one, str) else fluent_text(one)
                     raise InputError(f"{what} is sensed in line {other.line} as well; expected one sensor for it", statement.position)
                 speaks[one] = statement
     return found
 
 
-def _choices(sensor: Sensor, objects: Objects) -> Iterator[Environment]:
+def _choices(sensor: Sensor, objects: Objects) -> Iterator[Mapping[str, str]]:
     names = [variable.name for variable in sensor.variables]
     for chosen in product(*(objects(variable.types) for variable in sensor.variables)):
         yield dict(zip(names, chosen, strict=True))
 
 
-def _subjects(statement: Statement, env: Environment, objects: Objects) -> Iterator[Fluent | str]:
+def _subjects(statement: Statement, env: Mapping[str, str], objects: Objects) -> Iterator[Fluent | str]:
     match statement:
         case Stored(name):
             yield filled(name, env)
-        case Choice(fluent, _, types):
+        case ExclusiveFact(fluent, _, types):
             for one in objects(types):
                 yield bind(fluent, {**env, VALUE: one})
         case Fact(fluent) | Number(fluent) | Object(fluent):
@@ -225,7 +225,7 @@ def unknown(instance: Instance, objects: Objects) -> Reading:
     return reading
 
 
-def _doubt(statement: Statement, env: Environment, objects: Objects, reading: Reading) -> None:
+def _doubt(statement: Statement, env: Mapping[str, str], objects: Objects, reading: Reading) -> None:
     for one in _subjects(statement, env, objects):
         if isinstance(one, str):
             reading.variables[one] = None
@@ -233,11 +233,11 @@ def _doubt(statement: Statement, env: Environment, objects: Objects, reading: Re
             reading.facts[one] = UNKNOWN
 
 
-def _note(statement: Statement, env: Environment, look: Look, objects: Objects, reading: Reading) -> None:
+def _note(statement: Statement, env: Mapping[str, str], look: Look, objects: Objects, reading: Reading) -> None:
     match statement:
         case Fact(fluent, test):
             reading.facts[bind(fluent, env)] = succeeds(test, look)
-        case Choice(fluent, source, types):
+        case ExclusiveFact(fluent, source, types):
             chosen = _object(source, types, look, objects)
             for one in objects(types):
                 reading.facts[bind(fluent, {**env, VALUE: one})] = one == chosen
@@ -251,14 +251,14 @@ def _note(statement: Statement, env: Environment, look: Look, objects: Objects, 
             assert_never(statement)
 
 
-def _object(source: Source, types: tuple[str, ...], look: Look, objects: Objects) -> str:
+def _object(source: FieldValue, types: tuple[str, ...], look: Look, objects: Objects) -> str:
     found = source.value(look)
     if isinstance(found, str) and (found == UNDEFINED or found in objects(types)):
         return found
     raise Unreadable(f"{source.field} is {shown(found)}, which is no object of type {' or '.join(types)}")
 
 
-def _number(source: Source, look: Look) -> float:
+def _number(source: FieldValue, look: Look) -> float:
     found = without_nan(source.field, source.value(look))
     if isinstance(found, bool) or not isinstance(found, int | float) or math.isinf(found):
         raise Unreadable(f"{source.field} is {shown(found)}; expected a finite number")
@@ -275,12 +275,12 @@ def placeholders(pattern: str) -> tuple[str, ...]:
     return tuple(_PLACEHOLDER.findall(pattern))
 
 
-def filled(pattern: str, env: Environment) -> str:
+def filled(pattern: str, env: Mapping[str, str]) -> str:
     """Put the objects in the place of the variables in braces."""
     return _PLACEHOLDER.sub(lambda found: env[f"?{found[1]}"], pattern)
 
 
-def _resolved(value: object, env: Environment) -> object:
+def _resolved(value: object, env: Mapping[str, str]) -> object:
     if isinstance(value, Mapping):
         return {name: _resolved(part, env) for name, part in value.items()}
     if isinstance(value, list):

@@ -14,11 +14,11 @@ from math import prod
 from typing import Final
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.declared_names import Kind, Signature
-from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, nothing_like
+from pnm.core.logic.declared_names import FluentKind, Signature
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, absent_value
 
 
-class Silence:
+class Watchdog:
     """Calls a function once nothing was heard for so many seconds, and again after every later silence.
 
     The mutable state is when something was heard last, and the one timer.
@@ -57,12 +57,12 @@ class Silence:
 
 MAX_INSTANCES: Final = 10_000
 """Fluents of one name that are made unknown when it is no longer reported; of more, only those that were so."""
-_NOTHING: Final[Mapping[Kind, Value | Unknown]] = {Kind.FACT: False, Kind.OBJECT: UNDEFINED, Kind.NUMBER: UNKNOWN}
+_NOTHING: Final[Mapping[FluentKind, Value | Unknown]] = {FluentKind.FACT: False, FluentKind.OBJECT: UNDEFINED, FluentKind.NUMBER: UNKNOWN}
 
 _log = logging.getLogger(__name__)
 
 
-class Reports:
+class StateReports:
     """Records reports that are complete about the names they give, and forgets names that fall silent.
 
     The mutable state is the silence of every name reported so far, what those that have fallen silent had before, and
@@ -89,7 +89,7 @@ class Reports:
         self._lag = lag
         self._stale = stale
         self._signatures = signatures or {}
-        self._silences: dict[str, Silence] = {}
+        self._silences: dict[str, Watchdog] = {}
         self._before: dict[str, dict[Fluent, Value | Unknown]] = {}
 
     def tell(self, names: Collection[str], facts: Mapping[Fluent, Value | Unknown], _sequence: int = 0) -> None:
@@ -107,7 +107,7 @@ class Reports:
             if name in self._silences:
                 self._silences[name].heard()
             else:
-                self._silences[name] = Silence(self._stale, partial(self._forget, name))
+                self._silences[name] = Watchdog(self._stale, partial(self._forget, name))
 
     def close(self) -> None:
         """Forget nothing more."""
@@ -116,7 +116,7 @@ class Reports:
 
     def _forget(self, name: str) -> None:
         _log.warning("nothing was reported about %s for %g s; it is unknown now", name, self._stale)
-        recorded = {fluent: nothing_like(value) for fluent, value in self._knowledge.facts().items() if fluent[0] == name}
+        recorded = {fluent: absent_value(value) for fluent, value in self._knowledge.facts().items() if fluent[0] == name}
         self._before[name] = {**dict(self._instances(name)), **recorded}
         self._knowledge.update(dict.fromkeys(self._before[name], UNKNOWN))
 

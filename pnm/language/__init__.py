@@ -6,23 +6,15 @@ No file names a class or a module that would be imported.
 
 from typing import TYPE_CHECKING
 
-from pnm.files.lazy_exports import lazily
+from pnm.files.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
-    from pnm.language.domain import LanguageDomain
-    from pnm.language.files import read_domain
-    from pnm.language.plan import HandWrittenPlan, World, parse_plans, read_plans, read_world
-
-__all__ = ["HandWrittenPlan", "LanguageDomain", "World", "parse_plans", "read_domain", "read_plans", "read_world"]
-
-_WHERE = {
-    "HandWrittenPlan": "pnm.language.plan",
-    "LanguageDomain": "pnm.language.domain",
-    "World": "pnm.language.plan",
-    "parse_plans": "pnm.language.plan",
-    "read_domain": "pnm.language.files",
-    "read_plans": "pnm.language.plan",
-    "read_world": "pnm.language.plan",
-}
-
-__getattr__, __dir__ = lazily(__name__, _WHERE)
+    from pnm.language.domain import LanguageDomain as LanguageDomain
+    from pnm.language.files import read_domain as read_domain
+    from pnm.language.plan import HandWrittenPlan as HandWrittenPlan
+    from pnm.language.plan import World as World
+    from pnm.language.plan import parse_plans as parse_plans
+    from pnm.language.plan import read_plans as read_plans
+    from pnm.language.plan import read_world as read_world
+else:
+    __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

@@ -16,7 +16,7 @@ from typing import Final
 
 from pnm.core.logic.expressions import Variable
 from pnm.core.machine.bindings import Binding
-from pnm.errors import InputError, Position, Tolerated, meant
+from pnm.errors import InputError, Position, Tolerated, suggestion
 from pnm.files.text import read_text
 from pnm.files.yaml_nodes import MAX_BYTES, Mapped, parse_yaml
 from pnm.language.actions import CLASSES, ActionKind, LanguageAction, read_class
@@ -50,11 +50,11 @@ def parse_documents(text: str, file: str) -> tuple[tuple[Mapped, ...], tuple[Tol
     try:
         return parse_yaml(text, file, ANCHORS), ()
     except InputError as error:
-        meant, changed = _as_meant(text) if len(text) <= MAX_EXCERPT else (text, [])
+        suggestion, changed = _as_meant(text) if len(text) <= MAX_EXCERPT else (text, [])
         if not changed:
             raise
         try:
-            found = parse_yaml(meant, file, ANCHORS)
+            found = parse_yaml(suggestion, file, ANCHORS)
         except InputError:
             raise error from None
         return found, tuple(Tolerated(message, Position(file, line, 1)) for line, message in changed)
@@ -217,7 +217,7 @@ def beside(entry: Mapped, key: str, path: str) -> Path:
     found = Path(entry.file).parent / path
     if not found.is_file():
         others = sorted(one.name for one in found.parent.glob("*.y*ml")) if found.parent.is_dir() else []
-        hint = meant(found.name, others)
+        hint = suggestion(found.name, others)
         raise InputError(f"there is no file {path!r} beside this one{f'; {hint}' if hint else ''}", entry.position(key))
     return found
 

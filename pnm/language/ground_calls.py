@@ -1,112 +1,25 @@
-"""From a step that calls an action to the ground action: what the step gives, and what is found when the call starts.
-
-Putting what a step gives in the place of the parameters of its action.
-
-Names go in by `pnm.core.logic.conditions.ground`; this file adds numbers, which PDDL's parameters never are, and computed values.
-"""
+"""From a step that calls an action to the ground action: values that the step gives are substituted for the parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final, TypeAlias, assert_never
+from typing import Final
 
 from pnm.core.logic.computed_values import Data, KnowledgeOperation, Layer, Literal, Operation, Query, Update, filled, parameters_in, parts
-from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, ground
-from pnm.core.logic.effects import Effect, Effects, ForEach, Set, When, ground_effects
-from pnm.core.logic.expressions import (
-    DURATION,
-    Arithmetic,
-    Constant,
-    Environment,
-    Expression,
-    Fluent,
-    Value,
-    ValueOf,
-    Variable,
-    bind,
-    ground_expression,
-    value_of,
-)
+from pnm.core.logic.conditions import TRUE, Condition, ground
+from pnm.core.logic.effects import Effects, ground_effects
+from pnm.core.logic.expressions import DURATION, Environment, Fluent, Value, ValueOf, is_number, text_of, value_of
 from pnm.core.machine.plan_graph import EMPTY, Cause, GroundAction, Recovery, Then
 from pnm.errors import InputError
 from pnm.language.actions import OPERATION, ActionKind, LanguageAction
 from pnm.language.plan_tree import CallStep
 
-Numbers: TypeAlias = Mapping[str, float]
-"""Parameters, with ``?``, that are given as numbers."""
-
-
-def names_of(numbers: Numbers) -> dict[str, str]:
-    """Return how the numbers are written as arguments of facts."""
-    return {name: f"{number:.12g}" for name, number in numbers.items()}
-
-
-def number_expression(expression: Expression, numbers: Numbers) -> Expression:
-    """Put numbers in the place of parameters."""
-    match expression:
-        case Constant(str() as name) if name in numbers:
-            return Constant(numbers[name])
-        case Constant():
-            return expression
-        case ValueOf(fluent):
-            return ValueOf(bind(fluent, names_of(numbers)))
-        case Arithmetic(operation, operands):
-            return Arithmetic(operation, tuple(number_expression(one, numbers) for one in operands))
-        case _:
-            assert_never(expression)
-
-
-def number_condition(condition: Condition, numbers: Numbers) -> Condition:
-    """Put numbers in the place of parameters; what is computed finds them when it is."""
-    match condition:
-        case Holds(fluent):
-            return Holds(bind(fluent, names_of(numbers)))
-        case Compare(operation, left, right):
-            return Compare(operation, number_expression(left, numbers), number_expression(right, numbers))
-        case Not(operand):
-            return Not(number_condition(operand, numbers))
-        case All(operands):
-            return All(tuple(number_condition(operand, numbers) for operand in operands))
-        case Any(operands):
-            return Any(tuple(number_condition(operand, numbers) for operand in operands))
-        case Implies(before, after):
-            return Implies(number_condition(before, numbers), number_condition(after, numbers))
-        case ForAll(variables, body):
-            return ForAll(variables, number_condition(body, _hidden(numbers, variables)))
-        case Exists(variables, body):
-            return Exists(variables, number_condition(body, _hidden(numbers, variables)))
-        case Computed():
-            return condition
-        case _:
-            assert_never(condition)
-
-
-def number_effects(effects: Effects, numbers: Numbers) -> Effects:
-    """Put numbers in the place of parameters."""
-    return tuple(_effect(effect, numbers) for effect in effects)
-
-
-def _effect(effect: Effect, numbers: Numbers) -> Effect:
-    match effect:
-        case Set(fluent, value, operation):
-            return Set(bind(fluent, names_of(numbers)), number_expression(value, numbers), operation)
-        case When(condition, inner, early):
-            return When(number_condition(condition, numbers), number_effects(inner, numbers), early)
-        case ForEach(variables, inner):
-            return ForEach(variables, number_effects(inner, _hidden(numbers, variables)))
-        case _:
-            assert_never(effect)
-
-
-def _hidden(numbers: Numbers, variables: tuple[Variable, ...]) -> Numbers:
-    names = {variable.name for variable in variables}
-    return {name: number for name, number in numbers.items() if name not in names}
-
 
 def filled_data(data: Data, values: Mapping[str, Data]) -> Data:
-    """Put computed values in the place of parameters; in fluents only texts fit."""
-    return filled(data, values, _texts(values))
+    """Substitute computed values for parameters; in fluents only texts fit."""
+    texts = {name: given.value for name, given in values.items() if isinstance(given, Literal) and isinstance(given.value, str)}
+    return filled(data, values, texts)
 
 
 def filled_operation(operation: KnowledgeOperation, values: Mapping[str, Data]) -> KnowledgeOperation:
@@ -117,10 +30,6 @@ def filled_operation(operation: KnowledgeOperation, values: Mapping[str, Data]) 
     found = filled_data(operation, values)
     assert isinstance(found, Query | Operation)
     return found
-
-
-def _texts(values: Mapping[str, Data]) -> Environment:
-    return {name: data.value for name, data in values.items() if isinstance(data, Literal) and isinstance(data.value, str)}
 
 
 EFFECT_RETRIES: Final = 3
@@ -148,8 +57,8 @@ class Substitution:
 
     values: Mapping[str, Data]
     """Whatever the step gives."""
-    texts: Environment
-    numbers: Mapping[str, float]
+    env: Environment
+    """The names of objects and the numbers among them: what arguments, conditions and effects can have."""
 
     @staticmethod
     def of(given: Mapping[str, Data]) -> Substitution:
@@ -157,22 +66,24 @@ class Substitution:
         plain = {f"?{name}": data.value for name, data in given.items() if isinstance(data, Literal)}
         return Substitution(
             {f"?{name}": data for name, data in given.items()},
-            {name: value for name, value in plain.items() if isinstance(value, str) and not value.startswith("?")},
-            {name: value for name, value in plain.items() if isinstance(value, int | float) and not isinstance(value, bool)},
+            {name: value for name, value in plain.items() if _is_name(value) or is_number(value)},
         )
 
     def condition(self, condition: Condition) -> Condition:
         """Return the condition as it is for this call."""
-        return ground(number_condition(condition, self.numbers) if self.numbers else condition, self.texts)
+        return ground(condition, self.env)
 
     def effects(self, effects: Effects, duration: float | None) -> Effects:
         """Return the effects as they are for this call."""
-        lasting = {} if duration is None else {DURATION[0]: str(duration)}
-        return ground_effects(number_effects(effects, self.numbers) if self.numbers else effects, {**self.texts, **lasting})
+        return ground_effects(effects, self.env if duration is None else {**self.env, DURATION[0]: float(duration)})
 
     def argument(self, name: str) -> str:
-        """Return the argument for a parameter without ``?``: the text or number it is given, or ``?name``."""
-        return {**self.texts, **names_of(self.numbers)}.get(f"?{name}", f"?{name}")
+        """Return the argument for a parameter without ``?``: the name or number it is given, or ``?name``."""
+        return text_of(self.env.get(f"?{name}", f"?{name}"))
+
+
+def _is_name(value: object) -> bool:
+    return isinstance(value, str) and not value.startswith("?")
 
 
 def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tuple[GroundAction, Substitution]:
@@ -256,8 +167,8 @@ def _duration(action: LanguageAction, own: Substitution, facts: Facts) -> float 
     """Return how long the call takes, if the domain fixes it by numbers that do not change or hold at the beginning."""
     for operation, bound in action.duration or ():
         if operation == "=":
-            found = value_of(ground_expression(number_expression(bound, own.numbers), own.texts), facts)
-            return float(found) if isinstance(found, int | float) and not isinstance(found, bool) else None
+            seconds = value_of(bound, facts, own.env)
+            return float(seconds) if is_number(seconds) else None
     return None
 
 

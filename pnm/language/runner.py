@@ -17,7 +17,7 @@ from functools import partial
 from math import inf
 from uuid import UUID, uuid4
 
-from pnm.actions.backend import Site
+from pnm.actions.backend import Backend
 from pnm.clock import TimeLimit
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Observer
@@ -31,7 +31,7 @@ from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Report, Reporter, Request
 from pnm.core.machine.verification.verify import Proof, verify
-from pnm.errors import InputError, meant
+from pnm.errors import InputError, suggestion
 from pnm.executor import Executor
 from pnm.knowledge.sources.source import Asker, Source
 from pnm.language.plan import HandWrittenPlan
@@ -46,7 +46,7 @@ def check_names(plan: HandWrittenPlan, given: Mapping[str, object]) -> None:
     known = plan.parameters
     for name in given:
         if known is not None and name not in known:
-            hint = meant(name, known) or f"expected {', '.join(known) or 'none'}"
+            hint = suggestion(name, known) or f"expected {', '.join(known) or 'none'}"
             raise InputError(f"{plan.name} has no parameter {name!r}; {hint}")
 
 
@@ -173,7 +173,7 @@ class Performer:
     """
 
     programs: Mapping[str, Program]
-    site: Site
+    site: Backend
     world: KnowledgeBase
     source: Source | None = None
     resources: Resources = field(init=False)
@@ -220,7 +220,7 @@ class Performer:
             InputError: there is no such plan, or it has no such parameter.
         """
         if name not in self.programs:
-            hint = meant(name, self.programs) or f"expected one of {', '.join(self.programs) or 'none, for none is loaded'}"
+            hint = suggestion(name, self.programs) or f"expected one of {', '.join(self.programs) or 'none, for none is loaded'}"
             raise InputError(f"there is no plan {name!r}; {hint}")
         program, given = self.programs[name], dict(parameters or {})
         check_names(program.plan, given)

@@ -15,7 +15,7 @@ from pnm.core.machine.requests import ActionClient
 from pnm.errors import InputError
 from pnm.knowledge.sensor_model import NO_SENSING, Sensing
 from pnm.knowledge.sources.source import FindKnowledge, Source
-from pnm.knowledge.state_reports import Reports
+from pnm.knowledge.state_reports import StateReports
 from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.knowledge.goal_ids import service_prefix
 from pnm.ros.knowledge.knowledge_services import KnowledgeServices
@@ -27,7 +27,7 @@ DISCOVERY: Final = 10.0
 """Seconds that robots may take to appear which are started together with us; later, who is missing fails by name."""
 
 
-class Ros2Site:
+class Ros2Backend:
     """The action servers found in the ROS 2 graph, the facts published on `knowledge/sensed`, and sensors.
 
     Args:
@@ -48,7 +48,7 @@ class Ros2Site:
         self._shared = ros
         self._sensing = sensing
         self._sensed: SensedReports | None = None
-        self._reports: Reports | None = None
+        self._reports: StateReports | None = None
         self._sensors: Sensors | None = None
         self._client: Any = None
         self._services: list[KnowledgeServices] = []
@@ -77,7 +77,7 @@ class Ros2Site:
             **dict.fromkeys(sensing.names, "there is a sensor for it"),
             **dict.fromkeys(self._bindings.assumed, ""),
         }
-        self._reports = Reports(knowledge, ignored, lag, sensing.stale, sensing.signatures)
+        self._reports = StateReports(knowledge, ignored, lag, sensing.stale, sensing.signatures)
         self._sensed = SensedReports(self.ros, loop, self._reports.tell)
         await self._sensors.open()
         await self._sensed.first(DISCOVERY)

@@ -21,7 +21,7 @@ from planner_bridge.yaml.convert import exported, imported
 from pnm.core.machine.generate import generate
 from pnm.core.machine.verification.verify import verify
 from pnm.language.plan import read_plans
-from tests.programs import play
+from tests.support.runs.direct import play
 
 ROOT = Path(__file__).parents[2]
 

@@ -25,7 +25,7 @@ from planner_bridge.simulation import robots_of
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.result import Stopwatch
 from planner_bridge.tasks.settings import OnChange, Settings, TaskObserver
-from pnm.actions.backend import RobotsSite
+from pnm.actions.backend import SimulatedBackend
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async
@@ -71,7 +71,7 @@ def measured(problem: Problem, bindings: Bindings) -> list[tuple[float, float]]:
     for seed in SEEDS:
         faults = Faults(tuple(Fault(name, FaultKind.ABORT, chance=0.2) for name in problem.domain.actions), seed=seed)
         clock = Clock()
-        site = RobotsSite(robots_of(problem, bindings, faults, speed=SPEED), bindings.assumed)
+        site = SimulatedBackend(robots_of(problem, bindings, faults, speed=SPEED), bindings.assumed)
         limits = Limits(replans=30, seconds=60.0, forbid_after=1, backoff=0.0)
         settings = Settings(bindings=bindings, limits=limits, on_failure=OnFailure.CONTINUE_OTHERS, on_change=OnChange.EAGER)
         run_async(pursue(problem, site, settings, clock, Stopwatch()), virtual=False)

@@ -10,9 +10,9 @@ from typing import TypeVar
 
 import pytest
 
-from tests.e2e.plans import PlanScene
-from tests.e2e.scene import Place, Scene
-from tests.ros_domains import ros_domain
+from tests.support.e2e.plans import PlanScene
+from tests.support.e2e.scene import Place, Scene
+from tests.support.ros.domains import ros_domain
 
 P = TypeVar("P", bound=Place)
 

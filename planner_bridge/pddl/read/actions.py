@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Final, Literal, TypeAlias, TypeVar
 
-from planner_bridge.model.problem import ActionSchema, DurationConstraint, Preference
 from planner_bridge.pddl.read.constraints import is_preference, preference, split_preferences, with_variables
 from planner_bridge.pddl.read.formulas import condition, effects
 from planner_bridge.pddl.read.requirements import Leniency, Refused
@@ -18,6 +17,7 @@ from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, where, wrong
 from planner_bridge.pddl.syntax.words import TIME_SPECIFIERS, TimeSpecifier, new_name, operands
 from pnm.core.logic.conditions import TRUE, Condition, ForAll, conjunction
+from pnm.core.logic.domain import ActionSchema, DurationConstraint, Preference
 from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, When
 from pnm.core.logic.expressions import Variable, expression_fluents
 
@@ -251,7 +251,7 @@ def _duration_constraint(node: Group, scope: TermScope) -> DurationConstraint:
     if operation != "=":
         scope.symbols.requirements.need(node, ":duration-inequalities")
     bound = scope.expression(right)
-    if any(True for _ in expression_fluents(bound)):
+    if any(expression_fluents(bound)):
         scope.symbols.requirements.need(node, ":numeric-fluents")
     return DurationConstraint(operation, bound)
 

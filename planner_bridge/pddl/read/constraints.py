@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Literal, TypeAlias, TypeVar
 
-from planner_bridge.model.problem import Preference
 from planner_bridge.pddl.read.formulas import condition
 from planner_bridge.pddl.read.requirements import Leniency
 from planner_bridge.pddl.read.symbols import CONSTRAINTS
@@ -14,6 +13,7 @@ from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, wrong
 from planner_bridge.pddl.syntax.words import counted, new_name, time
 from pnm.core.logic.conditions import Condition, ForAll, conjunction
+from pnm.core.logic.domain import Preference
 from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import Constraint
 

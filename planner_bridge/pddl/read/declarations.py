@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 from itertools import chain
 from typing import Final, TypeAlias
 
-from planner_bridge.model.problem import Declaration, Domain
+from planner_bridge.model.problem import Domain
 from planner_bridge.pddl.read.requirements import Leniency, Requirements
 from planner_bridge.pddl.read.sections import type_words, typed_runs
 from planner_bridge.pddl.read.symbols import SymbolKind, SymbolTable
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, where, wrong
 from planner_bridge.pddl.syntax.words import CONNECTIVES, Types, new_name, show_types, with_article
+from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Variable
 
 Lists: TypeAlias = Iterable[Sequence[Node]]
@@ -81,7 +82,7 @@ def objects(lists: Lists, symbols: SymbolTable) -> dict[str, Types]:
                 continue
             different = f": as {show_types(given)} here, as {show_types(before[1])} before; it is of both types"
             Leniency.OBJECT_TWICE.note(word, name, "" if frozenset(given) == frozenset(before[1]) else different)
-            both = symbols.joined(before[1], given)
+            both = symbols.domain.joined(before[1], given)
             if both != before[1]:
                 found[key] = before[0], both
     return dict(found.values())
@@ -95,7 +96,7 @@ def borrow(own: dict[str, Types], symbols: SymbolTable, whole: Node) -> dict[str
     for name, use in borrowed.items():
         if name not in objects:
             raise wrong(whole, f"the object {name!r} is not declared; the domain names it at {use.position}")
-        if not symbols.matches(objects[name], use.types):
+        if not symbols.domain.matches(objects[name], use.types):
             raise wrong(whole, f"{name!r} is of type {show_types(objects[name])}; the domain expects {show_types(use.types)}")
     return objects
 

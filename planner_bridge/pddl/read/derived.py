@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
-from typing import Final, assert_never
+from typing import Final
 
-from planner_bridge.model.problem import Declaration
 from planner_bridge.pddl.read.formulas import condition
 from planner_bridge.pddl.read.requirements import Leniency
 from planner_bridge.pddl.read.symbols import SymbolTable
 from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Group, Node, wrong
 from planner_bridge.pddl.syntax.words import CONNECTIVES, counted, new_name, operands, show_types
-from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
+from pnm.core.logic.conditions import polarities
+from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Variable
 from pnm.core.logic.rules import Rule
 
@@ -67,9 +67,9 @@ def _rule_head(node: Node, symbols: SymbolTable) -> tuple[Declaration, tuple[Var
 
 def _narrowed(given: Variable, needed: Variable, node: Node, symbols: SymbolTable) -> Variable:
     """Return the variable of a head with its own type, or with that of the declaration where its own is wider or missing."""
-    if all(symbols.matches((kind,), needed.types) for kind in given.types):
+    if all(symbols.domain.matches((kind,), needed.types) for kind in given.types):
         return given
-    if all(symbols.matches((kind,), given.types) for kind in needed.types):
+    if all(symbols.domain.matches((kind,), given.types) for kind in needed.types):
         return Variable(given.name, needed.types)
     raise wrong(node, f"{given.name!r} is of type {show_types(given.types)}; expected {show_types(needed.types)}")
 
@@ -82,9 +82,9 @@ def _check_stratification(rules: list[tuple[Rule, Group]]) -> None:
     derived = {rule.name for rule, _ in rules}
     needs: dict[str, dict[str, None]] = {}
     for rule, _ in rules:
-        needs.setdefault(rule.name, {}).update(dict.fromkeys(name for name, _ in _polarities(rule.condition, True) if name in derived))
+        needs.setdefault(rule.name, {}).update(dict.fromkeys(name for name, _ in polarities(rule.condition) if name in derived))
     for rule, section in rules:
-        for name, positive in _polarities(rule.condition, True):
+        for name, positive in polarities(rule.condition):
             path = () if positive or name not in derived else _shortest_path(name, rule.name, needs)
             if path:
                 chain = ", ".join(f"{head!r} from {needed!r}" for head, needed in pairwise(path))
@@ -103,24 +103,3 @@ def _shortest_path(start: str, end: str, needs: Mapping[str, Iterable[str]]) -> 
                 paths[needed] = (*paths[name], needed)
                 waiting.append(needed)
     return paths.get(end, ())
-
-
-def _polarities(condition: Condition, positive: bool) -> Iterator[tuple[str, bool]]:
-    """Yield every predicate of the condition, and whether it occurs positively: its truth helps rather than its absence."""
-    match condition:
-        case Holds(fluent):
-            yield fluent[0], positive
-        case Compare() | Computed():
-            return
-        case Not(operand):
-            yield from _polarities(operand, not positive)
-        case All(operands) | Any(operands):
-            for operand in operands:
-                yield from _polarities(operand, positive)
-        case Implies(left, right):
-            yield from _polarities(left, not positive)
-            yield from _polarities(right, positive)
-        case ForAll(_, body) | Exists(_, body):
-            yield from _polarities(body, positive)
-        case _:
-            assert_never(condition)

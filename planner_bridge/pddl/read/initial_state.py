@@ -10,7 +10,7 @@ from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, wrong
 from planner_bridge.pddl.syntax.words import counted, is_number, number, operands, time
 from pnm.core.logic.effects import TimedChange
-from pnm.core.logic.expressions import Constant, Fluent, Value, show
+from pnm.core.logic.expressions import Constant, Fluent, Value, fluent_text
 
 _ASSIGNMENTS: Final = ("=", "assign")
 _Change: TypeAlias = tuple[Fluent, Value]
@@ -90,8 +90,8 @@ def _put(state: dict[Fluent, Value], change: _Change | None, node: Node) -> None
     before = state.get(fluent, value)
     if before != value:
         if isinstance(value, bool):
-            raise wrong(node, f"{show(fluent)} has another value before; expected one value")
-        Leniency.VALUE_TWICE.note(node, show(fluent))
+            raise wrong(node, f"{fluent_text(fluent)} has another value before; expected one value")
+        Leniency.VALUE_TWICE.note(node, fluent_text(fluent))
     elif fluent in state:
-        Leniency.FACT_TWICE.note(node, show(fluent))
+        Leniency.FACT_TWICE.note(node, fluent_text(fluent))
     state[fluent] = value

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal
 
-from planner_bridge.model.problem import Domain, Metric, Preference, Problem
+from planner_bridge.model.problem import Domain, Metric, Problem
 from planner_bridge.pddl.read import declarations
 from planner_bridge.pddl.read.actions import DURATIVE, INSTANTANEOUS, actions
 from planner_bridge.pddl.read.constraints import constraints, split_preferences
@@ -26,6 +26,7 @@ from planner_bridge.pddl.read.symbols import TOTAL_COST, SymbolTable
 from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Atom, Group, text_of, wrong
 from pnm.core.logic.conditions import TRUE, Condition
+from pnm.core.logic.domain import Preference
 from pnm.errors import Tolerated
 from pnm.files.text import read_any_text
 
@@ -96,7 +97,7 @@ def domain_from(definition: Definition, warnings: tuple[Tolerated, ...] = ()) ->
     """
     words = requirements(definition.parts(":requirements"))
     needed = Requirements(words)
-    domain = Domain(definition.name, words, declarations.types(definition.lists(":types"), needed))
+    domain = Domain(definition.name, declarations.types(definition.lists(":types"), needed), requirements=words)
     symbols = SymbolTable(domain, {}, needed)
     rule_sections = definition.every(DERIVED)
     predicates = declarations.predicates(definition.parts(":predicates"), symbols)

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final, Literal, TypeAlias
 
-from planner_bridge.model.problem import Borrowed, Declaration, Domain
+from planner_bridge.model.problem import Borrowed, Domain
 from planner_bridge.pddl.read.requirements import REFUSED_HEADS, Leniency, Requirements
 from planner_bridge.pddl.read.sections import type_words, typed_runs
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, where, wrong
 from planner_bridge.pddl.syntax.words import CONNECTIVES, NAME, Types, is_number, nearest, unknown, with_article
+from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Variable
 
 SymbolKind: TypeAlias = Literal["predicate", "function"]
@@ -91,22 +92,6 @@ class SymbolTable:
                 seen.add(name.key)
                 variables.append(Variable(name.text, types))
         return tuple(variables)
-
-    def joined(self, *types: Types) -> Types:
-        """Return the types of something that is of all of these, without those that follow from another."""
-        every = tuple(dict.fromkeys(kind for some in types for kind in some))
-        return tuple(kind for kind in every if not any(kind in self._supertypes[other] for other in every if other != kind))
-
-    def matches(self, given: Types, needed: Types) -> bool:
-        """Whether an object of the given types can stand where the needed ones are expected."""
-        return given == needed or any(not self._supertypes[name].isdisjoint(needed) for name in given)
-
-    def may_match(self, given: Types, needed: Types) -> bool:
-        """Whether some object that fits the given types also fits the needed ones."""
-        if self.matches(given, needed):
-            return True
-        below = [self._subtypes[name] for name in needed]
-        return any(not self._subtypes[name].isdisjoint(other) for name in given for other in below)
 
     # --- objects ---
 
@@ -206,11 +191,3 @@ class SymbolTable:
     @cached_property
     def _objects(self) -> dict[str, tuple[str, Types]]:
         return {name.lower(): (name, types) for name, types in self.objects.items()}
-
-    @cached_property
-    def _supertypes(self) -> dict[str, frozenset[str]]:
-        return {name: self.domain.supertypes(name) for name in self._types.values()}
-
-    @cached_property
-    def _subtypes(self) -> dict[str, frozenset[str]]:
-        return {name: frozenset(below for below, above in self._supertypes.items() if name in above) for name in self._types.values()}

@@ -7,11 +7,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from planner_bridge.model.problem import Declaration
 from planner_bridge.pddl.read.requirements import Refused
 from planner_bridge.pddl.read.symbols import SymbolTable
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, wrong
 from planner_bridge.pddl.syntax.words import Types, counted, is_number, number, operands, show_types, unknown
+from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
 from pnm.errors import InputError
 
@@ -68,10 +68,10 @@ class TermScope:
         match node:
             case Atom(text) if text[0] != "?":
                 name, types = self.symbols.object(node, needed)
-                fits = self.symbols.matches(types, needed)
+                fits = self.symbols.domain.matches(types, needed)
             case Atom() if node.key in self.variables:
                 name, types = self.variables[node.key].name, self.variables[node.key].types
-                fits = self.symbols.may_match(types, needed)
+                fits = self.symbols.domain.may_match(types, needed)
             case Atom():
                 raise unknown("variable", node, [variable.name for variable in self.variables.values()])
             case Group() if (declared := self.symbols.find_function(node)) and declared.values:
@@ -101,7 +101,7 @@ class TermScope:
         if declared is None or not declared.values or (isinstance(node, Atom) and self.symbols.find_object(node.text)):
             return Constant(self._argument(node, needed))
         fluent = self.function(node)
-        if not self.symbols.may_match(declared.values, needed):
+        if not self.symbols.domain.may_match(declared.values, needed):
             raise _ill_typed(node, declared.name, declared.values, needed)
         return ValueOf(fluent)
 

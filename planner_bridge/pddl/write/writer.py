@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Final
 
-from planner_bridge.model.problem import ActionSchema, Declaration, Domain, Preference, Problem
+from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pddl.comments.table import Notes, Table, write_with_notes
 from planner_bridge.pddl.syntax.anchors import ACTION, COMPOUND, PARTS, fact_anchor, form_anchor, hierarchy_anchor, is_timed, rule_anchor
 from planner_bridge.pddl.syntax.pretty_print import Form, Keyed, Verbatim, definition_text, flat, noted
 from planner_bridge.pddl.syntax.words import number_text
 from planner_bridge.pddl.write.forms import condition_form, effects_form, expression_form, joined, typed_lines, types_form, variables_form
 from pnm.core.logic.conditions import TRUE, Condition, conjuncts
+from pnm.core.logic.domain import ActionSchema, Declaration, Preference
 from pnm.core.logic.effects import Effect, Effects, ForEach, TimedChange, When, is_early
 from pnm.core.logic.expressions import Constant, Fluent, Value, Variable
 from pnm.core.logic.rules import Rule

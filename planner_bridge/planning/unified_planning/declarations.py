@@ -11,8 +11,9 @@ from typing import Any, Final, TypeAlias
 
 import unified_planning.shortcuts as up
 
-from planner_bridge.model.problem import Declaration, Problem
-from pnm.core.logic.expressions import Fluent, Variable, show
+from planner_bridge.model.problem import Problem
+from pnm.core.logic.domain import Declaration
+from pnm.core.logic.expressions import Fluent, Variable, fluent_text
 from pnm.errors import InputError
 
 ROOT: Final = "object"
@@ -121,7 +122,7 @@ class Declarations:
             InputError: it is none of the domain's, such as the ``total-time`` of a metric.
         """
         if not self.knows(fluent):
-            raise InputError(f"the use of {show(fluent)}")
+            raise InputError(f"the use of {fluent_text(fluent)}")
         return self._fluents[fluent[0], len(fluent) - 1]
 
     def type_of(self, types: Iterable[str]) -> Any:

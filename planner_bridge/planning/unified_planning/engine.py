@@ -24,7 +24,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning.engines import ENGINES, Feature, problem_kind
 from planner_bridge.planning.unified_planning.problems import Translation
-from pnm.errors import InputError, meant
+from pnm.errors import InputError, suggestion
 
 _STATUS: Final = {
     Status.UNSOLVABLE_PROVEN: PlanningStatus.UNSOLVABLE,
@@ -84,7 +84,7 @@ def look_for(name: str) -> Answer:
         package = DEFAULT_ENGINES[name][0].partition(".")[0].replace("_", "-")
         return {"unknown": f"the planner {name} is not installed: pip install {package}"}
     planners = ("kairos", *(one for one in there if "[" not in one))
-    hint = meant(name, (*planners, "race", *ENGINES))
+    hint = suggestion(name, (*planners, "race", *ENGINES))
     return {"unknown": f"there is no planner {name!r}; installed: {', '.join(planners)}{f'; {hint}' if hint else ''}"}
 
 

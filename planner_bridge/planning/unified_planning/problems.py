@@ -12,13 +12,14 @@ from unified_planning.exceptions import UPException
 from unified_planning.io import PDDLWriter
 
 from planner_bridge.model.grounding import dynamic_names
-from planner_bridge.model.problem import ActionSchema, Metric, Problem
+from planner_bridge.model.problem import Metric, Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning.engines import Feature, problem_kind
 from planner_bridge.planning.normal_form import Assignment, cost_function, functions_in_use, is_whole, schema_assignments
 from planner_bridge.planning.unified_planning.declarations import Declarations, Terms
 from planner_bridge.planning.unified_planning.expressions import condition_there, expression_there, fluent_there, number_there
 from pnm.core.logic.conditions import Condition, conjuncts, names
+from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, ValueOf, expression_fluents
 from pnm.errors import InputError
 

@@ -29,7 +29,7 @@ from planner_bridge.tasks.scheduling.planning_queue import Turnstile
 from planner_bridge.tasks.scheduling.preemption import Neighbourhood, Precedence
 from planner_bridge.tasks.settings import OnChange, Settings
 from planner_bridge.tasks.task import Begins, Doing, Task
-from pnm.actions.backend import Site
+from pnm.actions.backend import Backend
 from pnm.core.execution.resources import Resources
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import TRUE, Condition
@@ -119,7 +119,7 @@ class TaskMaster:
         self,
         problem: Problem,
         knowledge: KnowledgeBase,
-        site: Site,
+        site: Backend,
         settings: Settings,
         read_goal: Callable[[str], Condition],
         *,

@@ -17,13 +17,24 @@ from pnm.core.execution.effect_checks import Intention, finished, intention, lag
 from pnm.core.execution.events import Cancel, Command, Send, Tell
 from pnm.core.execution.questions import Consultation
 from pnm.core.knowledge_base import Layered
-from pnm.core.logic.computed_values import MISSING, KnowledgeOperation, Layer, Operation, Query, Question, Update, asked, compute, named
+from pnm.core.logic.computed_values import (
+    MISSING,
+    KnowledgeOperation,
+    Layer,
+    Operation,
+    Query,
+    Question,
+    Update,
+    compute,
+    question_of,
+    variable_name,
+)
 from pnm.core.logic.conditions import ground
 from pnm.core.logic.effects import Changes, ground_effects, is_fixed, undo, values_before
-from pnm.core.logic.expressions import Environment
+from pnm.core.logic.expressions import Environment, bind
 from pnm.core.logic.operators import CHANGING, Uncomputable
 from pnm.core.machine.bindings import Binding, Bindings, goal_data, open_parameters, placeholders
-from pnm.core.machine.machine import Deed
+from pnm.core.machine.machine import TransitionAction
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Request
 
@@ -88,8 +99,7 @@ class Calls:
 
     def arguments(self, call: int) -> tuple[str, ...]:
         """Return what its parameters would have for values if it were sent now, as far as nobody has to be asked; else their names."""
-        values = self.consult(call, None).environment()
-        return tuple(values.get(argument, argument) for argument in self._plan.calls[call].action.arguments)
+        return bind(self._plan.calls[call].action.arguments, self.consult(call, None).environment())
 
     def binding(self, call: int) -> Binding:
         """Return the binding of the call's action."""
@@ -119,9 +129,9 @@ class Calls:
         in_names = {name for pattern in patterns for name in placeholders(pattern)}
         return fields, tuple(dict.fromkeys((*missing, *(name for name in open_parameters(action) if name in in_names))))
 
-    def claiming(self, call: int, deed: Deed | None, consulted: Consultation) -> tuple[UUID, GroundAction]:
+    def claiming(self, call: int, deed: TransitionAction | None, consulted: Consultation) -> tuple[UUID, GroundAction]:
         """Return for which request, and with which parameters, the call claims resources: for the next one if it is being sent."""
-        if deed is Deed.SEND:
+        if deed is TransitionAction.SEND:
             return self._next(call), self.ready(call, consulted)
         return self._requests[call], self.action(call)
 
@@ -139,7 +149,7 @@ class Calls:
 
     # --- deeds --------------------------------------------------------------------------------
 
-    def foresee(self, deed: Deed | None, call: int, consulted: Consultation) -> None:
+    def foresee(self, deed: TransitionAction | None, call: int, consulted: Consultation) -> None:
         """Work out what the deed is going to change.
 
         Raises:
@@ -148,32 +158,32 @@ class Calls:
         if not self._asks:
             return
         match deed:
-            case Deed.SEND:
+            case TransitionAction.SEND:
                 action = self.ready(call, consulted)
                 if not all(map(is_fixed, (*action.start_effects, *action.end_effects))):
                     intention(replace(self._plan.calls[call], action=action), consulted)
-            case Deed.FINISH if not all(map(is_fixed, self._intended[call].end_effects)):
+            case TransitionAction.FINISH if not all(map(is_fixed, self._intended[call].end_effects)):
                 finished(self.action(call), self._intended[call], consulted)
             case _:
                 pass
 
-    def do(self, deed: Deed, call: int, attempt: int, consulted: Consultation) -> None:
+    def do(self, deed: TransitionAction, call: int, attempt: int, consulted: Consultation) -> None:
         """Do what the firing of a transition brings about; `attempt` counts the requests each time the call is reached."""
         match deed:
-            case Deed.SEND:
+            case TransitionAction.SEND:
                 self._send(call, attempt, consulted)
-            case Deed.ADOPT:
+            case TransitionAction.ADOPT:
                 pass  # what there is to know of it is known
-            case Deed.CANCEL:
+            case TransitionAction.CANCEL:
                 self.accepted.pop(call, None)
                 self.commands.append(Cancel(self._requests[call]))
-            case Deed.BEGIN:
+            case TransitionAction.BEGIN:
                 start = self._intended[call].start
                 self._begun[call] = values_before(start, consulted)
                 self._write(start)
-            case Deed.FINISH:
+            case TransitionAction.FINISH:
                 self._write(finished(self.action(call), self._intended[call], consulted))
-            case Deed.UNDO:
+            case TransitionAction.UNDO:
                 if call in self._begun:
                     self._write(undo(self._begun.pop(call), self._intended[call].start, consulted))
             case _:
@@ -266,11 +276,11 @@ class Calls:
             case Operation(name, operands):
                 value = compute(operation, consulted)
                 if name in CHANGING and isinstance(operands[0], Query):
-                    return self._stored(asked(operands[0], consulted), value)
+                    return self._stored(question_of(operands[0], consulted), value)
                 return None
             case Update(name, data, layer, meta):
                 value = compute(data, consulted)
-                question = asked(Query(name, layer, meta), consulted)
+                question = question_of(Query(name, layer, meta), consulted)
                 return self._stored(question, None if value is MISSING else value)
             case _:
                 assert_never(operation)
@@ -294,11 +304,11 @@ def _unknown_values(operation: KnowledgeOperation, consulted: Consultation) -> t
     try:
         match operation:
             case Update(name, data, _, meta):
-                named(name, consulted)
+                variable_name(name, consulted)
                 compute(meta, consulted)
                 if compute(data, consulted) is not MISSING:
                     return ()
-                return (asked(data, consulted).name,) if isinstance(data, Query) else (str(data).removeprefix("?"),)
+                return (question_of(data, consulted).name,) if isinstance(data, Query) else (str(data).removeprefix("?"),)
             case _:
                 compute(operation, consulted)
                 return ()
@@ -307,11 +317,9 @@ def _unknown_values(operation: KnowledgeOperation, consulted: Consultation) -> t
 
 
 def _grounded(action: GroundAction, env: Environment) -> GroundAction:
-    told = dict(zip(action.parameters, action.arguments, strict=True))
-    arguments = tuple(env.get(f"?{name}", value) if value.startswith("?") else value for name, value in told.items())
     return replace(
         action,
-        arguments=arguments,
+        arguments=bind(action.arguments, env),
         precondition=ground(action.precondition, env),
         invariant=ground(action.invariant, env),
         end_condition=ground(action.end_condition, env),

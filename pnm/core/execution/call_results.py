@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import NamedTuple
 
-from pnm.core.machine.machine import Deed, Rule
-from pnm.core.machine.plan_graph import ActionCall, PlanGraph, Step, Then
+from pnm.core.machine.machine import CallOutcome, EffectsMissing, Rule, TransitionAction, is_check
+from pnm.core.machine.plan_graph import ActionCall, Cause, PlanGraph, Step
 from pnm.core.machine.requests import Outcome
 
 
@@ -19,7 +19,7 @@ class Failure:
     """Why a call, or another step, failed: which check or outcome, what was expected and what was seen."""
 
     call: Step
-    cause: str
+    cause: Cause
     expected: str = ""
     observed: str = ""
     unconfirmed: bool = False
@@ -39,12 +39,35 @@ class CallResult:
     """What became of a call so far. Times are None until it was sent, and until it was over."""
 
     call: ActionCall
-    outcome: str = "waiting"
+    kind: CallOutcome = CallOutcome.WAITING
     attempts: int = 0
     started: float | None = None
     ended: float | None = None
     assumed: bool = False
     """It succeeded, but some of its effects are assumed: nothing reports them."""
+    cause: Cause | None = None
+    """Why it failed or was passed over."""
+
+    @property
+    def is_done(self) -> bool:
+        """Whether its effects are there: it succeeded, or was not needed."""
+        return self.kind in (CallOutcome.SUCCEEDED, CallOutcome.ALREADY_TRUE)
+
+    @property
+    def is_under_way(self) -> bool:
+        """Whether its request is out, in this run or in one that succeeds it."""
+        return self.kind in (CallOutcome.RUNNING, CallOutcome.HANDED_OVER)
+
+    @property
+    def outcome(self) -> str:
+        """The outcome in words: the cause of a failure stands for it."""
+        match self.kind:
+            case CallOutcome.FAILED:
+                return str(self.cause)
+            case CallOutcome.PASSED_OVER:
+                return f"{self.cause}, {self.kind}"
+            case _:
+                return self.kind.value
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,42 +82,12 @@ class RunResult:
     """It was told to stop."""
 
 
-UNCONFIRMED: Final = "canceled, unconfirmed"
-"""The outcome of a call that was stopped, but whose server has not confirmed that."""
-SUSPENDED: Final = "suspended"
-"""The outcome so far of a call that was cancelled for a pause and has not begun anew."""
-RUNNING: Final = "running"
-"""The outcome so far of a call whose request is out."""
-HANDED_OVER: Final = "handed over"
-"""The outcome of a call that another run goes on with."""
+class Explanation(NamedTuple):
+    """Cause of a failure, with what was expected and what was observed instead."""
 
-_DONE: Final = {
-    "skip": "skipped",
-    "already_true": "already true",
-    "effects_hold": "succeeded",
-    "completed": "succeeded",
-    "stopped": "canceled",
-    "unconfirmed_stop": UNCONFIRMED,
-}
-"""The transitions that end a call without failure, and how that is called."""
-
-_CAUSES: Final = {
-    "rejected": "rejected",
-    "unavailable": "unavailable",
-    "unanswered": "unavailable",
-    "unheard": "unavailable",
-    "ended_early": "unavailable",
-    "aborted": "aborted",
-    "canceled": "canceled",
-    "lost": "lost",
-    "lost_early": "lost",
-    "ended_oddly": "aborted",
-    "expired": "timed_out",
-    "unconfirmed": "timed_out",
-    "unconfirmed_pause": "timed_out",
-    "effects_missing": "effects_missing",
-}
-"""The transitions after which a call recovers or fails, and how the cause is called."""
+    cause: Cause
+    expected: str
+    observed: str
 
 
 class Ledger:
@@ -113,7 +106,7 @@ class Ledger:
         self.rounds: list[CallResult] = []
         self.failures: list[Failure] = []
         self._messages: dict[int, str] = {}
-        self._causes: dict[int, tuple[str, str, str]] = {}
+        self._causes: dict[int, Explanation] = {}
 
     def told(self, handed: Collection[int] = ()) -> tuple[CallResult, ...]:
         """Return what became of the calls, every time they were reached.
@@ -124,38 +117,56 @@ class Ledger:
         Args:
             handed: the numbers of calls whose requests another run takes over.
         """
-        results = [replace(one, outcome=HANDED_OVER) if one.call.index in handed else one for one in self.results]
+        results = [replace(one, kind=CallOutcome.HANDED_OVER) if one.call.index in handed else one for one in self.results]
         if self._is_flat and not self.rounds:
             return tuple(results)
-        reached = [one for one in (*self.rounds, *results) if one.outcome != "waiting"]
-        others = [one for one in results if one.outcome == "waiting" and one.call.index in self._outermost]
+        reached = [one for one in (*self.rounds, *results) if one.kind is not CallOutcome.WAITING]
+        others = [one for one in results if one.kind is CallOutcome.WAITING and one.call.index in self._outermost]
         return (*sorted(reached, key=lambda one: (_first(one), one.call.index)), *others)
 
     def answered(self, call: int, outcome: Outcome) -> None:
         """Note how a request of the call ended."""
         self._messages[call] = outcome.message or outcome.kind.value
 
-    def fired(self, rule: Rule, call: int, now: float, *, missing: tuple[str, ...], assumed: bool) -> None:
-        """Note that a transition of the call fires; `missing` are the effects not seen."""
+    def fired(self, rule: Rule, call: int, now: float, check: Explanation | None, *, missing: tuple[str, ...], assumed: bool) -> None:
+        """Note that a transition of the call fires, which sets the outcome of the call and the cause of a recovery or failure.
+
+        Args:
+            rule: of the transition.
+            call: its number.
+            now: when it fires.
+            check: the explanation if a check has led to a recovery.
+            missing: the effects not seen.
+            assumed: whether some of the call's effects are reported by nothing.
+        """
         result = self.results[call]
-        if rule.name in ("join", "overtaken") and result.outcome != "waiting":
-            self.rounds.append(result)
-            self.results[call] = CallResult(self._calls[call])
-            self._causes.pop(call, None)
-        elif rule.deed is Deed.SEND:
-            started = now if result.started is None else result.started
-            self.results[call] = replace(result, outcome=RUNNING, attempts=result.attempts + 1, started=started)
-        elif rule.name == "suspended":
-            self.results[call] = replace(result, outcome=SUSPENDED)
-        elif rule.name == "skip" and result.outcome == SUSPENDED:
-            self.results[call] = replace(result, outcome="canceled", ended=now)
-        elif rule.name in _DONE:
-            self.results[call] = replace(result, outcome=_DONE[rule.name], ended=now, assumed=rule.deed is Deed.FINISH and assumed)
-        elif rule.name == "fork" and result.ended is None:
-            cause = self._causes[call][0] if call in self._causes else "left"
-            self.results[call] = replace(result, outcome=f"{cause}, passed over", ended=now)
-        if rule.name in _CAUSES:
-            self.caused(call, (_CAUSES[rule.name], *self._expectation(rule.name, call, missing)))
+        match rule.outcome:
+            case None:
+                pass
+            case CallOutcome.WAITING:
+                if result.kind is not CallOutcome.WAITING:
+                    self.rounds.append(result)
+                    self.results[call] = CallResult(self._calls[call])
+                    self._causes.pop(call, None)
+            case CallOutcome.RUNNING:
+                started = now if result.started is None else result.started
+                self.results[call] = replace(result, kind=rule.outcome, attempts=result.attempts + 1, started=started)
+            case CallOutcome.SUSPENDED:
+                self.results[call] = replace(result, kind=rule.outcome)
+            case CallOutcome.SKIPPED if result.kind is CallOutcome.SUSPENDED:
+                self.results[call] = replace(result, kind=CallOutcome.CANCELED, ended=now)
+            case CallOutcome.PASSED_OVER:
+                if result.ended is None:
+                    self.results[call] = replace(result, kind=rule.outcome, cause=self._causes[call].cause, ended=now)
+            case _:
+                assumed = assumed and rule.action is TransitionAction.FINISH
+                self.results[call] = replace(result, kind=rule.outcome, cause=None, ended=now, assumed=assumed)
+        if check is not None:
+            self._causes[call] = check
+        elif rule.cause is not None and not is_check(rule.guard):
+            expected = " ".join(missing) if isinstance(rule.guard, EffectsMissing) else rule.expected or "success"
+            message = self._messages.get(call, "")
+            self._causes[call] = Explanation(rule.cause, expected, rule.observed.format(message=message) or message)
 
     def adopted(self, call: ActionCall, before: CallResult) -> None:
         """Note that the call was sent by another run, and what was told of it there."""
@@ -165,39 +176,26 @@ class Ledger:
         """Note with which values for its parameters the call was sent."""
         self.results[call.index] = replace(self.results[call.index], call=call)
 
-    def caused(self, call: int, why: tuple[str, str, str]) -> None:
-        """Note why the call is about to recover: the cause, what was expected and what was seen."""
-        self._causes[call] = why
+    def failed(self, step: int, now: float, check: Explanation | None, rule: Rule, lacking: tuple[str, ...]) -> Failure:
+        """Note that the step has failed.
 
-    def _expectation(self, transition: str, call: int, missing: tuple[str, ...]) -> tuple[str, str]:
-        """Return what was expected, and what was seen in its place."""
-        match transition:
-            case "effects_missing":
-                return " ".join(missing), "the action succeeded, but that is not so"
-            case "unanswered" | "unheard":
-                return "an answer to the goal in time", "none"
-            case "expired":
-                return "an end in time", f"none; then {self._messages[call]}"
-            case "unconfirmed_pause":
-                return "a confirmed cancellation in time, for a pause", "none"
-            case "unconfirmed":
-                return "an end, or a confirmed cancellation, in time", "neither"
-            case _:
-                return "success", self._messages[call]
-
-    def failed(
-        self, step: int, now: float, why: tuple[str, str, str] | None, *, how: str, unconfirmed: bool, lacking: tuple[str, ...]
-    ) -> Failure:
-        """Note that the step has failed, by the transition `how`; the cause is the last one noted unless `why` names another."""
-        if why and step in self._causes:
-            cause, expected, observed = self._causes[step]
-            why = (why[0], why[1], f"{why[2]}; so it was not tried again after {cause}: expected {expected}, observed {observed}")
-        told = why or self._causes.get(step) or (how, "", "")
-        failed = self.results[step].call if step < len(self.results) else self._steps[step]
-        failure = Failure(failed, *told, unconfirmed=unconfirmed, replan=how == Then.REPLAN.value, lacking=lacking)
+        Args:
+            step: its number.
+            now: when it failed.
+            check: the explanation if a check has led to the failure at once; otherwise the cause noted last counts.
+            rule: of the transition that marks the failure.
+            lacking: the resources that it has waited for in vain.
+        """
+        before = self._causes.get(step)
+        if check and before:
+            again = f"so it was not tried again after {before.cause}: expected {before.expected}, observed {before.observed}"
+            check = check._replace(observed=f"{check.observed}; {again}")
+        explanation = check or self._causes[step]
+        call = self.results[step].call if step < len(self.results) else self._steps[step]
+        failure = Failure(call, *explanation, unconfirmed=rule.gives_up, replan=rule.replans, lacking=lacking)
         self.failures.append(failure)
-        if isinstance(failure.call, ActionCall):
-            self.results[step] = replace(self.results[step], outcome=failure.cause, ended=now)
+        if isinstance(call, ActionCall):
+            self.results[step] = replace(self.results[step], kind=CallOutcome.FAILED, cause=failure.cause, ended=now)
         return failure
 
 

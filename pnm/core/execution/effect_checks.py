@@ -10,10 +10,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from pnm.core.execution.questions import Consultation
-from pnm.core.knowledge_base import show_statement
-from pnm.core.logic.conditions import TRUE, Condition, conjuncts, evaluate, failing, names
+from pnm.core.knowledge_base import statement_text
+from pnm.core.logic.conditions import TRUE, Condition, conjuncts, names
 from pnm.core.logic.effects import Changes, Effects, changes, decided, facts, is_fixed, names_written
-from pnm.core.logic.expressions import Fluent, Value, same
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.explain import failing
+from pnm.core.logic.expressions import Fluent, Value, same_value
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 
 
@@ -27,7 +29,7 @@ def already_true(action: GroundAction, knowledge: Consultation) -> bool:
         return False
     if evaluate(action.expected, knowledge) is not True:
         return False
-    return all(same(knowledge.value(fluent), value) for fluent, value in (at_start | at_end).items())
+    return all(same_value(knowledge.value(fluent), value) for fluent, value in (at_start | at_end).items())
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +75,7 @@ def finished(action: GroundAction, intended: Intention, knowledge: Consultation)
 
 def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: Consultation) -> tuple[str, ...]:
     """Return, as PDDL, which expected facts are not reported and which end conditions and expectations do not hold."""
-    missing = (show_statement(fluent, value) for fluent, value in wanted.items() if not same(knowledge.world.value(fluent), value))
+    missing = (statement_text(fluent, value) for fluent, value in wanted.items() if not same_value(knowledge.world.value(fluent), value))
     return (*missing, *map(str, _end_denied(action, knowledge)), *map(str, failing(action.expected, knowledge)))
 
 

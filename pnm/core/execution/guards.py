@@ -7,11 +7,14 @@ from typing import Final, assert_never
 from uuid import UUID
 
 from pnm.core.execution.call_requests import Calls, UnderWay
+from pnm.core.execution.call_results import Explanation
 from pnm.core.execution.effect_checks import already_true
 from pnm.core.execution.questions import Consultation, Questions
 from pnm.core.execution.resources import Claim, Claims, who_keeps
 from pnm.core.execution.run_state import Situation
-from pnm.core.logic.conditions import Condition, evaluate, failing, ground, names, observed
+from pnm.core.logic.conditions import Condition, ground, names
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.explain import failing, observed
 from pnm.core.machine.machine import (
     Accepts,
     Adopted,
@@ -32,11 +35,8 @@ from pnm.core.machine.machine import (
     Rule,
     Withheld,
 )
-from pnm.core.machine.plan_graph import Loop
 
 NEVER: Final = float("inf")
-CHECKS: Final = frozenset({"precondition_false", "data_missing", "withheld", "before", "after"})
-"""What happens when a check does not hold."""
 
 
 class Decision:
@@ -129,14 +129,14 @@ class Decision:
 
     def withheld(self, guard: Withheld) -> Mapping[str, str]:
         """Return which resources the call could not have until the end of requests is known that were given up, and theirs."""
-        _, action = self._calls.claiming(guard.call, guard.deed, self.consult(guard.call))
+        _, action = self._calls.claiming(guard.call, guard.action, self.consult(guard.call))
         return self._claims.withheld_from(self._calls.resources(action))
 
     def claim(self, transition: int) -> Claim:
         """Return what the transition needs for its call."""
         rule = self._situation.roles.rules[transition]
         assert rule.call is not None, "only calls have resources"
-        request, action = self._calls.claiming(rule.call, rule.deed, self.consult(rule.call))
+        request, action = self._calls.claiming(rule.call, rule.action, self.consult(rule.call))
         return self._claims.claim(request, self._calls.resources(action))
 
     def _withheld(self, transition: int, is_so: bool, seconds: float) -> float:
@@ -173,28 +173,26 @@ class Decision:
         seen = (*(observed(part, consulted) for part in missing), *self._questions.silence_at(self.place))
         return " ".join(map(str, missing)), "; ".join(seen)
 
-    def why(self, step: int, rule: Rule) -> tuple[str, str, str] | None:
-        """Return the cause of a failure that a check has found, with what was expected and what was seen."""
+    def explain_check(self, rule: Rule) -> Explanation | None:
+        """Return the cause that a check has found, with what was expected and what was seen; None if the rule has no cause or no check."""
+        if rule.cause is None:
+            return None
         match rule.guard:
             case Denied(condition):
-                return rule.name, *self.explain(condition, rule.call)
-            case Holding(condition) if rule.name == "loop_limit":
-                rounds = next(
-                    one.limit for one in self._situation.roles.machine.plan.every_step if isinstance(one, Loop) and one.index == step
-                )
-                return rule.name, f"(not {condition}) after {rounds} rounds", observed(condition, self.consult(step))
-            case Holding(condition) if rule.name in CHECKS:
-                return rule.name, f"(not {condition})", observed(condition, self.consult(step))
-            case DataMissing():
-                missing = self._calls.goal(step, self.consult(step))[1]
-                silence = self._questions.silence_at(self.place)
-                why = "".join(f"; {message}" for message in (*silence, *self.consult(step).uncomputable(missing)))
-                return rule.name, f"values for {', '.join(missing)}", f"no argument, variable or constant of that name{why}"
+                return Explanation(rule.cause, *self.explain(condition, rule.call))
+            case Holding(condition):
+                return Explanation(rule.cause, rule.expected or f"(not {condition})", observed(condition, self.consult(rule.call)))
+            case DataMissing(call):
+                consulted = self.consult(call)
+                missing = self._calls.goal(call, consulted)[1]
+                why = "".join(f"; {message}" for message in (*self._questions.silence_at(self.place), *consulted.uncomputable(missing)))
+                return Explanation(rule.cause, f"values for {', '.join(missing)}", f"no argument, variable or constant of that name{why}")
             case Withheld(_, seconds):
-                found = self.withheld(rule.guard)
-                return rule.name, f"{', '.join(found)} within {seconds:g} s", who_keeps(found)
+                keepers = self.withheld(rule.guard)
+                return Explanation(rule.cause, f"{', '.join(keepers)} within {seconds:g} s", who_keeps(keepers))
             case Due(seconds):
-                return rule.name, f"an end within {seconds:g} s of the plan's start", f"{self._situation.passed:g} s have passed"
+                passed = f"{self._situation.passed:g} s have passed"
+                return Explanation(rule.cause, f"an end within {seconds:g} s of the plan's start", passed)
             case _:
                 return None
 

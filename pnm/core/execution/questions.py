@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from uuid import UUID
 
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.computed_values import MISSING, JsonText, Layer, Question, Unanswered, compute
+from pnm.core.logic.computed_values import MISSING, Layer, Question, Unanswered, compute
 from pnm.core.logic.expressions import NOTHING, Environment, Fluent, Unknown, Value
 from pnm.core.logic.operators import Uncomputable
 from pnm.core.machine.bindings import DEFAULT, Binding, open_parameters
@@ -105,12 +105,11 @@ class Consultation:
         return {name: value for name, value in values.items() if value is not MISSING}
 
     def environment(self) -> Environment:
-        """Return what knowledge has for the parameters that the plan leaves open: names of objects, or other values as JSON text."""
+        """Return what knowledge has for the parameters that the plan leaves open."""
         if not any(value.startswith("?") for value in self.action.arguments):
             return NOTHING
-        found = {f"?{name}": self._parameter(name) for name in open_parameters(self.action)}
-        known = {name: value for name, value in found.items() if value is not MISSING}
-        return {name: value if isinstance(value, str) else JsonText(json.dumps(value)) for name, value in known.items()}
+        values = {f"?{name}": self._parameter(name) for name in open_parameters(self.action)}
+        return {name: value for name, value in values.items() if value is not MISSING}
 
     def uncomputable(self, names: Iterable[str], /) -> Iterator[str]:
         """Say for which of the parameters, without ``?``, the plan gives what cannot be computed, and why."""

@@ -16,7 +16,7 @@ from typing import Final, assert_never
 from uuid import UUID
 
 from pnm.core.execution.call_requests import Calls, GoalFields, UnderWay
-from pnm.core.execution.call_results import Ledger, RunResult
+from pnm.core.execution.call_results import Explanation, Ledger, RunResult
 from pnm.core.execution.effect_checks import is_assumed
 from pnm.core.execution.events import (
     Answered,
@@ -35,7 +35,7 @@ from pnm.core.execution.events import (
     Wake,
     Withdraw,
 )
-from pnm.core.execution.guards import CHECKS, NEVER, Decision
+from pnm.core.execution.guards import NEVER, Decision
 from pnm.core.execution.handover import check_adoption
 from pnm.core.execution.questions import Questions
 from pnm.core.execution.resources import Claims, Resources
@@ -43,7 +43,7 @@ from pnm.core.execution.run_state import Roles, Situation
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.machine import Accepts, Deed, Ends, PetriNetMachine, Rule, Withheld
+from pnm.core.machine.machine import Accepts, Ends, PetriNetMachine, Rule, TransitionAction, Withheld
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Report
 from pnm.core.net.firing_engine import Engine
@@ -349,7 +349,7 @@ class Run:
                     break  # the rules after this one are asked when it may be asked itself
                 opens = self._decision.opens(transition, place)
                 if opens <= self._situation.now and (call := self._roles.rules[transition].call) is not None:
-                    self._calls.foresee(self._roles.rules[transition].deed, call, self._decision.consult(call))
+                    self._calls.foresee(self._roles.rules[transition].action, call, self._decision.consult(call))
             except Unanswered as needed:  # and so are all rules after this one
                 self._ask(place, self._roles.rules[transition].call, needed.question)
                 self._leave_line(place)
@@ -372,7 +372,7 @@ class Run:
     def _is_put_off(self, transition: int, place: int) -> bool:
         """Tell whether the transition must wait: for the end of a pause, or for what the call needs for itself."""
         takes = transition in self._roles.takes
-        if self._situation.pause and (takes or self._roles.rules[transition].deed is Deed.SEND):
+        if self._situation.pause and (takes or self._roles.rules[transition].action is TransitionAction.SEND):
             self._leave_line(place)
             return True
         return takes and not self._decision.has_resources(transition, place)
@@ -398,23 +398,24 @@ class Run:
     def _fire(self, transition: int) -> None:
         compiled, rule = self._engine.compiled, self._roles.rules[transition]
         fails = [place for place, _ in compiled.outputs[transition] if place in self._roles.failures]
+        check = self._decision.explain_check(rule)
         if transition in self._roles.takes and rule.call is not None:
             self._claims.take(rule.call, self._decision.claim(transition))
         if rule.call is not None and rule.call < len(self.machine.plan.calls):
-            self._note(rule, rule.call, bool(fails))
-            if rule.deed is not None:
-                self._do(rule.deed, rule.call)
+            self._note(rule, rule.call, None if fails else check)
+            if rule.action is not None:
+                self._do(rule.action, rule.call)
                 if self._calls.changed:
                     self._calls.changed = False
                     self._agenda.extend(place for place in self._undecided if self._roles.listening[place])
         was_ending, arrived = self._situation.ending, self._situation.now
-        if rule.deed is Deed.ADOPT and rule.call is not None:
+        if rule.action is TransitionAction.ADOPT and rule.call is not None:
             arrived = self._decision.adopted.pop(rule.call).accepted
         self._engine.fire(transition)
         if transition in self._roles.gives and rule.call is not None:
             self._give(rule, rule.call)
         for place in fails:
-            self._fail(self._roles.failures[place], rule)
+            self._fail(self._roles.failures[place], rule, check)
         for place, _ in compiled.inputs[transition]:
             self._leave(place)
         for place, _ in compiled.outputs[transition]:
@@ -427,20 +428,20 @@ class Run:
 
     def _give(self, rule: Rule, call: int) -> None:
         """Give back what the call has; if its request was given up, that keeps it."""
-        if rule.name in _GIVEN_UP:
+        if rule.gives_up:
             names = self._claims.withhold(call, str(self._calls.action(call)))
             self._observer.withheld(self._calls.as_sent(call), names, self._situation.now)
         else:
             self._claims.give(call)
         self._agenda.extend(self._claims.served())
 
-    def _do(self, deed: Deed, call: int) -> None:
+    def _do(self, deed: TransitionAction, call: int) -> None:
         self._calls.do(deed, call, self._ledger.results[call].attempts, self._decision.consult(call))
-        if deed is Deed.BEGIN:
+        if deed is TransitionAction.BEGIN:
             self._calls.accepted[call] = self._situation.now
-        elif deed is Deed.ADOPT:
+        elif deed is TransitionAction.ADOPT:
             self._ledger.adopted(self._calls.as_sent(call), self._decision.adopted[call].result)
-        elif deed is Deed.SEND:
+        elif deed is TransitionAction.SEND:
             sent = self._calls.as_sent(call)
             self._ledger.sent(sent)
             for command in self._calls.commands:
@@ -455,27 +456,20 @@ class Run:
         self._leave_line(place)
         self._commands.extend(map(Withdraw, self._decision.left(place)))
 
-    def _note(self, rule: Rule, call: int, fails: bool) -> None:
-        assumed = rule.deed is Deed.FINISH and is_assumed(self._calls.action(call), self._decision.consult(call))
-        self._ledger.fired(rule, call, self._situation.now, missing=self._decision.missing.get(call, ()), assumed=assumed)
-        if rule.name in CHECKS and not fails and (why := self._decision.why(call, rule)):
-            self._ledger.caused(call, why)
-        if rule.name in _GIVEN_UP:
+    def _note(self, rule: Rule, call: int, check: Explanation | None) -> None:
+        assumed = rule.action is TransitionAction.FINISH and is_assumed(self._calls.action(call), self._decision.consult(call))
+        self._ledger.fired(rule, call, self._situation.now, check, missing=self._decision.missing.get(call, ()), assumed=assumed)
+        if rule.gives_up:
             self._calls.forget(call)
 
-    def _fail(self, step: int, rule: Rule) -> None:
+    def _fail(self, step: int, rule: Rule, check: Explanation | None) -> None:
         lacking = tuple(self._decision.withheld(rule.guard)) if isinstance(rule.guard, Withheld) else ()
-        failure = self._ledger.failed(
-            step, self._situation.now, self._decision.why(step, rule), how=rule.name, unconfirmed=rule.name in _GIVEN_UP, lacking=lacking
-        )
+        failure = self._ledger.failed(step, self._situation.now, check, rule, lacking)
         self._observer.failed(failure, self._situation.now)
 
 
 _BEFORE_ACCEPTANCE: Final = frozenset({OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE, OutcomeKind.LOST})
 """Ends that do not tell whether the goal was accepted before."""
-
-_GIVEN_UP: Final = frozenset({"unheard", "unconfirmed", "unconfirmed_stop", "unconfirmed_pause"})
-"""The transitions after which a request is no longer waited for."""
 
 
 def _subject(plan: PlanGraph, call: int | None) -> str:

@@ -16,7 +16,6 @@ from pnm.core.machine.machine import (
     Accepts,
     AlreadyTrue,
     DataMissing,
-    Deed,
     Denied,
     EffectsMissing,
     EffectsSeen,
@@ -25,6 +24,7 @@ from pnm.core.machine.machine import (
     OnFailure,
     PetriNetMachine,
     Rule,
+    TransitionAction,
 )
 from pnm.core.net.firing_engine import Engine
 
@@ -65,7 +65,7 @@ class Roles:
                 self.reported.setdefault(rule.guard.call, []).append(transition)
         self.records = frozenset(ids[place] for place in machine.record_places)
         self.resources = frozenset(ids[place] for place in machine.resource_places)
-        self.takes = frozenset(one for one in self._touching(compiled.inputs) if self.rules[one].deed is not Deed.ADOPT)
+        self.takes = frozenset(one for one in self._touching(compiled.inputs) if self.rules[one].action is not TransitionAction.ADOPT)
         self.gives = self._touching(compiled.outputs)
         self.alive = tuple(ids[place] for place in machine.alive_places)
         self.settling = {ids[place]: call for place, call in machine.settling_places.items()}

@@ -1,9 +1,9 @@
-"""Values computed from what a run knows: literals, queries of knowledge bases, and Python's operators over them.
+"""Values computed from the knowledge of a run: literals, queries of knowledge bases, and Python's operators over them.
 
 A *query* asks for a variable: in the local knowledge of the run, in the global one, in both, or a person. What
-is not known locally has to be asked for outside of the run; evaluating then raises `Unanswered`, and whoever
-evaluates tries again when the answer is there. A variable that nobody has is `MISSING`, which is what
-``null`` is: equal to itself, and nothing that can be counted with.
+is not known locally has to be asked for outside of the run; evaluating then raises `Unanswered`, and is repeated
+when the answer is there. A variable without a value is `MISSING`, as is
+``null``: equal to itself, and no operand of arithmetic.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, Protocol, TypeAlias, assert_never, runtime_checkable
 
-from pnm.core.logic.expressions import NOTHING, UNDEFINED, Environment, Fluent, Unknown, Value, ValueOf, bind, show, variables_in
+from pnm.core.logic.expressions import NOTHING, UNDEFINED, Environment, Fluent, Unknown, Value, ValueOf, bind, variables_in
 from pnm.core.logic.operators import Uncomputable, bounded, operate
 from pnm.errors import PnmError
 
 
 class _Missing:
-    """The answer for a variable that nobody has; distinct from every value, None included."""
+    """The answer for a variable without a value; distinct from every value, None included."""
 
     def __repr__(self) -> str:
         return "MISSING"
@@ -30,16 +30,16 @@ MISSING: Final = _Missing()
 
 
 class Layer(Enum):
-    """Whom a query asks, and where an update goes."""
+    """The knowledge base that a query asks and an update goes to."""
 
     LOCAL = "local"
     """The knowledge of the run."""
     GLOBAL = "global"
-    """What all runs share."""
+    """The knowledge that all runs share."""
     ALL = "all"
     """A query asks the local, then the global knowledge; an update goes to both."""
     PERSON = "person"
-    """A question to, or a message for, whoever is there."""
+    """A question to, or a message for, a person."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Literal:
 
     @property
     def value(self) -> object:
-        """The value; a new one each time, so that nobody changes the literal."""
+        """The value; a new one each time, so that changing it does not change the literal."""
         return json.loads(self.json)
 
     def __str__(self) -> str:
@@ -75,7 +75,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """The value of a variable. Its name, and what else the knowledge base is told, may be computed themselves."""
+    """The value of a variable. Its name and the meta data for the knowledge base may be computed themselves."""
 
     name: Data
     layer: Layer = Layer.ALL
@@ -129,12 +129,12 @@ class Update:
 
 
 KnowledgeOperation: TypeAlias = Update | Query | Operation
-"""What a step does that works on knowledge alone. An operation other than ``setitem`` and ``delitem`` changes nothing."""
+"""The work of a step on knowledge alone. An operation other than ``setitem`` and ``delitem`` changes nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """A query with its name and meta data computed: what is asked outside of the run."""
+    """A query with its name and meta data computed, as it is asked outside of the run."""
 
     name: str
     layer: Layer
@@ -155,7 +155,7 @@ class Unanswered(PnmError):
 
 @runtime_checkable
 class Answers(Protocol):
-    """What values are computed from."""
+    """The knowledge that values are computed from."""
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
         """Return the value of a fluent."""
@@ -164,10 +164,10 @@ class Answers(Protocol):
         """Return a variable of the run, or `MISSING`."""
 
     def parameter(self, name: str, /) -> object:
-        """Return what the call gives a parameter of its action, named with ``?``; or `MISSING`."""
+        """Return the argument of a parameter of the call's action, named with ``?``; or `MISSING`."""
 
     def answer(self, question: Question, /) -> object:
-        """Return what the question was answered with, or `MISSING`; raise `Unanswered` when it was not asked yet."""
+        """Return the answer to the question, or `MISSING`; raise `Unanswered` when it was not asked yet."""
 
 
 def compute(data: Data, answers: Answers) -> object:
@@ -183,18 +183,18 @@ def compute(data: Data, answers: Answers) -> object:
         case Parameter(name):
             return answers.parameter(name)
         case ValueOf(fluent):
-            found = answers.value(fluent)
-            return MISSING if found in (None, UNDEFINED) or isinstance(found, Unknown) else found
+            value = answers.value(fluent)
+            return MISSING if value in (None, UNDEFINED) or isinstance(value, Unknown) else value
         case Query(_, layer):
-            question = asked(data, answers)
+            question = question_of(data, answers)
             if layer in (Layer.LOCAL, Layer.ALL):
                 known = answers.local_variable(question.name)
                 if known is not MISSING or layer is Layer.LOCAL:
                     return known
             return answers.answer(question)
         case Compound(items, keys):
-            found_items = [_null(compute(item, answers)) for item in items]
-            return bounded(found_items if keys is None else dict(zip(keys, found_items, strict=True)))
+            values = [_null(compute(item, answers)) for item in items]
+            return bounded(values if keys is None else dict(zip(keys, values, strict=True)))
         case Operation(name, operands) if name in _LAZY:
             return _LAZY[name](compute(operand, answers) for operand in operands)
         case Operation(name, operands):
@@ -203,46 +203,46 @@ def compute(data: Data, answers: Answers) -> object:
             assert_never(data)
 
 
-def asked(query: Query, answers: Answers) -> Question:
-    """Return what is asked once the query's name and meta data are computed.
+def question_of(query: Query, answers: Answers) -> Question:
+    """Return the question of a query, with its name and meta data computed.
 
     Raises:
-        Unanswered: they depend on something that has to be asked first.
-        Uncomputable: the name is not a text, or JSON cannot say the meta data.
+        Unanswered: they depend on a question that has to be asked first.
+        Uncomputable: the name is not a text, or the meta data is not JSON.
     """
-    name, meta = named(query.name, answers), _null(compute(query.meta, answers))
+    name, meta = variable_name(query.name, answers), _null(compute(query.meta, answers))
     try:
         return Question(name, query.layer, json.dumps(meta, sort_keys=True))
     except (TypeError, ValueError, RecursionError) as error:
         raise Uncomputable(f"what is told about {name} cannot be said in JSON: {error}") from error
 
 
-def named(name: Data, answers: Answers) -> str:
+def variable_name(name: Data, answers: Answers) -> str:
     """Return the name of a variable.
 
     Raises:
-        Unanswered: it depends on something that has to be asked first.
+        Unanswered: it depends on a question that has to be asked first.
         Uncomputable: it is not a text.
     """
-    found = compute(name, answers)
-    if not isinstance(found, str):
-        raise Uncomputable(f"{name} is {found!r}; expected the name of a variable")
-    return found
+    text = compute(name, answers)
+    if not isinstance(text, str):
+        raise Uncomputable(f"{name} is {text!r}; expected the name of a variable")
+    return text
 
 
-def truth(value: object) -> bool:
-    """Tell whether the value counts as true: what Python says, and nothing that is missing."""
+def is_true(value: object) -> bool:
+    """Return whether the value counts as true: as in Python, and a missing one does not."""
     return value is not MISSING and bool(value)
 
 
 _LAZY: Final[dict[str, Callable[[Iterator[object]], bool]]] = {
-    "and": lambda values: all(map(truth, values)),
-    "or": lambda values: any(map(truth, values)),
-    "not": lambda values: not truth(next(values)),
+    "and": lambda values: all(map(is_true, values)),
+    "or": lambda values: any(map(is_true, values)),
+    "not": lambda values: not is_true(next(values)),
     "exists": lambda values: next(values) not in (MISSING, None),
 }
 LOGICAL: Final = frozenset(_LAZY)
-"""Operators that look at their operands one by one, and at no more than needed."""
+"""Operators that evaluate their operands one by one, and no more than needed."""
 
 
 def _null(value: object) -> object:
@@ -257,15 +257,13 @@ def parts(data: Data) -> Iterator[Data]:
     yield data
     match data:
         case Query(name, _, meta):
-            inner: tuple[Data, ...] = (name, meta)
-        case Compound(items):
-            inner = items
-        case Operation(_, operands):
-            inner = operands
+            yield from parts(name)
+            yield from parts(meta)
+        case Compound(items) | Operation(_, items):
+            for item in items:
+                yield from parts(item)
         case _:
-            inner = ()
-    for one in inner:
-        yield from parts(one)
+            pass
 
 
 def fluents_in(data: Data, env: Environment = NOTHING) -> frozenset[Fluent]:
@@ -279,47 +277,25 @@ def parameters_in(data: Data) -> frozenset[str]:
     return own.union(*(variables_in(fluent) for fluent in fluents_in(data)))
 
 
-class JsonText(str):
-    """What stands in an environment for a value that is no text: its JSON text."""
-
-    __slots__ = ()
-
-
 def substituted(data: Data, env: Environment) -> Data:
-    """Put the environment's objects, and values, in the place of parameters and variables."""
-    if not env:
-        return data
-    return filled(data, {name: Literal(text) if isinstance(text, JsonText) else Literal.of(text) for name, text in env.items()}, env)
+    """Substitute the environment's values for parameters, and for the variables of fluents."""
+    return filled(data, {name: Literal.of(value) for name, value in env.items()}, env) if env else data
 
 
-def filled(data: Data, values: Mapping[str, Data], texts: Environment) -> Data:
-    """Put values in the place of parameters, and texts in the place of variables in fluents."""
+def filled(data: Data, values: Mapping[str, Data], env: Environment) -> Data:
+    """Substitute computed values for parameters, and the environment's values for the variables of fluents."""
     match data:
         case Parameter(name):
             return values.get(name, data)
         case ValueOf(fluent):
-            return ValueOf(bind(fluent, texts))
+            return ValueOf(bind(fluent, env))
         case Query(name, layer, meta):
-            return Query(filled(name, values, texts), layer, filled(meta, values, texts))
+            return Query(filled(name, values, env), layer, filled(meta, values, env))
         case Compound(items, keys):
-            return Compound(tuple(filled(item, values, texts) for item in items), keys)
+            return Compound(tuple(filled(item, values, env) for item in items), keys)
         case Operation(name, operands):
-            return Operation(name, tuple(filled(operand, values, texts) for operand in operands))
+            return Operation(name, tuple(filled(operand, values, env) for operand in operands))
         case Literal():
             return data
         case _:
             assert_never(data)
-
-
-def told(data: Data, answers: Answers) -> str:
-    """Say what the queries and fluents in the data have for values."""
-    said: dict[str, None] = {}
-    for part in parts(data):
-        if isinstance(part, Query | ValueOf | Parameter):
-            name = show(part.fluent) if isinstance(part, ValueOf) else str(part)
-            try:
-                found = compute(part, answers)
-            except (Unanswered, Uncomputable):
-                continue
-            said[f"{name} is {'missing' if found is MISSING else json.dumps(found, ensure_ascii=False, default=str)}"] = None
-    return ", ".join(said) or "no variable involved"

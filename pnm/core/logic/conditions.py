@@ -1,46 +1,31 @@
-"""What can be said about a state, and whether it holds: true, false or unknown.
+"""Conditions on a state, and the traversal of their parts; `pnm.core.logic.evaluation` decides whether they hold.
 
-Three values (Kleene): unknown is neither true nor false. A fluent that is *absent* from a
-state is false where a fact is asked for (closed world), undefined where an object is, and unknown
-where a number is. A fluent that a state maps to `UNKNOWN` is unknown either way. PDDL 3.1 does not
-say what an undefined object fluent is equal to: here, as for planners, to nothing, itself included.
 `str` of a condition is its PDDL text.
 """
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Final, Protocol, TypeAlias, assert_never
+from typing import Final, TypeAlias, assert_never
 
-from pnm.core.logic.computed_values import Answers, Data, Unanswered, compute, fluents_in, parameters_in, substituted, told
-from pnm.core.logic.computed_values import truth as is_true
+from pnm.core.logic.computed_values import Data, fluents_in, parameters_in, substituted
 from pnm.core.logic.expressions import (
-    DURATION,
     NOTHING,
-    UNDEFINED,
-    UNKNOWN,
     Environment,
     Expression,
     Fluent,
     State,
-    Truth,
-    Unknown,
-    Value,
-    ValueOf,
     Variable,
     bind,
     choices,
     expression_fluents,
     expression_variables,
+    fluent_text,
     ground_expression,
     hidden,
-    show,
-    value_of,
     variables_in,
 )
-from pnm.core.logic.operators import Uncomputable
 
 # --- conditions ----------------------------------------------------------------------------
 
@@ -52,7 +37,7 @@ class Holds:
     fluent: Fluent
 
     def __str__(self) -> str:
-        return show(self.fluent)
+        return fluent_text(self.fluent)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +117,7 @@ class Exists:
 
 @dataclass(frozen=True, slots=True)
 class Computed:
-    """The value is true: what hand-written plans say of variables. Unknown when it cannot be computed."""
+    """The computed value is true: a condition of hand-written plans on variables. Unknown when it cannot be computed."""
 
     data: Data
 
@@ -144,91 +129,56 @@ Condition: TypeAlias = Holds | Compare | Not | All | Any | Implies | ForAll | Ex
 
 TRUE: Final = All()
 
-_COMPARE: Final[dict[str, Callable[[float, float], bool]]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-}
-TOLERANCE: Final = 1e-6
-"""Numbers closer than this are equal: plans are computed and durations measured in floats."""
-
 
 # --- evaluation ----------------------------------------------------------------------------
 
 
-def evaluate(condition: Condition, state: State, env: Environment = NOTHING) -> Truth:
-    """Tell whether the condition is true, false or unknown in the state."""
+# --- looking into a condition --------------------------------------------------------------
+
+
+def operands_of(condition: Condition) -> tuple[Condition, ...]:
+    """Return the conditions that this one is made of; none for facts, comparisons and computed values."""
     match condition:
-        case Holds(fluent):
-            value = state.value(bind(fluent, env))
-            return value if value is UNKNOWN else bool(value)
-        case All(operands):
-            return _all(evaluate(operand, state, env) for operand in operands)
-        case Not(operand):
-            return negate(evaluate(operand, state, env))
-        case Compare(operation, left, right):
-            return _compare(operation, _recorded(left, state, env), _recorded(right, state, env))
-        case Any(operands):
-            return negate(_all(negate(evaluate(operand, state, env)) for operand in operands))
+        case All(operands) | Any(operands):
+            return operands
+        case Holds() | Compare() | Computed():
+            return ()
+        case Not(operand) | ForAll(_, operand) | Exists(_, operand):
+            return (operand,)
         case Implies(left, right):
-            return evaluate(Any((Not(left), right)), state, env)
-        case ForAll(variables, body):
-            return _all(evaluate(body, state, inner) for inner in choices(variables, state, env))
-        case Exists(variables, body):
-            return negate(evaluate(ForAll(variables, Not(body)), state, env))
-        case Computed(data):
-            return _test(substituted(data, env), state)
+            return (left, right)
         case _:
             assert_never(condition)
 
 
-def _test(data: Data, state: State) -> Truth:
-    """Raise `Unanswered` if it depends on what has to be asked first."""
-    if not isinstance(state, Answers):
-        return UNKNOWN
-    try:
-        return is_true(compute(data, state))
-    except Uncomputable:
-        return UNKNOWN
+def map_operands(condition: Condition, change: Callable[[Condition], Condition]) -> Condition:
+    """Return the condition with each of the conditions that it is made of changed."""
+    match condition:
+        case Holds() | Compare() | Computed():
+            return condition
+        case Not(operand):
+            return Not(change(operand))
+        case All(operands):
+            return All(tuple(map(change, operands)))
+        case Any(operands):
+            return Any(tuple(map(change, operands)))
+        case Implies(left, right):
+            return Implies(change(left), change(right))
+        case ForAll(variables, body):
+            return ForAll(variables, change(body))
+        case Exists(variables, body):
+            return Exists(variables, change(body))
+        case _:
+            assert_never(condition)
 
 
-def negate(truth: Truth) -> Truth:
-    """Return the opposite; unknown stays unknown."""
-    return truth if truth is UNKNOWN else not truth
-
-
-def _all(truths: Iterator[Truth]) -> Truth:
-    result: Truth = True
-    for truth in truths:
-        if truth is False:
-            return False
-        if truth is UNKNOWN:
-            result = UNKNOWN
-    return result
-
-
-def _recorded(expression: Expression, state: State, env: Environment) -> Value | Unknown | None:
-    """Return the value of the expression; None if it is a fluent of which nothing is recorded."""
-    if isinstance(expression, ValueOf) and expression.fluent != DURATION:
-        return state.value(bind(expression.fluent, env))
-    return value_of(expression, state, env)
-
-
-def _compare(operation: str, left: Value | Unknown | None, right: Value | Unknown | None) -> Truth:
-    if left is UNKNOWN or right is UNKNOWN:
-        return UNKNOWN
-    if isinstance(left, str) or isinstance(right, str):
-        return left == right != UNDEFINED if operation == "=" else UNKNOWN
-    if left is None or right is None:
-        return UNKNOWN
-    equal = abs(float(left) - float(right)) <= TOLERANCE
-    if operation == "=":
-        return equal
-    return equal if equal and "=" in operation else not equal and _COMPARE[operation](left, right)
-
-
-# --- looking into a condition --------------------------------------------------------------
+def every_part(condition: Condition) -> Iterator[Condition]:
+    """Yield the condition and all conditions in it, outer ones first."""
+    waiting = [condition]
+    while waiting:
+        part = waiting.pop()
+        yield part
+        waiting += operands_of(part)[::-1]
 
 
 def fluents(condition: Condition, state: State, env: Environment = NOTHING) -> frozenset[Fluent]:
@@ -243,60 +193,49 @@ def _fluents(condition: Condition, state: State, env: Environment) -> Iterator[F
         case Compare(_, left, right):
             yield from expression_fluents(left, env)
             yield from expression_fluents(right, env)
-        case Not(operand):
-            yield from _fluents(operand, state, env)
-        case All(operands) | Any(operands):
-            for operand in operands:
-                yield from _fluents(operand, state, env)
-        case Implies(left, right):
-            yield from _fluents(left, state, env)
-            yield from _fluents(right, state, env)
+        case Computed(data):
+            yield from fluents_in(data, env)
         case ForAll(variables, body) | Exists(variables, body):
             for inner in choices(variables, state, env):
                 yield from _fluents(body, state, inner)
-        case Computed(data):
-            yield from fluents_in(data, env)
         case _:
-            assert_never(condition)
-
-
-def every_part(condition: Condition) -> Iterator[Condition]:
-    """Yield the condition and all conditions in it, outer ones first."""
-    waiting = [condition]
-    while waiting:
-        part = waiting.pop()
-        yield part
-        match part:
-            case Not(operand) | ForAll(_, operand) | Exists(_, operand):
-                waiting.append(operand)
-            case All(operands) | Any(operands):
-                waiting += reversed(operands)
-            case Implies(left, right):
-                waiting += (right, left)
-            case Holds() | Compare() | Computed():
-                pass
-            case _:
-                assert_never(part)
+            for operand in operands_of(condition):
+                yield from _fluents(operand, state, env)
 
 
 def names(condition: Condition) -> frozenset[str]:
     """Return the predicates and functions the condition mentions."""
-    found: set[str] = set()
+    mentioned: set[str] = set()
     for part in every_part(condition):
         match part:
             case Holds(fluent):
-                found.add(fluent[0])
+                mentioned.add(fluent[0])
             case Compare(_, left, right):
-                found.update(fluent[0] for side in (left, right) for fluent in expression_fluents(side))
+                mentioned.update(fluent[0] for side in (left, right) for fluent in expression_fluents(side))
             case Computed(data):
-                found.update(fluent[0] for fluent in fluents_in(data))
+                mentioned.update(fluent[0] for fluent in fluents_in(data))
             case _:
                 pass
-    return frozenset(found)
+    return frozenset(mentioned)
+
+
+def polarities(condition: Condition, positive: bool = True) -> Iterator[tuple[str, bool]]:
+    """Yield the predicate of each fact in the condition, with whether the fact stands under an even number of negations."""
+    match condition:
+        case Holds(fluent):
+            yield fluent[0], positive
+        case Not(operand):
+            yield from polarities(operand, not positive)
+        case Implies(left, right):
+            yield from polarities(left, not positive)
+            yield from polarities(right, positive)
+        case _:
+            for operand in operands_of(condition):
+                yield from polarities(operand, positive)
 
 
 def data_in(condition: Condition) -> Iterator[Data]:
-    """Yield what of the condition is computed from variables."""
+    """Yield the computed values in the condition."""
     return (part.data for part in every_part(condition) if isinstance(part, Computed))
 
 
@@ -307,43 +246,30 @@ def free_variables(condition: Condition) -> frozenset[str]:
             return variables_in(fluent)
         case Compare(_, left, right):
             return expression_variables(left) | expression_variables(right)
-        case Not(operand):
-            return free_variables(operand)
-        case All(operands) | Any(operands):
-            return frozenset().union(*map(free_variables, operands))
-        case Implies(left, right):
-            return free_variables(left) | free_variables(right)
-        case ForAll(variables, body) | Exists(variables, body):
-            return free_variables(body) - {variable.name for variable in variables}
         case Computed(data):
             return parameters_in(data)
+        case ForAll(variables, body) | Exists(variables, body):
+            return free_variables(body) - {variable.name for variable in variables}
         case _:
-            assert_never(condition)
+            return frozenset().union(*map(free_variables, operands_of(condition)))
 
 
 def ground(condition: Condition, env: Environment) -> Condition:
-    """Substitute the environment's objects for the variables; quantified variables stay."""
+    """Substitute the environment's values for the variables; quantified variables stay."""
     match condition:
         case Holds(fluent):
             return Holds(bind(fluent, env))
+        case All(operands):
+            return All(tuple([ground(operand, env) for operand in operands]))
         case Compare(operation, left, right):
             return Compare(operation, ground_expression(left, env), ground_expression(right, env))
-        case Not(operand):
-            return Not(ground(operand, env))
-        case All(operands):
-            return All(tuple(ground(operand, env) for operand in operands))
-        case Any(operands):
-            return Any(tuple(ground(operand, env) for operand in operands))
-        case Implies(left, right):
-            return Implies(ground(left, env), ground(right, env))
-        case ForAll(variables, body):
-            return ForAll(variables, ground(body, hidden(env, variables)))
-        case Exists(variables, body):
-            return Exists(variables, ground(body, hidden(env, variables)))
         case Computed(data):
             return Computed(substituted(data, env))
+        case ForAll(variables) | Exists(variables):
+            env = hidden(env, variables)
         case _:
-            assert_never(condition)
+            pass
+    return map_operands(condition, lambda operand: ground(operand, env))
 
 
 def conjuncts(condition: Condition) -> tuple[Condition, ...]:
@@ -357,44 +283,3 @@ def conjunction(parts: Iterable[Condition]) -> Condition:
     """Join conditions by ``and``: nested ones flattened, a single one left alone."""
     flat = conjuncts(All(tuple(parts)))
     return flat[0] if len(flat) == 1 else All(flat)
-
-
-def failing(condition: Condition, state: State) -> tuple[Condition, ...]:
-    """Return the conjuncts that do not hold in the state: what was expected and is not so.
-
-    Those that nobody had to ask about, because others did not hold, are not among them.
-    """
-    return tuple(part for part in conjuncts(condition) if _fails(part, state))
-
-
-def _fails(condition: Condition, state: State) -> bool:
-    try:
-        return evaluate(condition, state) is not True
-    except Unanswered:
-        return False
-
-
-class Witness(State, Protocol):
-    """A state that can also say why it has the derived facts it has."""
-
-    def because(self, fluent: Fluent, /) -> str:
-        """Say why the fluent has its value, to be read after that; empty for what is recorded and nothing more."""
-
-
-def observed(condition: Condition, state: Witness) -> str:
-    """Say what the state has in place of the condition: the value of each fluent in it, and why if it is derived."""
-    if isinstance(condition, Computed) and isinstance(state, Answers):
-        return told(condition.data, state)
-    said = sorted(_told(fluent, state) for fluent in fluents(condition, state))
-    return ", ".join(said) or "no fluent involved"
-
-
-def _told(fluent: Fluent, state: Witness) -> str:
-    reason = state.because(fluent)
-    return f"{show(fluent)} is {_say(state.value(fluent))}{' ' if reason else ''}{reason}"
-
-
-def _say(value: Value | Unknown | None) -> str:
-    if value is UNKNOWN:
-        return "unknown"
-    return "false" if value is None else str(value).lower() if isinstance(value, bool) else f"{value}"

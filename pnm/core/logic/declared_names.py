@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from pnm.core.logic.expressions import UNDEFINED, Fluent, Value
-from pnm.errors import InputError, Position, meant
+from pnm.errors import InputError, Position, suggestion
 
 
-class Kind(Enum):
+class FluentKind(Enum):
     """What a fluent has for its value."""
 
     FACT = "predicate"
@@ -22,7 +22,7 @@ class Kind(Enum):
 class Signature:
     """How a predicate or function is used."""
 
-    kind: Kind
+    kind: FluentKind
     parameters: tuple[tuple[str, ...], ...] = ()
     """For every parameter, the types of its objects."""
     values: tuple[str, ...] = ()
@@ -94,7 +94,7 @@ class Vocabulary:
         if self.types_of[name].isdisjoint(types):
             raise InputError(f"{name} is a {_alternatives(self.types_of[name])}; expected a {_alternatives(types)}", position)
 
-    def check_kind(self, name: str, kind: Kind, position: Position) -> Signature:
+    def check_kind(self, name: str, kind: FluentKind, position: Position) -> Signature:
         """Return how a predicate or function is used, which must be of this kind and be told by somebody."""
         known = [one for one, signature in self.signatures.items() if signature.kind is kind]
         if name in self.signatures and name not in known:
@@ -111,5 +111,5 @@ def _alternatives(types: Iterable[str]) -> str:
 def _check(name: str, known: Iterable[str], what: str, position: Position) -> None:
     names = sorted(known)
     if name not in names:
-        hint = meant(name, names) or f"expected one of {', '.join(names[:20])}"
+        hint = suggestion(name, names) or f"expected one of {', '.join(names[:20])}"
         raise InputError(f"there is no {what} {name!r} in the domain; {hint}", position)

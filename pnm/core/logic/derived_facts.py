@@ -13,9 +13,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, assert_never
 
-from pnm.core.logic.conditions import Condition, Holds, evaluate, fluents, ground, names
-from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, State, Truth, Unknown, Value, bind, show
-from pnm.core.logic.rules import Body, Check, Choose, Find, Rules
+from pnm.core.logic.conditions import Condition, Holds, fluents, ground, names
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, State, Truth, Unknown, Value, bind, fluent_text
+from pnm.core.logic.rules import Body, CheckCondition, ChooseObject, FindFact, Rules
 
 LISTED: Final = 4
 """How many reasons are named; the others are counted."""
@@ -42,7 +43,7 @@ class _Attempt:
         return _Attempt(self.fact, self.body, chosen, self.position + 1, self.truth if truth is True else truth)
 
 
-class Consequences:
+class DerivedFacts:
     """The facts that follow from recorded ones: a state that answers for both.
 
     The mutable state is what is remembered: for every derived name the truth of its facts, the attempt that
@@ -122,7 +123,7 @@ class Consequences:
         """Say why a derived fact has its truth, by what is recorded: "because of …", or "for want of …" if it is false."""
         truth = self.value(fluent)
         if truth is UNKNOWN:
-            return _listed("because of", sorted(map(show, self.rests_on(fluent))))
+            return _listed("because of", sorted(map(fluent_text, self.rests_on(fluent))))
         derived, seen, reasons = [fluent], {fluent}, dict[str, None]()
         for fact in derived:  # grows
             for part, chosen in self._grounds(fact):
@@ -143,7 +144,7 @@ class Consequences:
             return
         for attempt in self._ended(fluent):
             step = attempt.body.steps[attempt.position]
-            if not isinstance(step, Choose):
+            if not isinstance(step, ChooseObject):
                 yield step.condition, attempt.chosen
 
     def _ended(self, fluent: Fluent) -> Iterator[_Attempt]:
@@ -170,17 +171,17 @@ class Consequences:
     def further(self, attempt: _Attempt, state: State) -> list[_Attempt]:
         """Return the attempt after its next step, as often as there are ways to take it; none when it fails."""
         match attempt.body.steps[attempt.position]:
-            case Check(condition):
+            case CheckCondition(condition):
                 truth = evaluate(condition, state, attempt.chosen)
                 return [] if truth is False else [attempt.on(attempt.chosen, truth)]
-            case Choose(variable):
+            case ChooseObject(variable):
                 return [attempt.on({**attempt.chosen, variable.name: name}) for name in self.objects(variable.types)]
-            case Find() as find:
+            case FindFact() as find:
                 return [attempt.on(chosen, truth) for chosen, truth in self._found(find, attempt.chosen)]
             case other:
                 assert_never(other)
 
-    def _found(self, find: Find, env: Environment) -> Iterator[tuple[Environment, Truth]]:
+    def _found(self, find: FindFact, env: Environment) -> Iterator[tuple[Environment, Truth]]:
         """Yield what each recorded fact like the one looked for makes of the new variables, and whether it is true."""
         pattern = bind(find.condition.fluent, env)
         for fact in self._table(pattern[0], len(pattern), find.known).get(tuple(pattern[one] for one in find.known), ()):
@@ -210,7 +211,7 @@ class _Fixpoint:
     The mutable state is what the constructor sets besides `objects`.
     """
 
-    def __init__(self, all: Consequences, stratum: int) -> None:
+    def __init__(self, all: DerivedFacts, stratum: int) -> None:
         self.objects = all.objects
         self._all = all
         self._stratum = stratum

@@ -1,4 +1,4 @@
-"""What an action does to a state.
+"""Effects: the changes that an action makes to a state.
 
 Effects are simultaneous: every condition and every right-hand side is evaluated in the
 state before, and a fact both deleted and added is added (PDDL 2.1, section 8).
@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final, TypeAlias, TypeGuard, assert_never
+from typing import Final, TypeAlias, assert_never
 
-from pnm.core.logic.conditions import Condition, evaluate, fluents, ground
+from pnm.core.logic.conditions import Condition, fluents, ground
+from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import (
     NOTHING,
     UNKNOWN,
@@ -22,14 +23,15 @@ from pnm.core.logic.expressions import (
     Unknown,
     Value,
     Variable,
+    absent_value,
     bind,
     choices,
     expression_fluents,
+    fluent_text,
     ground_expression,
     hidden,
-    nothing_like,
-    same,
-    show,
+    is_number,
+    same_value,
     value_of,
 )
 
@@ -46,10 +48,10 @@ class Set:
 
     def __str__(self) -> str:
         if self.value == Constant(True):
-            return show(self.fluent)
+            return fluent_text(self.fluent)
         if self.value == Constant(False):
-            return f"(not {show(self.fluent)})"
-        return f"({self.operation} {show(self.fluent)} {self.value})"
+            return f"(not {fluent_text(self.fluent)})"
+        return f"({self.operation} {fluent_text(self.fluent)} {self.value})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +64,7 @@ class When:
     """Of an effect at the end of an action: its condition is decided in the state the action starts in."""
 
     def __str__(self) -> str:
-        return f"(when {self.condition} {show_effects(self.effects)})"
+        return f"(when {self.condition} {effects_text(self.effects)})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +75,7 @@ class ForEach:
     effects: Effects
 
     def __str__(self) -> str:
-        return f"(forall ({' '.join(map(str, self.variables))}) {show_effects(self.effects)})"
+        return f"(forall ({' '.join(map(str, self.variables))}) {effects_text(self.effects)})"
 
 
 Effect: TypeAlias = Set | When | ForEach
@@ -83,14 +85,14 @@ Changes: TypeAlias = dict[Fluent, Value | Unknown]
 
 @dataclass(frozen=True, slots=True)
 class TimedChange:
-    """Facts and numbers that change by themselves at a time, in seconds: timed initial literals and fluents."""
+    """Facts and numbers that change by themselves at a time, in seconds: timed initial literals and fluents (PDDL 2.2)."""
 
     time: float
     changes: Mapping[Fluent, Value]
 
 
-def show_effects(effects: Effects) -> str:
-    """Write effects as one PDDL effect."""
+def effects_text(effects: Effects) -> str:
+    """Return the PDDL text of effects, as one effect."""
     return str(effects[0]) if len(effects) == 1 else f"({' '.join(('and', *map(str, effects)))})"
 
 
@@ -109,8 +111,28 @@ def changes(effects: Effects, state: State, env: Environment = NOTHING) -> Chang
     return result
 
 
+def every_effect(effects: Effects) -> Iterator[Effect]:
+    """Yield the effects and all effects in them, outer ones first."""
+    for effect in effects:
+        yield effect
+        if not isinstance(effect, Set):
+            yield from every_effect(effect.effects)
+
+
+def expanded(effects: Effects, state: State, env: Environment = NOTHING) -> Iterator[tuple[Set | When, Environment]]:
+    """Yield every `Set` and `When` at any depth, whether or not it happens, once for every choice of objects, with its environment."""
+    for effect in effects:
+        if isinstance(effect, ForEach):
+            for chosen in choices(effect.variables, state, env):
+                yield from expanded(effect.effects, state, chosen)
+        else:
+            yield effect, env
+            if isinstance(effect, When):
+                yield from expanded(effect.effects, state, env)
+
+
 def decided(effects: Effects, state: State) -> Effects:
-    """Return what is left of the end effects of an action that starts in the state: the early conditions are decided."""
+    """Return the end effects of an action that starts in the state, with their early conditions decided."""
     if not any(map(is_early, effects)):
         return effects
     result: list[Effect] = []
@@ -132,8 +154,8 @@ def decided(effects: Effects, state: State) -> Effects:
 
 
 def is_early(effect: Effect) -> bool:
-    """Tell whether some condition in the effect is decided before it happens."""
-    return not isinstance(effect, Set) and ((isinstance(effect, When) and effect.early) or any(map(is_early, effect.effects)))
+    """Return whether some condition in the effect is decided before it happens."""
+    return any(isinstance(part, When) and part.early for part in every_effect((effect,)))
 
 
 def assignments(effects: Effects, state: State, env: Environment = NOTHING) -> Iterator[tuple[Fluent, Set, Environment]]:
@@ -152,89 +174,46 @@ def assignments(effects: Effects, state: State, env: Environment = NOTHING) -> I
                 assert_never(effect)
 
 
+def possible_assignments(effects: Effects, state: State) -> Iterator[tuple[Fluent, Set, Environment]]:
+    """Yield what `assignments` would if every condition of the effects held."""
+    return ((bind(effect.fluent, env), effect, env) for effect, env in expanded(effects, state) if isinstance(effect, Set))
+
+
 def written(effects: Effects, state: State) -> frozenset[Fluent]:
     """Return every fluent the effects may set, whether or not their conditions hold."""
-    return frozenset(fluent for fluent, _, _ in assignments(unconditional(effects), state))
+    return frozenset(fluent for fluent, _, _ in possible_assignments(effects, state))
 
 
 def names_written(effects: Effects) -> frozenset[str]:
     """Return the predicates and functions the effects may change."""
-    return frozenset(name for effect in effects for name in _names(effect))
-
-
-def _names(effect: Effect) -> Iterator[str]:
-    match effect:
-        case Set(fluent):
-            yield fluent[0]
-        case When(_, inner) | ForEach(_, inner):
-            for one in inner:
-                yield from _names(one)
-        case _:
-            assert_never(effect)
+    return frozenset(effect.fluent[0] for effect in every_effect(effects) if isinstance(effect, Set))
 
 
 def read(effects: Effects, state: State) -> frozenset[Fluent]:
-    """Return every fluent that decides what the effects do when they happen: their conditions and right-hand sides."""
-    return frozenset(_read(effects, state, NOTHING))
-
-
-def _read(effects: Effects, state: State, env: Environment) -> Iterator[Fluent]:
-    for effect in effects:
+    """Return every fluent that the effects read when they happen: in their conditions and right-hand sides."""
+    reads: set[Fluent] = set()
+    for effect, env in expanded(effects, state):
         match effect:
             case Set(fluent, value, operation):
-                yield from expression_fluents(value, env)
+                reads.update(expression_fluents(value, env))
                 if operation != "assign":
-                    yield bind(fluent, env)
-            case When(condition, inner, early):
+                    reads.add(bind(fluent, env))
+            case When(condition, _, early):
                 if not early:
-                    yield from fluents(condition, state, env)
-                yield from _read(inner, state, env)
-            case ForEach(variables, inner):
-                for chosen in choices(variables, state, env):
-                    yield from _read(inner, state, chosen)
+                    reads |= fluents(condition, state, env)
             case _:
                 assert_never(effect)
+    return frozenset(reads)
 
 
 def read_early(effects: Effects, state: State) -> frozenset[Fluent]:
-    """Return every fluent that decides, when the action starts, what its end effects will be."""
-    return frozenset(_read_early(effects, state, NOTHING))
-
-
-def _read_early(effects: Effects, state: State, env: Environment) -> Iterator[Fluent]:
-    for effect in effects:
-        match effect:
-            case Set():
-                pass
-            case When(condition, inner, early):
-                if early:
-                    yield from fluents(condition, state, env)
-                yield from _read_early(inner, state, env)
-            case ForEach(variables, inner):
-                for chosen in choices(variables, state, env):
-                    yield from _read_early(inner, state, chosen)
-            case _:
-                assert_never(effect)
-
-
-def unconditional(effects: Effects) -> Effects:
-    """Return the effects with every `When` replaced by what it may do."""
-    result: list[Effect] = []
-    for effect in effects:
-        match effect:
-            case Set():
-                result.append(effect)
-            case When(_, inner):
-                result.extend(unconditional(inner))
-            case ForEach(variables, inner):
-                result.append(ForEach(variables, unconditional(inner)))
-            case _:
-                assert_never(effect)
-    return tuple(result)
+    """Return every fluent that end effects read when the action starts: in their early conditions."""
+    early = ((effect.condition, env) for effect, env in expanded(effects, state) if isinstance(effect, When) and effect.early)
+    return frozenset(fluent for condition, env in early for fluent in fluents(condition, state, env))
 
 
 def ground_effects(effects: Effects, env: Environment) -> Effects:
-    """Substitute the environment's objects for the variables; quantified variables stay."""
+    """Substitute the environment's values for the variables; quantified variables stay."""
     return tuple(_ground(effect, env) for effect in effects)
 
 
@@ -251,53 +230,44 @@ def _ground(effect: Effect, env: Environment) -> Effect:
 
 
 def values_before(after: Changes, state: State) -> Changes:
-    """Return what the state has for the fluents that are about to be changed; what is absent is false, undefined, or an unknown number."""
-    found: Changes = {}
-    for fluent, value in after.items():
-        old = state.value(fluent)
-        found[fluent] = old if old is not None else nothing_like(value)
-    return found
+    """Return the old values of fluents that are about to change; an absent one is false, undefined, or an unknown number."""
+    before = {fluent: state.value(fluent) for fluent in after}
+    return {fluent: absent_value(after[fluent]) if old is None else old for fluent, old in before.items()}
 
 
 def undo(before: Changes, after: Changes, now: State) -> Changes:
-    """Return what takes back `after`: old values where nobody else has written since.
+    """Return the changes that roll `after` back: to the old values of fluents that were not written again since.
 
     A number that has changed since is moved back by the difference the effect made.
     """
     result: Changes = {}
     for fluent, value in after.items():
         current, old = now.value(fluent), before[fluent]
-        if same(current, value):
+        if same_value(current, value):
             result[fluent] = old
-        elif _is_number(current) and _is_number(old) and _is_number(value):
+        elif is_number(current) and is_number(old) and is_number(value):
             result[fluent] = current - (value - old)
     return result
 
 
 def is_fixed(effect: Effect) -> bool:
-    """Tell whether the effect gives the same values whatever the state: no condition, nothing that is read."""
-    match effect:
-        case Set(_, value, operation):
-            return operation == "assign" and isinstance(value, Constant)
-        case When():
-            return False
-        case ForEach(_, inner):
-            return all(map(is_fixed, inner))
-        case _:
-            assert_never(effect)
+    """Return whether the effect assigns the same values in every state: it has no condition and reads nothing."""
+    if isinstance(effect, ForEach):
+        return all(map(is_fixed, effect.effects))
+    return isinstance(effect, Set) and effect.operation == "assign" and isinstance(effect.value, Constant)
 
 
 def facts(effects: Iterable[Effect], state: State) -> Changes | None:
-    """Return the truth values and objects that the effects give whatever the state, or None if they do anything else."""
+    """Return the truth values and objects that the effects assign in any state; None if they depend on it, or assign numbers."""
     flat = tuple(effects)
     if not all(map(is_fixed, flat)):
         return None
-    found = changes(flat, state)
-    return None if any(map(_is_number, found.values())) else found
+    assigned = changes(flat, state)
+    return None if any(map(is_number, assigned.values())) else assigned
 
 
 def _combine(operation: str, before: Value | Unknown | None, by: Value | Unknown) -> Value | Unknown:
-    if not _is_number(before) or not _is_number(by):
+    if not is_number(before) or not is_number(by):
         return UNKNOWN
     match operation:
         case "increase":
@@ -310,7 +280,3 @@ def _combine(operation: str, before: Value | Unknown | None, by: Value | Unknown
             return before / by
         case _:
             return UNKNOWN
-
-
-def _is_number(value: Value | Unknown | None) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -2,24 +2,25 @@
 
 A *fluent* is a tuple of names, the first of which is the predicate, function or variable:
 ``("at", "r1", "kitchen")``, written ``(at r1 kitchen)``. Terms that start with ``?`` are
-variables; an environment maps them to objects, so that one expression serves every call of an
+variables; an environment maps them to values, so that one expression serves every call of an
 action. `str` of an expression is its PDDL text.
 """
 
 from __future__ import annotations
 
+import json
 import operator
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from itertools import product
-from typing import Final, Protocol, TypeAlias, assert_never
+from typing import Final, Protocol, TypeAlias, TypeGuard, assert_never
 
 Fluent: TypeAlias = tuple[str, ...]
 
 
 class Unknown(Enum):
-    """The third truth value, and the value of a fluent nobody knows."""
+    """The third truth value, and the value of a fluent that is not known."""
 
     UNKNOWN = "unknown"
 
@@ -30,18 +31,19 @@ class Unknown(Enum):
 UNKNOWN: Final = Unknown.UNKNOWN
 Value: TypeAlias = bool | float | str
 Truth: TypeAlias = bool | Unknown
-Environment: TypeAlias = Mapping[str, str]
+Environment: TypeAlias = Mapping[str, object]
+"""Values of variables: names of objects; of an action's parameters also numbers, and whatever else JSON has."""
 NOTHING: Final[Environment] = {}
 DURATION: Final[Fluent] = ("?duration",)
-"""Stands for the duration of the action it is used in; an environment may give it as text, in seconds."""
+"""Stands for the duration of the action it is used in; an environment may give it a value, in seconds."""
 
 
 UNDEFINED: Final = "undefined"
-"""In place of an object: the fluent has none (PDDL 3.1), as has one that is absent. It is equal to nothing."""
+"""The value of an object fluent that has none (PDDL 3.1), absent ones included. It is equal to nothing, itself included."""
 
 
 class State(Protocol):
-    """What a condition is evaluated in."""
+    """A state that conditions are evaluated in."""
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
         """Return the value of a ground fluent; None when nothing is recorded about it."""
@@ -82,7 +84,7 @@ class ValueOf:
     fluent: Fluent
 
     def __str__(self) -> str:
-        return "?duration" if self.fluent == DURATION else show(self.fluent)
+        return "?duration" if self.fluent == DURATION else fluent_text(self.fluent)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,12 +112,12 @@ def value_of(expression: Expression, state: State, env: Environment = NOTHING) -
     """Return the value of the expression; unknown as soon as one part is, or on division by zero."""
     match expression:
         case Constant(value):
-            return env.get(value, value) if isinstance(value, str) else value
+            return _plain(env[value]) if isinstance(value, str) and value in env else value
         case ValueOf(fluent) if fluent == DURATION and DURATION[0] in env:
-            return float(env[DURATION[0]])
+            return _plain(env[DURATION[0]])
         case ValueOf(fluent):
-            found = state.value(bind(fluent, env))
-            return UNKNOWN if found is None else found
+            known = state.value(bind(fluent, env))
+            return UNKNOWN if known is None else known
         case Arithmetic(operation, operands):
             numbers = [value_of(operand, state, env) for operand in operands]
             if any(number is UNKNOWN or isinstance(number, str) for number in numbers):
@@ -125,16 +127,21 @@ def value_of(expression: Expression, state: State, env: Environment = NOTHING) -
             assert_never(expression)
 
 
-def same(one: Value | Unknown | None, other: Value | Unknown | None) -> bool:
-    """Tell whether two recorded values are the same; nothing recorded is false, or no object, and 0 is not."""
+def same_value(one: Value | Unknown | None, other: Value | Unknown | None) -> bool:
+    """Return whether two recorded values are the same; an absent one is the same as false and as no object, but not as 0."""
     if one is None or other is None:
         one, other = (False if value is None or value == UNDEFINED else value for value in (one, other))
     return isinstance(one, bool) is isinstance(other, bool) and one == other
 
 
-def nothing_like(value: Value | Unknown) -> Value | Unknown:
-    """Return what a fluent has when it no longer has such a value: false, no object, or a number nobody knows."""
+def absent_value(value: Value | Unknown) -> Value | Unknown:
+    """Return the value of a fluent that no longer has a value of this kind: false, no object, or an unknown number."""
     return False if isinstance(value, bool) else UNDEFINED if isinstance(value, str) else UNKNOWN
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Whether the value is a number; truth values are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def choices(variables: tuple[Variable, ...], state: State, env: Environment) -> Iterator[Environment]:
@@ -145,12 +152,25 @@ def choices(variables: tuple[Variable, ...], state: State, env: Environment) -> 
 
 
 def bind(fluent: Fluent, env: Environment) -> Fluent:
-    """Replace the variables of the fluent by the objects the environment gives them."""
-    return tuple(env.get(term, term) for term in fluent) if env else fluent
+    """Replace the variables of the fluent by what the environment has for them: names of objects, or the text of other values."""
+    if not env:
+        return fluent
+    return tuple([value if isinstance(value := env.get(term, term), str) else text_of(value) for term in fluent])
 
 
-def show(fluent: Fluent) -> str:
-    """Write the fluent as PDDL does."""
+def text_of(value: object) -> str:
+    """Write a value as the argument of a fluent: a name as it is, a number shortly, all else as JSON."""
+    if isinstance(value, str):
+        return value
+    return f"{value:.12g}" if isinstance(value, float) else json.dumps(value)
+
+
+def _plain(value: object) -> Value:
+    return value if isinstance(value, bool | int | float | str) else text_of(value)
+
+
+def fluent_text(fluent: Fluent) -> str:
+    """Return the PDDL text of a fluent."""
     return f"({' '.join(fluent)})"
 
 
@@ -188,16 +208,16 @@ def expression_variables(expression: Expression) -> frozenset[str]:
 
 
 def ground_expression(expression: Expression, env: Environment) -> Expression:
-    """Substitute the environment's objects for the variables of an expression."""
+    """Substitute the environment's values for the variables of an expression."""
     match expression:
         case Constant(value):
-            return Constant(env.get(value, value)) if isinstance(value, str) else expression
+            return Constant(_plain(env[value])) if isinstance(value, str) and value in env else expression
         case ValueOf(fluent) if fluent == DURATION and DURATION[0] in env:
-            return Constant(float(env[DURATION[0]]))
+            return Constant(_plain(env[DURATION[0]]))
         case ValueOf(fluent):
             return ValueOf(bind(fluent, env))
         case Arithmetic(operation, operands):
-            return Arithmetic(operation, tuple(ground_expression(one, env) for one in operands))
+            return Arithmetic(operation, tuple(ground_expression(operand, env) for operand in operands))
         case _:
             assert_never(expression)
 

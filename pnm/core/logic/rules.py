@@ -16,23 +16,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, TypeAlias, assert_never
+from typing import Final, TypeAlias
 
-from pnm.core.logic.conditions import (
-    All,
-    Any,
-    Compare,
-    Computed,
-    Condition,
-    Exists,
-    ForAll,
-    Holds,
-    Implies,
-    Not,
-    free_variables,
-    ground,
-    names,
-)
+from pnm.core.logic.conditions import All, Any, Condition, Exists, Holds, free_variables, ground, names, polarities
 from pnm.core.logic.expressions import Variable
 from pnm.errors import PnmError
 
@@ -54,14 +40,14 @@ class Rule:
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class CheckCondition:
     """The condition must hold; all of its variables are known here."""
 
     condition: Condition
 
 
 @dataclass(frozen=True, slots=True)
-class Find:
+class FindFact:
     """Some recorded fact must be like this one; it tells the variables that are still unknown."""
 
     condition: Holds
@@ -72,13 +58,13 @@ class Find:
 
 
 @dataclass(frozen=True, slots=True)
-class Choose:
+class ChooseObject:
     """Any object of its types will do for the variable."""
 
     variable: Variable
 
 
-Step: TypeAlias = Check | Find | Choose
+BodyStep: TypeAlias = CheckCondition | FindFact | ChooseObject
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,12 +72,12 @@ class Body:
     """One way to derive a fact: the steps succeed for some choice of objects for the body's own variables."""
 
     head: tuple[Variable, ...]
-    steps: tuple[Step, ...]
+    steps: tuple[BodyStep, ...]
 
     @property
     def parts(self) -> tuple[Condition, ...]:
         """The conditions that must all hold."""
-        return tuple(step.condition for step in self.steps if not isinstance(step, Choose))
+        return tuple(step.condition for step in self.steps if not isinstance(step, ChooseObject))
 
 
 @dataclass(frozen=True)
@@ -153,7 +139,7 @@ class Rules:
         """For every derived name, the derived names in its rules, and whether they are negated there."""
         found = {name: frozenset[tuple[str, bool]]() for name in self.derived}
         for rule in self.rules:
-            found[rule.name] |= {(name, negated) for name, negated in _signed(rule.condition, False) if name in self.derived}
+            found[rule.name] |= {(name, not positive) for name, positive in polarities(rule.condition) if name in self.derived}
         return found
 
     def _below(self, name: str) -> frozenset[str]:
@@ -172,27 +158,6 @@ class Rules:
 
 
 NO_RULES: Final = Rules()
-
-
-def _signed(condition: Condition, negated: bool) -> Iterator[tuple[str, bool]]:
-    """Yield the names of the facts in the condition, each with whether it stands under an odd number of negations."""
-    match condition:
-        case Holds(fluent):
-            yield fluent[0], negated
-        case Compare() | Computed():
-            return
-        case Not(operand):
-            yield from _signed(operand, not negated)
-        case All(operands) | Any(operands):
-            for operand in operands:
-                yield from _signed(operand, negated)
-        case Implies(left, right):
-            yield from _signed(left, not negated)
-            yield from _signed(right, negated)
-        case ForAll(_, operand) | Exists(_, operand):
-            yield from _signed(operand, negated)
-        case _:
-            assert_never(condition)
 
 
 # --- bodies --------------------------------------------------------------------------------
@@ -233,10 +198,10 @@ def _unused(name: str, taken: frozenset[str]) -> str:
 def _body(head: tuple[Variable, ...], own: tuple[Variable, ...], parts: tuple[Condition, ...], derived: frozenset[str]) -> Body:
     """Order the parts: what can be checked is checked, base facts first; then the base fact is looked for of which most is known."""
     open_ = {variable.name: variable for variable in own}
-    left, steps = list(parts), list[Step]()
+    left, steps = list(parts), list[BodyStep]()
     while left or open_:
         ready = [part for part in left if not free_variables(part) & open_.keys()]
-        steps += map(Check, sorted(ready, key=lambda part: not names(part).isdisjoint(derived)))
+        steps += map(CheckCondition, sorted(ready, key=lambda part: not names(part).isdisjoint(derived)))
         left = [part for part in left if part not in ready]
         if not open_:
             continue
@@ -248,13 +213,13 @@ def _body(head: tuple[Variable, ...], own: tuple[Variable, ...], parts: tuple[Co
             for _, variable in found.new:
                 open_.pop(variable.name, None)
         else:
-            steps.append(Choose(open_.pop(next(iter(open_)))))
+            steps.append(ChooseObject(open_.pop(next(iter(open_)))))
     return Body(head, tuple(steps))
 
 
-def _find(condition: Holds, unknown: dict[str, Variable]) -> Find:
+def _find(condition: Holds, unknown: dict[str, Variable]) -> FindFact:
     positions = range(len(condition.fluent))
-    return Find(
+    return FindFact(
         condition,
         tuple(position for position in positions if condition.fluent[position] not in unknown),
         tuple((position, unknown[condition.fluent[position]]) for position in positions if condition.fluent[position] in unknown),

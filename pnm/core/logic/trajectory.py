@@ -19,7 +19,9 @@ from dataclasses import dataclass, replace
 from math import inf
 from typing import Final
 
-from pnm.core.logic.conditions import TOLERANCE, Any, Condition, Not, Witness, conjuncts, evaluate, failing, ground, names, observed
+from pnm.core.logic.conditions import Any, Condition, Not, conjuncts, ground, names
+from pnm.core.logic.evaluation import TOLERANCE, evaluate
+from pnm.core.logic.explain import Witness, failing, observed
 from pnm.core.logic.expressions import NOTHING, Environment, State, Variable, choices
 
 
@@ -149,7 +151,7 @@ def shifted(constraint: Constraint, elapsed: float) -> Constraint:
 
 
 @dataclass(frozen=True, slots=True)
-class Watch:
+class ConstraintProgress:
     """What is left of a ground constraint while a course is being observed.
 
     What happens at one moment may be reported in pieces and late. What a constraint asks for counts
@@ -162,13 +164,13 @@ class Watch:
     doubtful_since: float | None = None
     """When it began to look as if `rest` were violated, or something were forbidden from then on."""
 
-    def seen(self, state: State, now: float, lag: float) -> Watch:
+    def seen(self, state: State, now: float, lag: float) -> ConstraintProgress:
         """Return the watch after a look at the state, with reports that may be so many seconds late."""
         moment = now if self.doubtful_since is None else self.doubtful_since
         left = progressed(self.rest, state, moment)
         if now < moment + lag - TOLERANCE and any(one.operator == "always" and one not in self.rest for one in left):
-            return Watch(self.rest, moment)
-        return Watch(left)
+            return ConstraintProgress(self.rest, moment)
+        return ConstraintProgress(left)
 
     def next_look(self, now: float, lag: float) -> float:
         """Return when to look again even if nothing is reported."""
@@ -187,7 +189,7 @@ def names_in(constraint: Constraint) -> frozenset[str]:
     return frozenset().union(*map(names, constraint.conditions))
 
 
-def seen_of(constraint: Constraint, state: Witness) -> str:
+def observed_of(constraint: Constraint, state: Witness) -> str:
     """Say what the state has in place of a ground constraint that is not fulfilled."""
     parts = [part for condition in constraint.conditions for part in failing(condition, state) or conjuncts(condition)]
     return "; ".join(dict.fromkeys(observed(part, state) for part in parts))

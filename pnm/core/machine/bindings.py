@@ -176,8 +176,7 @@ def _resolve(source: object, own: Mapping[str, object], knowledge: Lookup, find:
     if source.startswith("$"):
         return own[source[1:]] if source[1:] in own else find(source[1:])
     if source.startswith("("):
-        env = {f"?{name}": value for name, value in own.items() if isinstance(value, str)}
-        value = knowledge.value(bind(parse_fluent(source), env))
+        value = knowledge.value(bind(parse_fluent(source), {f"?{name}": value for name, value in own.items()}))
         return MISSING if value in (None, UNDEFINED) or isinstance(value, Unknown) else value
     return source
 

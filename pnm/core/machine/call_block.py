@@ -36,21 +36,21 @@ from pnm.core.machine.machine import (
     Adopted,
     After,
     AlreadyTrue,
-    Always,
+    CallOutcome,
     CancelAsked,
     DataMissing,
-    Deed,
     Denied,
     Due,
     EffectsMissing,
     EffectsSeen,
     Ending,
     Ends,
-    Guard,
     Holding,
     PauseAsked,
     Rule,
+    TransitionAction,
     Withheld,
+    check_rule,
 )
 from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction, Moment, PlanEvent
 from pnm.core.machine.recovery_block import Recoveries, abandon, build_recoveries
@@ -65,6 +65,7 @@ _EARLY = {OutcomeKind.REJECTED: Cause.REJECTED, OutcomeKind.UNAVAILABLE: Cause.U
 _NOT_EARLY = _ANY - frozenset(_EARLY)
 _LATE = {OutcomeKind.ABORTED: Cause.ABORTED, OutcomeKind.CANCELED: Cause.CANCELED, OutcomeKind.LOST: Cause.LOST}
 _ODD = _UNSUCCESSFUL - frozenset(_LATE)
+_ANSWER = "an answer to the goal in time"
 _ALIVE = ("requested", "withdrawing", "again requested", "again withdrawing", "running", "overdue", "stopping", "suspending")
 """Places of a call whose request may be alive."""
 
@@ -95,19 +96,18 @@ class CallBlock(Block[ActionCall]):
         self._finish("again " if announced else "")
         self.leave()
 
-    def add(
-        self, name: str, guard: Guard, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], deed: Deed | None = None
-    ) -> None:
+    def add(self, rule: Rule, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:
         """Add a transition between any places; one that leads to where a request may be alive takes the resources."""
         if self._resources:
             taken, marked = inputs if isinstance(inputs, dict) else dict.fromkeys(inputs, 1), [*outputs]
             was_alive, is_alive = (not self._alive.isdisjoint(places) for places in (taken, marked))
-            if is_alive and not was_alive and not isinstance(guard, Adopted):
-                rule = Rule("withheld", Withheld(self.step.index, self.binding.accept, deed), self.step.index)
-                self.builder.transition(self.name(f"withheld before {name}"), rule, taken, self._if_withheld(name))
+            if is_alive and not was_alive and not isinstance(rule.guard, Adopted):
+                name = title or rule.name
+                withheld = check_rule(Cause.WITHHELD, Withheld(self.step.index, self.binding.accept, rule.action))
+                super().add(withheld, taken, self._if_withheld(name), title=f"{withheld.name} before {name}")
             inputs = {**taken, **dict.fromkeys(self._resources, 1)} if is_alive and not was_alive else taken
             outputs = [*marked, *self._resources] if was_alive and not is_alive else marked
-        super().add(name, guard, inputs, outputs, deed)
+        super().add(rule, inputs, outputs, title=title)
 
     def _if_withheld(self, what: str) -> list[str]:
         """Return what is marked when this cannot be done for want of resources: as if the server were not there, if that is a way out."""
@@ -159,36 +159,37 @@ class CallBlock(Block[ActionCall]):
         failed = [*out, self.name("failed")]
         may_start = conjunction((action.precondition, _before_invariant(action, self.builder.plan.rules)))
 
-        def add(name: str, guard: Guard, source: str, outputs: Iterable[str], deed: Deed | None = None) -> None:
-            self.add(phase + name, guard, [source], outputs, deed)
+        def add(rule: Rule, source: str, outputs: Iterable[str]) -> None:
+            self.add(rule, [source], outputs, title=phase + rule.name)
 
         if self.step.under_way and announced == self._announced:
-            add("adopt", Adopted(call), ready, [self.name("running"), *announced], Deed.ADOPT)
-        add("skip", Ending(), ready, out)
+            add(Rule("adopt", Adopted(call), action=TransitionAction.ADOPT), ready, [self.name("running"), *announced])
+        add(Rule("skip", Ending(), outcome=CallOutcome.SKIPPED), ready, out)
         if not self._must_happen:
-            add("already_true", AlreadyTrue(call), ready, out)
+            add(Rule("already_true", AlreadyTrue(call), outcome=CallOutcome.ALREADY_TRUE), ready, out)
         self._own_checks(Cause.BEFORE, "ready")
-        add("data_missing", DataMissing(call), ready, self._after(Cause.DATA_MISSING, failed))
+        add(check_rule(Cause.DATA_MISSING, DataMissing(call)), ready, self._after(Cause.DATA_MISSING, failed))
         if isfinite(self.step.deadline):
-            add("too_late", Due(self.step.deadline), ready, failed)
-        add("start", Holding(may_start), ready, [requested], Deed.SEND)
-        add("precondition_false", Denied(may_start), ready, self._after(Cause.PRECONDITION_FALSE, failed))
+            add(check_rule(Cause.TOO_LATE, Due(self.step.deadline)), ready, failed)
+        add(Rule("start", Holding(may_start), action=TransitionAction.SEND, outcome=CallOutcome.RUNNING), ready, [requested])
+        add(check_rule(Cause.PRECONDITION_FALSE, Denied(may_start)), ready, self._after(Cause.PRECONDITION_FALSE, failed))
 
-        add("accepted", Accepts(call), requested, [self.name("running"), *announced], Deed.BEGIN)
+        add(Rule("accepted", Accepts(call), action=TransitionAction.BEGIN), requested, [self.name("running"), *announced])
         for kind, cause in _EARLY.items():
             name = f"{kind.value}{'_early' if kind is OutcomeKind.LOST else ''}"
-            add(name, Ends(call, frozenset({kind})), requested, self._after(cause, [recover]))
+            add(Rule(name, Ends(call, frozenset({kind})), cause=cause), requested, self._after(cause, [recover]))
         unavailable = self._after(Cause.UNAVAILABLE, [recover])
-        add("ended_early", Ends(call, _NOT_EARLY), requested, unavailable)
-        add("unanswered", After(self.binding.accept), requested, [withdrawing], Deed.CANCEL)
-        add("withdrawn", Ends(call, _ANY), withdrawing, unavailable)
-        add("unheard", After(self.binding.cancel), withdrawing, failed)
+        add(Rule("ended_early", Ends(call, _NOT_EARLY), cause=Cause.UNAVAILABLE), requested, unavailable)
+        unanswered = Rule("unanswered", After(self.binding.accept), cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none")
+        add(unanswered._replace(action=TransitionAction.CANCEL), requested, [withdrawing])
+        add(Rule("withdrawn", Ends(call, _ANY)), withdrawing, unavailable)
+        add(unanswered._replace(name="unheard", guard=After(self.binding.cancel), gives_up=True), withdrawing, failed)
 
         abandon(self, "recover", *announced, phase=phase)
         budget, spent, retries = self.name("budget"), self.name("spent"), self.retries
         if retries:
-            self.add(f"{phase}retry", Always(), [recover, budget], [ready, spent])
-        self.add(f"{phase}give_up", Always(), {recover: 1, spent: retries} if retries else {recover: 1}, failed)
+            self.add(Rule("retry"), [recover, budget], [ready, spent], title=f"{phase}retry")
+        self.add(Rule("give_up"), {recover: 1, spent: retries} if retries else {recover: 1}, failed, title=f"{phase}give_up")
 
     @property
     def _must_happen(self) -> bool:
@@ -209,40 +210,54 @@ class CallBlock(Block[ActionCall]):
             self.place("returned")
             returned = "returned"
         recover = [self.name(phase + "recover")]
-        self.fire("succeeded", Ends(call, _SUCCEEDED), "running", returned)
+        self.fire(Rule("succeeded", Ends(call, _SUCCEEDED)), "running", returned)
         for kind, cause in _LATE.items():
-            self._outcome(kind.value, Ends(call, frozenset({kind})), "running", cause, recover)
-        self._outcome("ended_oddly", Ends(call, _ODD), "running", Cause.ABORTED, recover)
-        self.fire("stop", CancelAsked(), "running", "stopping", deed=Deed.CANCEL)
-        self.fire("suspend", PauseAsked(), "running", "suspending", deed=Deed.CANCEL)
+            self._outcome(Rule(kind.value, Ends(call, frozenset({kind})), cause=cause), "running", recover)
+        self._outcome(Rule("ended_oddly", Ends(call, _ODD), cause=Cause.ABORTED), "running", recover)
+        self.fire(Rule("stop", CancelAsked(), action=TransitionAction.CANCEL), "running", "stopping")
+        self.fire(Rule("suspend", PauseAsked(), action=TransitionAction.CANCEL), "running", "suspending")
         if self.step.action.invariant != TRUE:
-            self.fire("invariant_false", Denied(self.step.action.invariant), "running", "stopping", "failed", deed=Deed.CANCEL)
+            broken = check_rule(Cause.INVARIANT_FALSE, Denied(self.step.action.invariant), TransitionAction.CANCEL)
+            self.fire(broken, "running", "stopping", "failed")
         if isfinite(self.step.deadline):
-            self.fire("deadline_missed", Due(self.step.deadline), "running", "stopping", "failed", deed=Deed.CANCEL)
-        self.fire("timed_out", After(self._timeout), "running", "overdue", deed=Deed.CANCEL)
+            missed = check_rule(Cause.DEADLINE_MISSED, Due(self.step.deadline), TransitionAction.CANCEL)
+            self.fire(missed, "running", "stopping", "failed")
+        self.fire(Rule("timed_out", After(self._timeout), action=TransitionAction.CANCEL), "running", "overdue")
 
-        self.fire("late_success", Ends(call, _SUCCEEDED), "overdue", returned)
-        self._outcome("expired", Ends(call, _UNSUCCESSFUL), "overdue", Cause.TIMED_OUT, recover)
-        self.fire("unconfirmed", After(self.binding.cancel), "overdue", "done", "failed", deed=Deed.UNDO)
+        in_vain = After(self.binding.cancel)
+        self.fire(Rule("late_success", Ends(call, _SUCCEEDED)), "overdue", returned)
+        expired = Rule(
+            "expired", Ends(call, _UNSUCCESSFUL), cause=Cause.TIMED_OUT, expected="an end in time", observed="none; then {message}"
+        )
+        self._outcome(expired, "overdue", recover)
+        unconfirmed = Rule("unconfirmed", in_vain, action=TransitionAction.UNDO, cause=Cause.TIMED_OUT, gives_up=True)
+        neither = unconfirmed._replace(expected="an end, or a confirmed cancellation, in time", observed="neither")
+        self.fire(neither, "overdue", "done", "failed")
 
-        self.fire("stop_suspending", CancelAsked(), "suspending", "stopping")
-        self.fire("ended_before", Ends(call, _SUCCEEDED), "suspending", returned)
-        self.fire("suspended", Ends(call, _UNSUCCESSFUL), "suspending", phase + "ready", deed=Deed.UNDO)
-        self.fire("unconfirmed_pause", After(self.binding.cancel), "suspending", "done", "failed", deed=Deed.UNDO)
+        self.fire(Rule("stop_suspending", CancelAsked()), "suspending", "stopping")
+        self.fire(Rule("ended_before", Ends(call, _SUCCEEDED)), "suspending", returned)
+        suspended = Rule("suspended", Ends(call, _UNSUCCESSFUL), action=TransitionAction.UNDO, outcome=CallOutcome.SUSPENDED)
+        self.fire(suspended, "suspending", phase + "ready")
+        pause = unconfirmed._replace(name="unconfirmed_pause", expected="a confirmed cancellation in time, for a pause", observed="none")
+        self.fire(pause, "suspending", "done", "failed")
 
-        self.fire("completed", Ends(call, _SUCCEEDED), "stopping", "done", deed=Deed.FINISH)
-        self.fire("stopped", Ends(call, _UNSUCCESSFUL), "stopping", "done", deed=Deed.UNDO)
-        self.fire("unconfirmed_stop", After(self.binding.cancel), "stopping", "done", deed=Deed.UNDO)
+        completed = Rule("completed", Ends(call, _SUCCEEDED), action=TransitionAction.FINISH, outcome=CallOutcome.SUCCEEDED)
+        self.fire(completed, "stopping", "done")
+        stopped = Rule("stopped", Ends(call, _UNSUCCESSFUL), action=TransitionAction.UNDO, outcome=CallOutcome.CANCELED)
+        self.fire(stopped, "stopping", "done")
+        unconfirmed_stop = Rule("unconfirmed_stop", in_vain, action=TransitionAction.UNDO, outcome=CallOutcome.UNCONFIRMED, gives_up=True)
+        self.fire(unconfirmed_stop, "stopping", "done")
 
     def _finish(self, phase: str) -> None:
         """From success to done, once the effects are seen."""
         call = self.step.index
         if self.awaited:
-            self.add("await", Always(), [self.name("returned"), *self.awaited], [self.name("finished"), *self.awaited])
+            self.add(Rule("await"), [self.name("returned"), *self.awaited], [self.name("finished"), *self.awaited])
         self._own_checks(Cause.AFTER, "finished")
-        self.fire("effects_hold", EffectsSeen(call), "finished", "done", deed=Deed.FINISH)
-        recover = [self.name(phase + "recover")]
-        self._outcome("effects_missing", EffectsMissing(call), "finished", Cause.EFFECTS_MISSING, recover)
+        effects_hold = Rule("effects_hold", EffectsSeen(call), action=TransitionAction.FINISH, outcome=CallOutcome.SUCCEEDED)
+        self.fire(effects_hold, "finished", "done")
+        missing = check_rule(Cause.EFFECTS_MISSING, EffectsMissing(call))._replace(observed="the action succeeded, but that is not so")
+        self._outcome(missing, "finished", [self.name(phase + "recover")])
 
     # --- recovery -----------------------------------------------------------------------------
 
@@ -250,16 +265,17 @@ class CallBlock(Block[ActionCall]):
         """Return the places that are marked for this cause: what the plan says about it, or else these."""
         return self.recoveries.places.get(cause, otherwise)
 
-    def _outcome(self, name: str, guard: Guard, source: str, cause: Cause, otherwise: list[str]) -> None:
-        """Add an outcome that is no success; what was done at the start is taken back unless the call goes on nevertheless."""
-        deed = None if cause in self.recoveries.kept else Deed.UNDO
-        self.add(name, guard, [self.name(source)], self._after(cause, otherwise), deed)
+    def _outcome(self, rule: Rule, source: str, otherwise: list[str]) -> None:
+        """Add an end without success; assumed start effects are taken back unless the plan goes on as if it were one."""
+        assert rule.cause is not None
+        action = None if rule.cause in self.recoveries.kept else TransitionAction.UNDO
+        self.add(rule._replace(action=action), [self.name(source)], self._after(rule.cause, otherwise))
 
     def _own_checks(self, wanted: Cause, source: str) -> None:
         """Add the checks that the plan has besides, in its order."""
-        for cause, name, condition, places in self.recoveries.checks:
+        for cause, title, condition, places in self.recoveries.checks:
             if cause is wanted:
-                self.add(name, Holding(condition), [self.name(source)], places)
+                self.add(check_rule(cause, Holding(condition)), [self.name(source)], places, title=title)
 
 
 def _before_invariant(action: GroundAction, rules: Rules) -> Condition:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
+from enum import Enum
 from typing import Any
 
 from pnm.core.machine.machine import Guard, PetriNetMachine
@@ -103,7 +104,7 @@ def as_data(machine: PetriNetMachine) -> dict[str, Any]:
                 "event": rule.name,
                 "call": rule.call,
                 "guard": _guard(rule.guard),
-                "deed": rule.deed.name if rule.deed else None,
+                "deed": rule.action.name if rule.action else None,
             }
             for name, rule in machine.rules.items()
         ],
@@ -121,6 +122,8 @@ def _guard(guard: Guard) -> dict[str, Any]:
             if isinstance(value, frozenset)
             else value
             if isinstance(value, int | float)
+            else value.name
+            if isinstance(value, Enum)
             else str(value)
         )
     return found

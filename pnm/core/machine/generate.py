@@ -60,4 +60,4 @@ def _begin_anew(builder: Builder, end: str, start: str) -> None:
         for place in builder.restart_places:
             for source, name in ((end, "restart"), (restarting, "restart_too")):
                 builder.transition(f"{name} {place}", Rule(name), [source, place], [restarting])
-        builder.transition("begin_anew", Rule("begin_anew"), [restarting], [start])
+        builder.transition("begin_anew", Rule("begin_anew", restarts=True), [restarting], [start])

@@ -2,7 +2,7 @@
 
 Σ are the reports, knowledge changes and moments in time of `pnm.core.execution.events`; PN and m₀ are the net
 and its initial marking; P_g are the goal places. δ̂ is written down as one *rule* per
-transition: a guard, asked besides the preset, and a deed that its firing brings about.
+transition: a guard, asked besides the preset, and the action, outcome and cause that its firing brings about.
 `pnm.core.execution.run` evaluates the rules; nothing here has a clock or does I/O.
 
 At a place with several consumers the rules are asked in the order of the net's transitions,
@@ -13,12 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, StrEnum
 from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
 from pnm.core.logic.conditions import Condition
-from pnm.core.machine.plan_graph import Ordering, PlanGraph
+from pnm.core.machine.plan_graph import Cause, Ordering, PlanGraph
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.net.firing_engine import CompiledNet
 from pnm.core.net.net import Marking, PetriNet
@@ -85,7 +85,7 @@ class Withheld:
 
     call: int
     seconds: float
-    deed: Deed | None
+    action: TransitionAction | None
     """What it waits with: a request that is sent is another one than that which goes on, and may need others."""
 
 
@@ -162,8 +162,13 @@ Guard: TypeAlias = (
 )
 
 
-class Deed(Enum):
-    """What the firing of a transition brings about for its call."""
+def is_check(guard: Guard) -> bool:
+    """Return whether the guard compares a condition, data, time or resources with what is known, and no end of a request."""
+    return isinstance(guard, (Holding, Denied, DataMissing, Withheld, Due))
+
+
+class TransitionAction(Enum):
+    """Action of a transition: what its firing does about the request or the assumed effects of its call."""
 
     SEND = "send the request"
     ADOPT = "take over the request that another run has sent"
@@ -173,15 +178,57 @@ class Deed(Enum):
     UNDO = "take the assumed start effects back"
 
 
+class CallOutcome(StrEnum):
+    """Outcome of a call, so far or for good."""
+
+    WAITING = "waiting"
+    RUNNING = "running"
+    """Its request is out."""
+    SUSPENDED = "suspended"
+    """Cancelled for a pause, and not begun anew yet."""
+    HANDED_OVER = "handed over"
+    """Another run goes on with its request."""
+    SUCCEEDED = "succeeded"
+    ALREADY_TRUE = "already true"
+    """Not sent: its effects held."""
+    SKIPPED = "skipped"
+    """Not sent: the run came to its end before."""
+    CANCELED = "canceled"
+    UNCONFIRMED = "canceled, unconfirmed"
+    """Cancelled, but its server has not confirmed that it stopped."""
+    PASSED_OVER = "passed over"
+    """Not successful, and the plan goes on all the same."""
+    FAILED = "failed"
+
+
 class Rule(NamedTuple):
-    """δ̂ for one transition."""
+    """δ̂ for one transition: its guard, and what its firing means for its call. Nothing else is known by its name."""
 
     name: str
-    """What happens, such as ``start`` or ``aborted``; the same for every call."""
+    """The event for people and exports, such as ``start`` or ``aborted``; the same for every call."""
     guard: Guard = Always()
     call: int | None = None
     """The number of the step it belongs to, which most often is a call; None for the frame around all steps."""
-    deed: Deed | None = None
+    action: TransitionAction | None = None
+    outcome: CallOutcome | None = None
+    """The outcome of the call from now on; None when that stays as it is."""
+    cause: Cause | None = None
+    """Why the step is about to recover or has failed; None when no new cause arises."""
+    expected: str = ""
+    """What was expected at that point, for the text of a failure; empty where the guard tells."""
+    observed: str = ""
+    """What was observed instead; ``{message}`` stands for the message of the request's end, which is all if this is empty."""
+    gives_up: bool = False
+    """The request is no longer waited for, although its server may still be at work."""
+    replans: bool = False
+    """The plan asks for a planner to find another way."""
+    restarts: bool = False
+    """The whole plan begins anew."""
+
+
+def check_rule(cause: Cause, guard: Guard, action: TransitionAction | None = None) -> Rule:
+    """Return the rule of a check, which goes by the name of the cause that it finds."""
+    return Rule(cause.value, guard, action=action, cause=cause)
 
 
 class OnFailure(Enum):

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from enum import Enum
+from enum import Enum, StrEnum
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
 from math import inf
@@ -20,7 +20,7 @@ from typing import Final, NamedTuple, TypeAlias
 from pnm.core.logic.computed_values import Data, KnowledgeOperation
 from pnm.core.logic.conditions import TRUE, Condition
 from pnm.core.logic.effects import Effects
-from pnm.core.logic.expressions import Fluent, show
+from pnm.core.logic.expressions import Fluent, fluent_text
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.errors import PnmError
 
@@ -66,8 +66,8 @@ class GroundAction:
         return f"{self.name}({', '.join(self.arguments)})"
 
 
-class Cause(Enum):
-    """Why a call recovers: what a check says, or how its request ended."""
+class Cause(StrEnum):
+    """Why a step recovers or fails: which check did not hold, or how its request ended."""
 
     BEFORE = "before"
     """The recovery's own condition holds before the start."""
@@ -82,6 +82,16 @@ class Cause(Enum):
     AFTER = "after"
     """The recovery's own condition holds after success."""
     EFFECTS_MISSING = "effects_missing"
+    INVARIANT_FALSE = "invariant_false"
+    TOO_LATE = "too_late"
+    """Its deadline has passed before it was sent."""
+    DEADLINE_MISSED = "deadline_missed"
+    WITHHELD = "withheld"
+    """Its resources belong to requests that were given up."""
+    LOOP_LIMIT = "loop_limit"
+    """All rounds of a loop are spent."""
+    GOAL_FALSE = "goal_false"
+    """Every step is done, and the goal of the plan does not hold."""
 
 
 class Then(Enum):
@@ -251,7 +261,7 @@ class Ordering:
     """Seconds that `after`, which is then a start, must come later than `before`, at least."""
 
     def __str__(self) -> str:
-        reason = f" ({', '.join(map(show, self.protects))})" if self.protects else ""
+        reason = f" ({', '.join(map(fluent_text, self.protects))})" if self.protects else ""
         delay = f" + {self.delay:g} s" if self.delay else ""
         return f"{self.before}{delay} < {self.after}{reason}"
 

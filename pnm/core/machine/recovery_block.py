@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Final, assert_never
 
 from pnm.core.logic.conditions import Condition
-from pnm.core.machine.machine import Always, Ending, Failing
+from pnm.core.machine.machine import Ending, Failing, Rule
 from pnm.core.machine.plan_graph import EMPTY, ActionCall, Cause, PlanGraphError, Recovery, Then
 from pnm.core.machine.step_block import Block
 
@@ -73,9 +73,9 @@ def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> list[
     block.budget(left, used, recovery.times, refilled=recovery.then is not Then.RESTART_PLAN)
     chain = block.region(recovery.chain, f"recovery {number}", repeated=recovery.times > 1)
     abandon(block, f"hurt {number}")
-    block.add(f"recover {number}", Always(), [hurt, block.name(left)], [*chain.first, block.name(used)])
-    block.add(f"give_up {number}", Always(), {hurt: 1, block.name(used): recovery.times}, [done, failed])
-    block.add(f"chain_done {number}", Always(), chain.last, [mended])
+    block.add(Rule("recover"), [hurt, block.name(left)], [*chain.first, block.name(used)], title=f"recover {number}")
+    block.add(Rule("give_up"), {hurt: 1, block.name(used): recovery.times}, [done, failed], title=f"give_up {number}")
+    block.add(Rule("chain_done"), chain.last, [mended], title=f"chain_done {number}")
     abandon(block, f"mended {number}")
     then = recovery.then
     match then:
@@ -93,7 +93,7 @@ def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> list[
             goal = [done, asked]
         case _:
             assert_never(then)
-    block.add(f"{then.value} {number}", Always(), [mended], goal)
+    block.add(Rule(then.value, replans=then is Then.REPLAN), [mended], goal, title=f"{then.value} {number}")
     return [hurt]
 
 
@@ -101,7 +101,11 @@ def abandon(block: Block[ActionCall], place: str, *announced: str, phase: str = 
     """Let the call fail when the run does; when the plan begins anew, it has not failed."""
     done, failed = block.name("done"), block.name("failed")
     starts_anew = block.builder.starts_anew
-    name, source = f"{phase}abandon{f' {place}' if place != 'recover' else ''}", block.name(phase + place)
-    block.add(name, Failing() if starts_anew else Ending(), [source], [done, *announced, failed])
+    source, event = block.name(phase + place), place.rstrip(" 0123456789")
+    guard = Failing() if starts_anew else Ending()
+    if event == "recover":
+        block.add(Rule("abandon", guard), [source], [done, *announced, failed], title=f"{phase}abandon")
+    else:
+        block.add(Rule(f"abandon {event}", guard), [source], [done, *announced, failed], title=f"{phase}abandon {place}")
     if starts_anew:
-        block.add(f"{phase}drop {place}", Ending(), [source], [done, *announced])
+        block.add(Rule(f"drop {event}", Ending()), [source], [done, *announced], title=f"{phase}drop {place}")

@@ -14,8 +14,8 @@ from functools import cached_property
 from typing import Generic, TypeVar
 
 from pnm.core.machine.builder import Builder, Context
-from pnm.core.machine.machine import Always, Deed, Denied, Due, Ending, Guard, Holding, Region, Rule
-from pnm.core.machine.plan_graph import Choice, Flow, Junction, Loop, Moment, PlanEvent, Step
+from pnm.core.machine.machine import Always, CallOutcome, Denied, Due, Ending, Holding, Region, Rule, check_rule
+from pnm.core.machine.plan_graph import Cause, Choice, Flow, Junction, Loop, Moment, PlanEvent, Step
 
 AnyStep = TypeVar("AnyStep", bound=Step)
 
@@ -45,14 +45,13 @@ class Block(Generic[AnyStep]):
         delays = tuple((place, orderings[place].delay) for place in waiting if place in orderings and orderings[place].delay > 0)
         join = Due(release, delays) if release or delays else Always()
         if join != Always():
-            rule = Rule("overtaken", Ending(), self.step.index)
-            self.builder.transition(self.name("overtaken"), rule, waiting, [ready])
-        self.builder.transition(self.name("join"), Rule("join", join, self.step.index), waiting, [ready])
+            self.add(Rule("overtaken", Ending(), outcome=CallOutcome.WAITING), waiting, [ready])
+        self.add(Rule("join", join, outcome=CallOutcome.WAITING), waiting, [ready])
 
     def leave(self) -> None:
-        """Tell the steps that wait for the end."""
+        """Mark the places that wait for the end of the step."""
         leaving = self.builder.out_of[PlanEvent(self.step.index, Moment.END)]
-        self.builder.transition(self.name("fork"), Rule("fork", call=self.step.index), [self.name("done"), *self.awaited], leaving)
+        self.add(Rule("fork", outcome=CallOutcome.PASSED_OVER), [self.name("done"), *self.awaited], leaving)
 
     def budget(self, left: str, spent: str, times: int, *, refilled: bool = True) -> None:
         """Make the places that count; when the step may be entered again, what was spent comes back before it is left."""
@@ -60,24 +59,20 @@ class Block(Generic[AnyStep]):
         self.builder.initial[self.name(left)] = times
         if refilled and self.context.repeated and not self.awaited:
             done = self.name("done")
-            rule = Rule("refill", call=self.step.index)
-            self.builder.transition(self.name(f"refill {left}"), rule, [done, self.name(spent)], [done, self.name(left)])
+            self.add(Rule("refill"), [done, self.name(spent)], [done, self.name(left)], title=f"refill {left}")
 
     def region(self, flow: Flow, what: str, *, repeated: bool) -> Region:
         """Make the places around steps that this one holds."""
         context = Context(repeated or self.context.repeated)
         return self.builder.region(flow, self.step.index, self.name(f"{what} begins"), self.name(f"{what} ends"), context)
 
-    def fire(self, name: str, guard: Guard, source: str, *targets: str, deed: Deed | None = None) -> None:
+    def fire(self, rule: Rule, source: str, *targets: str) -> None:
         """Add a transition between places of this block."""
-        self.add(name, guard, [self.name(source)], [self.name(target) for target in targets], deed)
+        self.add(rule, [self.name(source)], [self.name(target) for target in targets])
 
-    def add(
-        self, name: str, guard: Guard, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], deed: Deed | None = None
-    ) -> None:
-        """Add a transition between any places; what happens is its name without the number of a recovery."""
-        what = name.rstrip(" 0123456789").removeprefix("again ")
-        self.builder.transition(self.name(name), Rule(what, guard, self.step.index, deed), inputs, outputs)
+    def add(self, rule: Rule, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:
+        """Add a transition of this step between any places, under its title, or the name of its rule if that is unique in the block."""
+        self.builder.transition(self.name(title or rule.name), rule._replace(call=self.step.index), inputs, outputs)
 
     def place(self, name: str) -> str:
         """Make a place of this block."""
@@ -101,11 +96,14 @@ class LoopBlock(Block[Loop]):
         body = self.region(self.step.body, "body", repeated=True)
         self.enter("head")
         self.budget("left", "spent", self.step.limit)
-        self.fire("skip", Ending(), "head", "done")
-        self.add("loop_limit", Holding(self.step.condition), {head: 1, spent: self.step.limit}, [done, failed])
-        self.add("repeat", Holding(self.step.condition), [head, left], [*body.first, spent])
-        self.fire("no_more", Denied(self.step.condition), "head", "done")
-        self.add("round_done", Always(), body.last, [head])
+        self.fire(Rule("skip", Ending()), "head", "done")
+        condition = self.step.condition
+        all_spent = f"(not {condition}) after {self.step.limit} rounds"
+        exceeded = check_rule(Cause.LOOP_LIMIT, Holding(condition))._replace(expected=all_spent)
+        self.add(exceeded, {head: 1, spent: self.step.limit}, [done, failed])
+        self.add(Rule("repeat", Holding(condition)), [head, left], [*body.first, spent])
+        self.fire(Rule("no_more", Denied(condition)), "head", "done")
+        self.add(Rule("round_done"), body.last, [head])
         self.leave()
 
 
@@ -116,12 +114,12 @@ class ChoiceBlock(Block[Choice]):
         """Add the block to the machine."""
         head, done = self.place("head"), self.place("done")
         self.enter("head")
-        self.fire("skip", Ending(), "head", "done")
+        self.fire(Rule("skip", Ending()), "head", "done")
         branches = (("then", Holding(self.step.condition), self.step.then), ("else", Denied(self.step.condition), self.step.otherwise))
         for name, guard, flow in branches:
             branch = self.region(flow, name, repeated=False)
-            self.add(name, guard, [head], branch.first)
-            self.add(f"{name}_done", Always(), branch.last, [done])
+            self.add(Rule(name, guard), [head], branch.first)
+            self.add(Rule(f"{name}_done"), branch.last, [done])
         self.leave()
 
 

@@ -8,14 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 from pnm.errors import PnmError
-
-if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
 
 Weights: TypeAlias = Mapping[str, int]
 """Places and the weights of the arcs that connect them to one transition."""
@@ -91,21 +86,15 @@ class PetriNet:
     def _consumers(self) -> dict[str, tuple[str, ...]]:
         return _neighbours(self.places, self.inputs)
 
-    def incidence(self) -> npt.NDArray[np.int64]:
-        """Return D = D⁺ - D⁻, shape |T| x |P|: what one firing of each transition changes.
+    def incidence(self) -> tuple[tuple[int, ...], ...]:
+        """Return D = D⁺ - D⁻, a row per transition and a column per place: what one firing of each transition changes.
 
-        Dense, so for small nets: the oracle m' = T·D + m of the paper (equation 2).
+        Dense, so for small nets: with it the state equation m' = T·D + m of the paper (equation 2) is the oracle of firing.
         """
-        import numpy as np  # here, so that `import pnm` stays quick
-
-        column = {place: index for index, place in enumerate(self.places)}
-        matrix = np.zeros((len(self.inputs), len(self.places)), dtype=np.int64)
-        for row, transition in enumerate(self.inputs):
-            for place, weight in self.inputs[transition].items():
-                matrix[row, column[place]] -= weight
-            for place, weight in self.outputs[transition].items():
-                matrix[row, column[place]] += weight
-        return matrix
+        return tuple(
+            tuple(self.outputs[transition].get(place, 0) - self.inputs[transition].get(place, 0) for place in self.places)
+            for transition in self.inputs
+        )
 
     def __repr__(self) -> str:
         return f"<PetriNet {len(self.places)} places, {len(self.inputs)} transitions>"

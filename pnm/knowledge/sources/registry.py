@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from pnm.core.logic.computed_values import Layer
-from pnm.errors import InputError, Position, meant
+from pnm.errors import InputError, Position, suggestion
 from pnm.knowledge.sources import person_text as people
 from pnm.knowledge.sources.memory import MemoryKnowledge
 from pnm.knowledge.sources.router import GRACE, LIMIT, PERSON_LIMIT, Sources
 from pnm.knowledge.sources.source import Source
 from pnm.knowledge.sources.sqlite import SqliteKnowledge
-from pnm.knowledge.sources.terminal import Terminal, is_terminal
+from pnm.knowledge.sources.terminal import TerminalSource, is_terminal
 
 GROUPS: Final = {"pnm.knowledge.sources": Layer.GLOBAL, "pnm.people": Layer.PERSON}
 """The groups of entry points, and whom the sources in them speak for."""
@@ -99,7 +99,7 @@ def check_source(name: str, position: Position | None = None) -> str:
         if candidate in known:
             return candidate
     names = sorted(known)
-    near = meant(name, names) or meant(name.rpartition(".")[2], names)
+    near = suggestion(name, names) or suggestion(name.rpartition(".")[2], names)
     hint = near or f"expected one of {', '.join(name for name in names if name not in _ORIGINAL)}"
     call = f"pnm.knowledge.sources.register_source({name!r}, factory)"
     how = f"to add one, call {call}, or have a package declare an entry point in {next(iter(GROUPS))}"
@@ -183,7 +183,7 @@ def sqlite(options: Mapping[str, object], surroundings: Surroundings) -> Source:
 def terminal(options: Mapping[str, object], surroundings: Surroundings) -> Source:
     """Make a person at the terminal, who has so many seconds (``limit``) for an answer."""
     only(options, "limit")
-    return Terminal(limit=seconds(options, "limit", people.LIMIT))
+    return TerminalSource(limit=seconds(options, "limit", people.LIMIT))
 
 
 def person(options: Mapping[str, object], surroundings: Surroundings) -> Source:
@@ -203,7 +203,7 @@ def only(options: Mapping[str, object], *known: str) -> None:
     """
     for name in options:
         if name not in known:
-            hint = meant(str(name), known) or (f"expected {', '.join(known)}" if known else "it has no options")
+            hint = suggestion(str(name), known) or (f"expected {', '.join(known)}" if known else "it has no options")
             raise InputError(f"unknown option {name!r}; {hint}")
 
 

@@ -21,7 +21,7 @@ from pnm.knowledge.sources.source import Asker, SourceError
 _LINE: Final = 4096
 
 
-class Terminal:
+class TerminalSource:
     """Asks on one stream and reads the answers from another, which must be a terminal.
 
     An answer is JSON or a text as it stands; an empty line says that the person does not know. What was typed before

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Fluent, Variable
-from pnm.errors import InputError, Position, meant
+from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import Node
 
 _FLUENT: Final = re.compile(r"\(\s*([^\s()?][^\s()]*(?:\s+[^\s()]+)*)\s*\)\Z")
@@ -72,7 +72,7 @@ ANYTHING: Final = Scope()
 def unknown(what: str, name: str, known: Collection[str], position: Position | None) -> InputError:
     """Return the error about a name that is not there, with the nearest one that is."""
     names = sorted(known)
-    hint = meant(name, names) or f"expected one of: {', '.join(names[:20]) or 'none at all'}"
+    hint = suggestion(name, names) or f"expected one of: {', '.join(names[:20]) or 'none at all'}"
     return InputError(f"there is no {what} {name!r} here; {hint}", position)
 
 

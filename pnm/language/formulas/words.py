@@ -13,7 +13,7 @@ from typing import Final
 
 from pnm.core.logic.computed_values import LOGICAL, Layer
 from pnm.core.logic.operators import CHANGING, OPERATORS
-from pnm.errors import InputError, Position, meant
+from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import Node
 from pnm.language.formulas.scope import shown
 
@@ -94,8 +94,8 @@ def _check_spelling(key: str, position: Position, words: Collection[str]) -> Non
     """Refuse what can hardly be meant as a mapping that stands for itself."""
     near = get_close_matches(_word(key), sorted(_CAPITAL & frozenset(words)), 1, 0.8)
     if near and key[:1].isupper() and key not in _FIELDS:
-        meant = f"did you mean {_spelled(near[0])!r}? A mapping that stands for itself is {{Literal: ...}}"
-        raise InputError(f"unknown word {key!r}; {meant}", position)
+        suggestion = f"did you mean {_spelled(near[0])!r}? A mapping that stands for itself is {{Literal: ...}}"
+        raise InputError(f"unknown word {key!r}; {suggestion}", position)
 
 
 def needed_form(node: Node, words: Collection[str], what: str) -> Form:
@@ -138,6 +138,6 @@ def read_operator(node: Node, *, changing: bool = False) -> str:
     if name not in known:
         if name in CHANGING:
             raise node.wrong(f"{name} changes knowledge; it is a step of its own, not a value")
-        hint = meant(name, sorted({*(known - LOGICAL), *_NAMES})) or f"expected one of: {', '.join(sorted(known))}"
+        hint = suggestion(name, sorted({*(known - LOGICAL), *_NAMES})) or f"expected one of: {', '.join(sorted(known))}"
         raise node.wrong(f"there is no operator {shown(node)}; {hint}")
     return name

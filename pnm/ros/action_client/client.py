@@ -105,7 +105,7 @@ class Ros2ActionClient:
 
     def _send(self, request: Request, report: Reporter, is_blind: bool) -> None:
         binding = self._bindings.of(request.action.name)
-        goal = Goal(request, binding.accept, partial(self._tell, report), binding.goal, is_blind)
+        goal = Goal(request, binding.accept, partial(self._pass_on, report), binding.goal, is_blind)
         try:
             link = self._link(self._key(request.action))
             self._goals[request.id] = goal, link
@@ -122,7 +122,7 @@ class Ros2ActionClient:
             goal, link = self._goals[request]
             link.cancel(goal)
 
-    def _tell(self, report: Reporter, what: Report) -> None:
+    def _pass_on(self, report: Reporter, what: Report) -> None:
         if isinstance(what, Ended):
             self._goals.pop(what.request, None)
         if not self._closed:

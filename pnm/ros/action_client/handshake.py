@@ -1,14 +1,16 @@
-"""Whether a goal may be sent to the processes that serve an action: they know us, and are done with what we gave up.
+"""When is it safe to send a goal? Once the server has discovered our client and has ended every goal that we abandoned.
 
-A server answers into the void as long as it has not discovered who asks. So strange processes are *greeted* first: they
-are asked for the result of a goal that nobody has, again and again until an answer gets through; the service of results
-is the last that a client announces, so whoever found it found all. Processes that left the graph are strangers
-when they come back, because they have forgotten us as well: that is what a link looks like that was cut and has healed.
-The same holds for those that nobody has looked after for a while.
+DDS discovery is not symmetric: a server that our client has found may not have found our client, and its responses are
+lost then. So processes that serve the action are *probed* first: they are asked for the result of a goal that does not
+exist, again and again until a response arrives. The result service is the last that a client announces, so a
+server that has matched it has matched all.
 
-A goal that was given up because its server went away is a *stray*: cut off from us, the server may go on with it. When
-it is back it is asked to cancel the strays, and sent nothing new before it says that they are over or that it knows
-nothing of them. Everything here runs on the ROS thread.
+Processes that leave the graph must be probed anew when they are back, because they have forgotten us as well: that is
+how a network link looks that was cut and has healed. So must all after a time in which the graph was not looked at.
+
+A goal is *abandoned* when its server is taken for lost: the server may only be cut off, and go on with it. When it is
+back it is asked to cancel the abandoned goals, and gets no new one until it has answered that they are over, or that it
+does not know them. Everything here runs on the ROS thread.
 """
 
 from __future__ import annotations
@@ -22,17 +24,18 @@ from uuid import UUID, uuid4
 from pnm.ros.action_client.liveness import AGAIN
 
 UNWATCHED: Final = 2.0
-"""Seconds between two looks after which an acquaintance is over: a cut that we and the servers noticed lasts longer."""
+"""Seconds between two looks at the graph after which all probes are repeated: a cut that both ends notice lasts longer."""
 
 
-class Acquaintance:
-    """What the processes that serve one action know of us.
+class Handshake:
+    """The handshake with the processes that serve one action.
 
-    The mutable state is who has answered, when that was last looked after, the greetings without an answer, and the strays.
+    The mutable state is the processes that have answered a probe, when the graph was last looked at, when the last probe was
+    sent, the abandoned goals, and when they were last recalled.
 
     Args:
         client: of the action.
-        changed: called when an answer got through.
+        changed: called when an answer has arrived, after which goals may be sent.
     """
 
     def __init__(self, client: Any, changed: Callable[[], None]) -> None:
@@ -40,68 +43,65 @@ class Acquaintance:
         self._changed = changed
         self._met: frozenset[bytes] | None = None
         self._looked = -math.inf
-        self._greetings: list[Any] = []
-        self._greeted = -math.inf
-        self._strays: dict[UUID, Any] = {}
-        self._called_back = -math.inf
+        self._probed = -math.inf
+        self._abandoned: dict[UUID, Any] = {}
+        self._recalled = -math.inf
 
     def __repr__(self) -> str:
-        return f"<Acquaintance {'strange' if self._met is None else 'met'}, {len(self._strays)} strays>"
+        return f"<Handshake {'open' if self._met is None else 'done'}, {len(self._abandoned)} goals abandoned>"
 
     @property
-    def strays(self) -> int:
-        """How many goals were given up of which the servers have not said that they are over."""
-        return len(self._strays)
+    def abandoned(self) -> int:
+        """The number of abandoned goals that the server may still be executing."""
+        return len(self._abandoned)
 
-    def look(self, present: frozenset[bytes], now: float) -> bool:
-        """Note who is there now; tell whether all of them know us and none may be at work on a stray."""
+    def is_done(self, present: frozenset[bytes], now: float) -> bool:
+        """Return True if all present processes have discovered us and none may be executing an abandoned goal."""
         if self._met is not None:
             self._met = self._met & present if now - self._looked < UNWATCHED else None
         self._looked = now
-        return self._met is not None and present <= self._met and not self._strays
+        return self._met is not None and present <= self._met and not self._abandoned
 
-    def approach(self, present: frozenset[bytes], now: float) -> None:
-        """Greet those who are there, or call the strays back; to be called when the server is ready."""
-        if self.look(present, now):
+    def poll(self, present: frozenset[bytes], now: float) -> None:
+        """Probe the present processes, or recall the abandoned goals; to be called when the server is ready."""
+        if self.is_done(present, now):
             return
         if self._met is None or not present <= self._met:
-            if now - self._greeted >= AGAIN:
-                self._greet(present, now)
-        elif now - self._called_back >= AGAIN:
-            self._called_back = now
-            for goal, handle in tuple(self._strays.items()):
+            if now - self._probed >= AGAIN:
+                self._probe(present, now)
+        elif now - self._recalled >= AGAIN:  # only now: before the probes are answered, an answer about a goal would be lost
+            self._recalled = now
+            for goal, handle in tuple(self._abandoned.items()):
                 handle.cancel_goal_async()
-                handle.get_result_async().add_done_callback(partial(self._found, goal))
+                handle.get_result_async().add_done_callback(partial(self._on_recalled, goal))
 
-    def give_up(self, goal: UUID, handle: Any) -> None:
-        """Note a stray, with its handle if it was ever accepted."""
-        self._strays[goal] = handle or self._handle(goal)
+    def abandon(self, goal: UUID, handle: Any) -> None:
+        """Note an abandoned goal, with its handle if it was ever accepted."""
+        self._abandoned[goal] = handle or self._handle(goal)
 
-    def _greet(self, present: frozenset[bytes], now: float) -> None:
-        self._greeted = now
-        future = self._handle(uuid4()).get_result_async()
-        self._greetings.append(future)
-        future.add_done_callback(partial(self._meet, present))
+    def _probe(self, present: frozenset[bytes], now: float) -> None:
+        self._probed = now
+        self._handle(uuid4()).get_result_async().add_done_callback(partial(self._on_answer, present))
 
-    def _meet(self, present: frozenset[bytes], future: Any) -> None:
+    def _on_answer(self, present: frozenset[bytes], future: Any) -> None:
         if not future.cancelled():
             self._met = present
-            self._greetings.clear()
             self._changed()
 
-    def _found(self, goal: UUID, future: Any) -> None:
-        """Whatever is said of a stray ends it: it is over, or the server does not know it."""
-        if not future.cancelled() and self._strays.pop(goal, None) is not None and not self._strays:
+    def _on_recalled(self, goal: UUID, future: Any) -> None:
+        """Any answer ends an abandoned goal: it is over, or the server does not know it."""
+        if not future.cancelled() and self._abandoned.pop(goal, None) is not None and not self._abandoned:
             self._changed()
 
     def _handle(self, goal: UUID) -> Any:
-        from rclpy.action.client import ClientGoalHandle
+        """Return a handle of a goal that was never accepted: the only way to ask `rclpy` about it."""
+        from rclpy.action.client import ClientGoalHandle  # here, because rclpy is an extra
 
         return ClientGoalHandle(self._client, ros_uuid(goal), self._client._action_type.Impl.SendGoalService.Response())
 
 
 def ros_uuid(uuid: UUID) -> Any:
     """Return the id as a message."""
-    from unique_identifier_msgs import msg
+    from unique_identifier_msgs import msg  # here, because it comes with ROS 2
 
     return msg.UUID(uuid=list(uuid.bytes))

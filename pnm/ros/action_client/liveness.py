@@ -1,16 +1,16 @@
-"""When a goal that was accepted must be taken for lost, or its result asked for once more.
+"""Liveness of the server of a goal: when the goal is lost, and when its result must be requested again.
 
-A server that dies tells nobody. What can be seen of it without its help is the graph: every server
-process publishes the status of its goals under an identity (GID) of its own.
+A server that dies sends nothing. But every server process publishes the status of its goals under a GID of its own, which
+the ROS graph shows:
 
-- The process is *gone* from the graph: at once when it shuts down in order, after its lease (20 s) when
-  it is killed or cut off. The goal is lost a moment later, unless the same process comes back.
-- *Another* process appeared under the name, which is what a restart looks like for the rest of the lease.
-  The result is asked for again: the new process answers that it knows no such goal.
-- The status of the goal says it is *over*, but the result never came: it is asked for again.
+- The process is *gone* from the graph: at once after an orderly shutdown, after its lease (20 s) when it is killed
+  or cut off. The goal is lost a moment later, unless the same process comes back.
+- *Another* process appeared under the name: for the rest of the lease, a restart looks like this. The result is requested
+  again: the new process answers that it knows no such goal.
+- The status topic says that the goal is *over*, but no result has arrived: it is requested again.
 
-A server that is there but too busy to answer anything is never taken for dead: none of the
-three is a question to it. Nothing here does I/O or reads a clock.
+A server that is too busy to answer is never taken for dead, because none of the three is a question to it.
+Nothing here does I/O or reads a clock.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ GRACE: Final = 3.0
 AGAIN: Final = 1.0
 """Seconds between two requests for the same result."""
 ASKS: Final = 5
-"""How often a result is asked for again; each request is kept by the server until it answers."""
+"""How often a result is requested again; a server keeps each request until it answers."""
 
 
 class Verdict(Enum):
@@ -37,19 +37,19 @@ class Verdict(Enum):
 
 
 @dataclass
-class Watch:
-    """What is known about the server of one goal; all of it is mutable."""
+class Liveness:
+    """Observations about the server of one goal. All fields change."""
 
     processes: frozenset[bytes]
-    """Who was there when the goal was accepted."""
+    """The server's processes when the goal was accepted, by GID."""
     gone_since: float | None = None
     over_since: float | None = None
     asked: float = float("-inf")
     asks: int = 0
 
-    def look(self, present: frozenset[bytes], over: bool, now: float) -> Verdict:
-        """Decide, given who is there now and whether the status says that the goal is over."""
-        if not self.processes:  # its publisher was not discovered yet when it accepted
+    def check(self, present: frozenset[bytes], over: bool, now: float) -> Verdict:
+        """Return the verdict, given the present processes and whether the status topic says that the goal is over."""
+        if not self.processes:  # the publisher was not discovered yet when the goal was accepted
             self.processes = present
         if not present & self.processes:
             return self._gone(bool(present), now)

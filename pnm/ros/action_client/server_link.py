@@ -1,10 +1,10 @@
-"""Our end of one action server: which goals wait, which are out, and when to worry about them.
+"""The link to one action server: its queue of goals, the goals that are under way, and what happens when it goes away.
 
-Everything here runs on the ROS thread. A goal moves *queued* → *unanswered* → *accepted* → ended. At
-most `IN_FLIGHT` goals are unanswered at a time: a server keeps the last 10 requests it has not yet
-read and silently drops older ones, for which no answer ever comes.
+A goal moves *queued* → *unanswered* → *accepted* → ended. Everything here runs on the ROS thread, which also spins: `rclpy`
+sends a request before it registers its future, so a response that another thread reads meanwhile is lost (ros2/rclpy#1123).
 
-No goal is sent to a strange process, nor to one that may be at work on a goal that was given up: see `pnm.ros.action_client.handshake`.
+At most `IN_FLIGHT` goals are unanswered at a time: a server keeps the last 10 requests it has not yet read and silently
+drops older ones, for which no answer ever comes. Goals are sent only after the handshake, see `pnm.ros.action_client.handshake`.
 """
 
 from __future__ import annotations
@@ -19,28 +19,32 @@ from typing import Any, Final
 from pnm.core.machine.requests import Accepted, OutcomeKind
 from pnm.errors import InputError, PnmError
 from pnm.ros.action_client.goal import OVER, UNKNOWN, Goal, message_in
-from pnm.ros.action_client.handshake import Acquaintance, ros_uuid
-from pnm.ros.action_client.liveness import AGAIN, ASKS, Verdict, Watch
+from pnm.ros.action_client.handshake import Handshake, ros_uuid
+from pnm.ros.action_client.liveness import AGAIN, ASKS, Liveness, Verdict
 from pnm.ros.node.graph import absence, processes, server_name, types
 from pnm.ros.node.messages import fields, import_type, to_data, to_message
 
 IN_FLIGHT: Final = 8
+"""Goals without an answer at a time."""
 RETURN: Final = 5.0
-"""Seconds for which a server that went away is expected back: how long a restart may take."""
+"""Seconds that goals wait for a server that went away: how long a restart may take."""
 DISCOVERY: Final = 5.0
-"""Seconds after which a server that is there must have been discovered."""
+"""Seconds in which a server that is running is discovered."""
 RESENSED: Final = 1.0
-"""Seconds after a restart until a goal counts as lost: what is sensed anew should be known before it is tried again."""
+"""Seconds from the notice of a restart until its goals are lost: sensors should report the new state before a retry."""
 START: Final = 10.0
-"""The same, while the node itself is new: for servers that are being started together with it."""
+"""Seconds after the start of the node in which servers that are started together with it are expected."""
 _DEPTH: Final = 1000
-"""How many answers we keep unread; they come in bursts when many goals end together."""
+"""Unread responses that our client keeps; they come in bursts when many goals end together."""
 
 _log = logging.getLogger(__name__)
 
 
 class ServerLink:
-    """The connection to one action server, of a type that is given or found in the graph.
+    """The link to one action server, of a type that is given or found in the graph.
+
+    The mutable state is the client and its handshake, once the type is known, until when a missing server is expected, and the
+    goals by how far they are.
 
     Args:
         joined: when the node joined the ROS graph, on the monotonic clock.
@@ -56,7 +60,7 @@ class ServerLink:
         self._queued: deque[Goal] = deque()
         self._unanswered: set[Goal] = set()
         self._accepted: set[Goal] = set()
-        self._acquaintance: Any = None
+        self._handshake: Any = None
         if self.type is not None:
             self._connect()
 
@@ -64,28 +68,29 @@ class ServerLink:
         return f"<ServerLink {self.name} {len(self._queued)} queued, {len(self._unanswered)} unanswered, {len(self._accepted)} accepted>"
 
     def ready(self) -> bool:
-        """Tell whether the server is there; connects to it when its type has become known."""
-        there = self._reached()
-        if there:
+        """Return True if the server is there; connects to it when its type has become known."""
+        is_there = self._is_reached()
+        if is_there:
             self._expected_until = math.inf
-            self._acquaintance.approach(processes(self._node, self.name), monotonic())
-        elif self._expected_until == math.inf:
+            self._handshake.poll(processes(self._node, self.name), monotonic())
+        elif self._expected_until == math.inf:  # it was there until now
             self._expected_until = monotonic() + RETURN
-        return there
+        return is_there
 
-    def _reached(self) -> bool:
-        if self._client is None and (found := types(self._node, self.name)):
+    def _is_reached(self) -> bool:
+        if self._client is None and (known := types(self._node, self.name)):
             try:
-                self.type = import_type(found[0])
+                self.type = import_type(known[0])
             except InputError as error:
                 _log.debug("%s: %s", self.name, error)
                 return False
             self._connect()
-            self._expected_until = max(self._expected_until, monotonic() + DISCOVERY)  # it is there: the new client has yet to meet it
+            # The server is in the graph, but the new client has yet to be matched with it.
+            self._expected_until = max(self._expected_until, monotonic() + DISCOVERY)
         return self._client is not None and bool(self._client.server_is_ready())
 
     def _connect(self) -> None:
-        from rclpy.action import ActionClient
+        from rclpy.action import ActionClient  # here, because rclpy is an extra
         from rclpy.qos import QoSProfile
 
         deep = QoSProfile(depth=_DEPTH)
@@ -97,19 +102,19 @@ class ServerLink:
             result_service_qos_profile=deep,
             cancel_service_qos_profile=deep,
         )
-        self._acquaintance = Acquaintance(self._client, self._pump)
+        self._handshake = Handshake(self._client, self._pump)
 
     def _may_send(self) -> bool:
-        """Tell whether the server, which is ready, knows us and is done with what was given up."""
-        return bool(self._acquaintance.look(processes(self._node, self.name), monotonic()))
+        """Return True if the handshake with the server, which is ready, is done."""
+        return bool(self._handshake.is_done(processes(self._node, self.name), monotonic()))
 
     @property
     def is_busy(self) -> bool:
-        """Whether something is to be looked after, goals apart: the type is not known yet, or the server shall end what was given up."""
-        return self.type is None or bool(self._acquaintance and self._acquaintance.strays)
+        """Whether `look` has work besides goals: to find the server's type, or to recall abandoned goals."""
+        return self.type is None or bool(self._handshake and self._handshake.abandoned)
 
     def close(self) -> None:
-        """Forget all goals, without a word, and let go of the server."""
+        """Forget all goals without reports, and destroy the client."""
         for goal in (*self._queued, *self._unanswered, *self._accepted):
             goal.ended = True
         self._queued.clear()
@@ -121,7 +126,7 @@ class ServerLink:
     # sending
 
     def send(self, goal: Goal) -> None:
-        """Send the goal as soon as the server is there and has answered enough of the others."""
+        """Send the goal as soon as the server is there, the handshake is done, and few enough goals are unanswered."""
         self._queued.append(goal)
         self._pump()
 
@@ -146,7 +151,7 @@ class ServerLink:
             goal.end(OutcomeKind.REJECTED, f"goal for {self.name} cannot be sent: {error}")
             return
         goal.sent = monotonic()
-        goal.watch = Watch(processes(self._node, self.name))
+        goal.liveness = Liveness(processes(self._node, self.name))
         self._unanswered.add(goal)
         future.add_done_callback(partial(self._answered, goal))
 
@@ -156,17 +161,17 @@ class ServerLink:
         if not handle.accepted:
             goal.end(OutcomeKind.REJECTED, f"{self.name} rejected the goal")
         elif goal.ended:
-            # Too late: the run has long gone another way, so nobody wants this goal carried out.
+            # It was accepted after its time limit, when the run had already gone on without it.
             handle.cancel_goal_async()
         else:
             self._begin(goal, handle)
         self._pump()
 
     def _begin(self, goal: Goal, handle: Any) -> None:
-        goal.handle = handle  # `rclpy` itself keeps handles only weakly
-        goal.watch = Watch(processes(self._node, self.name), asked=monotonic())
+        goal.handle = handle  # kept by us, because `rclpy` refers to handles only weakly
+        goal.liveness = Liveness(processes(self._node, self.name), asked=monotonic())
         self._accepted.add(goal)
-        goal.tell(Accepted(goal.request.id))
+        goal.report(Accepted(goal.request.id))
         self._ask_result(goal)
         if goal.cancel_asked:
             self._send_cancel(goal)
@@ -191,8 +196,8 @@ class ServerLink:
 
     def _lose(self, goal: Goal, message: str) -> None:
         self._accepted.discard(goal)
-        if not goal.restarted:
-            self._acquaintance.give_up(goal.request.id, goal.handle)
+        if not goal.restarted:  # a server that does not know the goal is not executing it
+            self._handshake.abandon(goal.request.id, goal.handle)
         goal.end(OutcomeKind.LOST, message)
         for future in goal.results:
             future.cancel()
@@ -200,7 +205,7 @@ class ServerLink:
     # cancelling
 
     def cancel(self, goal: Goal) -> None:
-        """Ask the server to cancel the goal, now or as soon as it has accepted it."""
+        """Request cancellation, now or as soon as the server has accepted the goal."""
         goal.cancel_asked = True
         if goal in self._queued:
             self._queued.remove(goal)
@@ -218,10 +223,10 @@ class ServerLink:
         if not future.result().goals_canceling and not goal.ended:
             _log.info("%s does not cancel %s", self.name, goal.request.action)
 
-    # watching
+    # liveness
 
     def look(self) -> None:
-        """Look after the server and every goal that is under way; called a few times a second."""
+        """Check the server and every goal that is under way; called a few times a second."""
         now = monotonic()
         self._look_at_queue(now)
         if self._unanswered or self._accepted:
@@ -238,22 +243,20 @@ class ServerLink:
                 while self._queued:
                     self._queued.popleft().end(OutcomeKind.UNAVAILABLE, reason)
         elif self._queued and not self._may_send():
+            abandoned = self._handshake.abandoned
             for goal in tuple(self._queued):
-                goal.sent = goal.sent or now
+                goal.sent = goal.sent or now  # the limit counts from here: the server is ready, the goal could have been sent
                 if now - goal.sent >= goal.accept:
+                    given_up = f"did not end within {goal.accept:g} s what was given up: {abandoned} goal{'s' * (abandoned > 1)}"
+                    reason = given_up if abandoned else _silence(goal)
                     self._queued.remove(goal)
-                    goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {self._reserve(goal)}")
-
-    def _reserve(self, goal: Goal) -> str:
-        if strays := self._acquaintance.strays:
-            return f"did not end within {goal.accept:g} s what was given up: {strays} goal{'s' * (strays > 1)}"
-        return _silence(goal)
+                    goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {reason}")
 
     def _look_at_unanswered(self, goal: Goal, present: frozenset[bytes], now: float) -> None:
-        verdict = goal.watch.look(present, False, now)
+        verdict = goal.liveness.check(present, False, now)
         if verdict is Verdict.LOST:
             reason = "went away before it answered"
-        elif verdict is Verdict.ASK and goal.watch.asks == ASKS:
+        elif verdict is Verdict.ASK and goal.liveness.asks == ASKS:
             reason = "was restarted before it answered"
         elif now - goal.sent >= goal.accept:
             reason = _silence(goal)
@@ -261,17 +264,17 @@ class ServerLink:
             return
         self._unanswered.discard(goal)
         if verdict is Verdict.LOST:
-            self._acquaintance.give_up(goal.request.id, None)
+            self._handshake.abandon(goal.request.id, None)
         goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {reason}")
 
     def _look_at_accepted(self, present: frozenset[bytes], now: float) -> None:
-        asking = 0
+        requests = 0
         for goal in tuple(self._accepted):
-            if asking == IN_FLIGHT:
-                return  # the others' turn comes with the next look
-            match goal.watch.look(present, goal.over, now):
+            if requests == IN_FLIGHT:
+                return  # like goals, requests for results must not overflow the server's queue; the rest has the next turn
+            match goal.liveness.check(present, goal.over, now):
                 case Verdict.ASK:
-                    asking += 1
+                    requests += 1
                     self._ask_result(goal)
                 case Verdict.LOST:
                     self._lose(goal, f"{self.name} went away")

@@ -1,6 +1,7 @@
-"""An action server whose goals are carried out on the event loop: accepted at once, told about, and answered when they are over.
+"""An action server whose goals are carried out on the event loop, and end when that says so.
 
-A goal is rejected only while the server takes none at all: a rejection cannot say why, but the result of an aborted goal can.
+`rclpy` would have a coroutine wait for the end of every goal, and resumes all of them at each turn of its executor.
+Here a goal is only marked as executing, and its execute callback runs when there is a result to send.
 """
 
 from __future__ import annotations
@@ -13,13 +14,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 from uuid import UUID
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import GoalEvent
 from rclpy.qos import QoSProfile
-from rclpy.task import Future
 
 from pnm.errors import PnmError, RosError
 from pnm.ros.node.graph import processes
@@ -29,19 +29,19 @@ from pnm.ros.node.service_client import until_true
 from pnm.ros.node.service_server import arrived
 
 DEPTH: Final = 1000
-"""Requests that may wait unread; the default of 10 loses goals without a word."""
+"""Requests that may wait unread; beyond the default of 10 goals are lost silently."""
 RESULT_TIMEOUT: Final = 60
 """Seconds that results are kept for clients that ask late."""
 FEEDBACK: Final = 0.1
-"""Seconds between two messages about what happens."""
+"""Seconds between two feedback messages."""
 _FAREWELL: Final = 2.0
-"""Seconds in which the last results are sent."""
+"""Seconds to send the last results."""
 _ADVICE: Final = "(one that was killed is remembered for up to 20 s)"
 
 _log = logging.getLogger(__name__)
 
 
-class Status(Enum):
+class GoalStatus(Enum):
     """How a goal ended, in the words of ROS 2."""
 
     SUCCEEDED = "succeeded"
@@ -50,33 +50,36 @@ class Status(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
-    """How a goal ended, and the fields of its result."""
+class GoalResult:
+    """How a goal ended, and the fields of its result message."""
 
-    status: Status
+    status: GoalStatus
     fields: Mapping[str, object]
 
 
+BeginGoal: TypeAlias = Callable[[UUID], None]
+"""Begins an accepted goal of this id; called on the event loop's thread."""
+
+
 @dataclass(frozen=True, slots=True)
-class GoalCalls:
-    """Who carries out the goals of a server.
+class GoalCallbacks:
+    """What carries out the goals of a server.
 
     Args:
-        begin: called on the event loop's thread with the id of an accepted goal and its request.
-        cancel: called there when a client wants the goal cancelled; may come more than once, and when it is over.
-        closed: says why no goals are taken; empty while they are. Called on the ROS thread.
+        accept: returns what begins the goal, or the reason why it is rejected; called on the ROS thread with the request.
+            The reason is only logged: a rejection has no field for it, unlike the result of an aborted goal.
+        cancel: called on the event loop's thread when a client requests cancellation; may come more than once, and after the end.
     """
 
-    begin: Callable[[UUID, Any], None]
+    accept: Callable[[Any], BeginGoal | str]
     cancel: Callable[[UUID], None]
-    closed: Callable[[], str]
 
 
 class GoalServer:
     """One action server.
 
-    The mutable state is, on the ROS thread, the server and, by goal id, the handles and the futures of the answers; on the event
-    loop's, when the last answer was given.
+    The mutable state is, on the ROS thread, the server, the handles of goals that are open and of those whose results are
+    being sent, by goal id, and what begins the goal that was accepted last; on the event loop's, when the last goal ended.
 
     Args:
         type_name: such as ``pnm_interfaces/action/RunPlan``.
@@ -86,15 +89,17 @@ class GoalServer:
         InputError: the type is not installed.
     """
 
-    def __init__(self, ros: RosThread, type_name: str, name: str, calls: GoalCalls) -> None:
+    def __init__(self, ros: RosThread, type_name: str, name: str, callbacks: GoalCallbacks) -> None:
         self._ros = ros
-        self._type = import_type(type_name)
+        self.type = import_type(type_name)
         self._loop = asyncio.get_running_loop()
         self.name = name
-        self._calls = calls
+        self._callbacks = callbacks
         self._server: Any = None
-        self._open: dict[UUID, tuple[Any, Any]] = {}
-        self._answered = -math.inf
+        self._open: dict[UUID, Any] = {}
+        self._ending: dict[UUID, Any] = {}
+        self._begin: BeginGoal = lambda _: None
+        self._ended = -math.inf
 
     def __repr__(self) -> str:
         return f"<GoalServer {self.name}, {len(self._open)} goals open>"
@@ -106,21 +111,25 @@ class GoalServer:
         await self._ros.ask(self._bring_up)
 
     def feed(self, goal: UUID, fields: Mapping[str, object]) -> None:
-        """Send feedback about a goal, if it is not over."""
+        """Send feedback about a goal, if it is open."""
         self._ros.call(partial(self._feed, goal, fields))
 
-    def answer(self, goal: UUID, answer: Callable[[], Answer]) -> None:
-        """End a goal; the function is called on the ROS thread."""
-        self._answered = self._loop.time()
-        self._ros.call(partial(self._answer, goal, answer))
+    def end(self, goal: UUID, result: Callable[[], GoalResult]) -> None:
+        """End a goal, if it is open; the function is called on the ROS thread."""
+        self._ended = self._loop.time()
+        self._ros.call(partial(self._end, goal, result))
 
     async def close(self, limit: float = _FAREWELL) -> None:
-        """Take the server down, once the answers that were given have arrived."""
+        """Take the server down, once the results of ended goals have arrived."""
         with suppress(TimeoutError):
             async with asyncio.timeout(limit):
-                await until_true(self._ros, lambda: not self._open)
-        await arrived(self._answered)
+                await until_true(self._ros, lambda: not self._open and not self._ending)
+        await arrived(self._ended)
         await self._ros.ask(self._take_down)
+
+    def vanish(self) -> None:
+        """Take the server down at once; open goals get no result, as if the process had died."""
+        self._ros.call(self._take_down)
 
     # on the ROS thread
 
@@ -128,9 +137,9 @@ class GoalServer:
         many = QoSProfile(depth=DEPTH)
         self._server = ActionServer(
             self._ros.node,
-            self._type,
+            self.type,
             self.name,
-            execute_callback=self._execute,
+            execute_callback=self._finish,
             goal_callback=self._decide,
             handle_accepted_callback=self._accepted,
             cancel_callback=self._cancel_asked,
@@ -140,62 +149,67 @@ class GoalServer:
             result_timeout=RESULT_TIMEOUT,
         )
 
-    def _decide(self, _request: Any) -> GoalResponse:
-        if reason := self._calls.closed():
-            _log.warning("a goal for %s is rejected: %s", self.name, reason)
+    def _decide(self, request: Any) -> GoalResponse:
+        decision = self._callbacks.accept(request)
+        if isinstance(decision, str):
+            _log.warning("a goal for %s is rejected: %s", self.name, decision)
             return GoalResponse.REJECT
+        # `rclpy` gives this callback no goal id, but calls `_accepted` for the goal before it decides about the next one.
+        self._begin = decision
         return GoalResponse.ACCEPT
 
     def _accepted(self, handle: Any) -> None:
         goal = _id(handle)
-        self._open[goal] = handle, Future()
-        self._loop.call_soon_threadsafe(self._calls.begin, goal, handle.request)
-        handle.execute()
+        self._open[goal] = handle
+        handle._update_state(GoalEvent.EXECUTE)  # what `execute` does, except for calling back
+        self._loop.call_soon_threadsafe(self._begin, goal)
 
     def _cancel_asked(self, handle: Any) -> CancelResponse:
-        self._loop.call_soon_threadsafe(self._calls.cancel, _id(handle))
+        self._loop.call_soon_threadsafe(self._callbacks.cancel, _id(handle))
         return CancelResponse.ACCEPT
 
     def _feed(self, goal: UUID, fields: Mapping[str, object]) -> None:
         if goal in self._open:
-            self._open[goal][0].publish_feedback(to_message(self._type.Feedback, fields))
+            self._open[goal].publish_feedback(to_message(self.type.Feedback, fields))
 
-    def _answer(self, goal: UUID, answer: Callable[[], Answer]) -> None:
-        if goal in self._open:
-            _, future = self._open[goal]
-            try:
-                found = answer()
-                future.set_result((found.status, to_message(self._type.Result, found.fields)))
-            except PnmError as error:
-                _log.error("the result of a goal for %s cannot be said: %s", self.name, error)
-                future.set_result((Status.ABORTED, self._type.Result()))
+    def _end(self, goal: UUID, result: Callable[[], GoalResult]) -> None:
+        if goal not in self._open:
+            return
+        try:
+            ended = result()
+            status, message = ended.status, to_message(self.type.Result, ended.fields)
+        except PnmError as error:
+            _log.error("the result of a goal for %s cannot be said: %s", self.name, error)
+            status, message = GoalStatus.ABORTED, self.type.Result()
+        handle = self._ending[goal] = self._open.pop(goal)
+        self._server.notify_execute(handle, partial(self._finish, status=status, result=message))
 
-    async def _execute(self, handle: Any) -> Any:
-        """Wait for the end of the goal; `rclpy` goes on with others meanwhile, and sends what is returned."""
-        status, result = await self._open[_id(handle)][1]
+    def _finish(self, handle: Any, status: GoalStatus = GoalStatus.ABORTED, result: Any = None) -> Any:
+        """Set the state of a goal, and return its result, which `rclpy` sends."""
         match status:
-            case Status.SUCCEEDED:
+            case GoalStatus.SUCCEEDED:
                 handle.succeed()
-            case Status.CANCELED:
-                if not handle.is_cancel_requested:  # somebody else than the client of the goal wanted it
+            case GoalStatus.CANCELED:
+                if not handle.is_cancel_requested:  # not by the client of the goal, but by a service of the node
                     handle._update_state(GoalEvent.CANCEL_GOAL)
                 handle.canceled()
-            case Status.ABORTED:
+            case GoalStatus.ABORTED:
                 handle.abort()
-        del self._open[_id(handle)]
-        return result
+        self._ending.pop(_id(handle), None)
+        return result or self.type.Result()
 
     def _take_down(self) -> None:
+        self._open.clear()
         if self._server is not None:
             self._server.destroy()
             self._server = None
 
 
 async def check_alone(ros: RosThread, servers: tuple[str, ...]) -> None:
-    """Make sure that nobody else has the name of the node, or of one of these action servers.
+    """Check that no other process has the name of the node, or of one of these action servers.
 
     Raises:
-        RosError: somebody has.
+        RosError: another process has it.
     """
     await ros.settled()
     await ros.ask(partial(_check_alone, ros.node, servers))

@@ -30,7 +30,7 @@ from rclpy.qos import QoSProfile
 
 from pnm.core.logic.computed_values import Layer
 from pnm.ros.action_server.run_knowledge import KnowledgeError, RunKnowledge
-from pnm.ros.knowledge.knowledge_services import DEPTH
+from pnm.ros.node.service_server import DEPTH
 
 __all__ = ["LIMIT", "KnowledgeError", "PnmActionServer", "PnmSimpleActionServer"]
 

@@ -27,9 +27,10 @@ from pnm.errors import PnmError
 from pnm.knowledge.sources.memory import read_value, write_value
 from pnm.knowledge.sources.source import SourceError
 from pnm.ros.knowledge.goal_ids import may_be_ours, service_prefix
-from pnm.ros.knowledge.knowledge_services import DEPTH, LAYERS
+from pnm.ros.knowledge.knowledge_services import LAYERS
 from pnm.ros.node.messages import import_type
 from pnm.ros.node.service_client import AGAIN
+from pnm.ros.node.service_server import DEPTH
 
 EXECUTIVES: Final = 16
 """How many executives a server keeps in touch with; one that is started again is another."""

@@ -1,38 +1,39 @@
-"""Action servers in front of any `ActionClient`: goals come in over ROS 2 and are passed on to it.
+"""Simulated robots over ROS 2: action servers in front of an `ActionClient`, and the state topic.
 
-`pnm simulate` offers simulated robots this way. A goal is accepted when the client accepts the
-request; cancelling is passed on; a request whose server is `LOST` takes its server away. While
-an action runs, its share done is published as feedback, if the type has a field for it.
+`pnm simulate` offers robots this way: goals that come in become requests of the client. A goal is accepted when the client
+accepts the request; cancellation is passed on; a request whose server is `LOST` takes its server away. While an action
+runs, its progress is published as feedback, if the type has a field for it.
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import count
 from typing import Any, Final
 from uuid import UUID, uuid4
 
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-
+from pnm.actions.simulated_world import SimulatedWorld
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, ActionClient, Ended, Outcome, OutcomeKind, Report, Request
 from pnm.errors import InputError
-from pnm.ros.node.messages import FieldError, fields, import_type, to_data, to_message
+from pnm.ros.action_server.goal_server import BeginGoal, GoalCallbacks, GoalResult, GoalServer, GoalStatus
+from pnm.ros.node.messages import FieldError, fields, to_data, to_message
+from pnm.ros.node.publisher import Publisher
 from pnm.ros.node.ros_thread import RosThread
+from pnm.ros.node.throttle import Throttle
+from pnm.ros.sensors.state_topic import TOPIC, write_state
 
-DEPTH: Final = 100
-"""Goals a server may have unanswered; the default of 10 loses goals without a word."""
-RESULT_TIMEOUT: Final = 60
-"""Seconds that results are kept for clients that ask late."""
 DECISION: Final = 5.0
 """Seconds the client may take to accept a request; the goal is rejected then."""
 FEEDBACK: Final = 0.5
-"""Seconds between two messages about the progress of an action."""
+"""Seconds between two feedback messages about the progress of an action."""
+_REPORTS: Final = 10
+"""Reports that slow subscribers may be behind, and that late ones get."""
 
 _log = logging.getLogger(__name__)
 
@@ -48,174 +49,152 @@ class Offer:
 
 
 @dataclass(eq=False)
-class _Goal:
-    """A goal of a client of ours: the request it became, and how that went."""
+class _SimulatedGoal:
+    """A goal and the request that it became. The last three fields change, on the event loop's thread."""
 
-    offer: Offer
+    server: GoalServer
     request: UUID = field(default_factory=uuid4)
-    decided: Future[bool] = field(default_factory=Future)
-    handle: Any = None
+    decision: Future[BeginGoal | str] = field(default_factory=Future)
+    """What begins the goal once the request was accepted, or the reason why it was rejected."""
+    id: UUID | None = None
+    """The goal id, once the goal has begun."""
     outcome: Outcome | None = None
+    is_cancel_asked: bool = False
 
 
-class ActionServers:
-    """Serves offers from the ROS thread; asks the client on the event loop's thread.
+class SimulatedServers:
+    """Action servers whose goals an `ActionClient` carries out. To be used on the event loop's thread.
 
-    The mutable state is, on the ROS thread, the servers and the goals by goal id; on the event loop's thread,
-    the goals accepted and not over, and whether their progress is being told.
+    The mutable state is the servers by name, the goals that have begun, by id, until they end, and whether feedback is due.
 
     Args:
-        progress: how much of a request is done, from 0 to 1; None when that cannot be told.
+        progress: returns how much of a request is done, from 0 to 1; None if the client cannot say.
     """
 
-    def __init__(
-        self, ros: RosThread, client: ActionClient, loop: asyncio.AbstractEventLoop, progress: Callable[[UUID], float] | None = None
-    ) -> None:
+    def __init__(self, ros: RosThread, client: ActionClient, progress: Callable[[UUID], float] | None = None) -> None:
         self._ros = ros
         self._client = client
-        self._loop = loop
-        self._servers: dict[str, Any] = {}
-        self._goals: dict[bytes, _Goal] = {}
         self._progress = progress
-        self._working: set[_Goal] = set()
-        self._telling = False
+        self._loop = asyncio.get_running_loop()
+        self._servers: dict[str, GoalServer] = {}
+        self._goals: dict[UUID, _SimulatedGoal] = {}
+        self._is_feeding = False
 
-    async def offer(self, offers: list[Offer]) -> None:
-        """Bring the servers up."""
-        types = {one.server: import_type(one.type) for one in offers}
-        for one in offers:
-            await self._ros.ask(partial(self._serve, one, types[one.server]))
+    async def open(self, offers: Iterable[Offer]) -> None:
+        """Bring the servers up.
 
-    async def close(self) -> None:
-        """Take all servers down."""
-        for name in tuple(self._servers):
-            await self._ros.ask(partial(self._remove, name))
+        Raises:
+            InputError: a type is not installed; no server was brought up.
+        """
+        for offer in offers:
+            callbacks = GoalCallbacks(partial(self._accept, offer), self._cancel)
+            self._servers[offer.server] = GoalServer(self._ros, offer.type, offer.server, callbacks)
+        for server in self._servers.values():
+            await server.open()
+
+    def _begin(self, goal: _SimulatedGoal, id: UUID) -> None:
+        goal.id = id
+        if goal.outcome is not None:  # it ended before ROS had made its handle
+            self._end(goal, goal.outcome)
+            return
+        self._goals[id] = goal
+        if self._progress is not None and _has_progress(goal.server):
+            self._feed_later()
+
+    def _cancel(self, id: UUID) -> None:
+        if goal := self._goals.get(id):
+            goal.is_cancel_asked = True
+            self._client.cancel(goal.request)
+
+    def _report(self, goal: _SimulatedGoal, report: Report) -> None:
+        match report:
+            case Accepted():
+                goal.decision.set_result(partial(self._begin, goal))
+            case Ended(_, outcome) if not goal.decision.done():
+                goal.decision.set_result(outcome.message or outcome.kind.value)
+            case Ended(_, outcome):
+                goal.outcome = outcome
+                if goal.id is not None:
+                    del self._goals[goal.id]
+                    self._end(goal, outcome)
+
+    def _end(self, goal: _SimulatedGoal, outcome: Outcome) -> None:
+        assert goal.id is not None
+        match outcome.kind:
+            case OutcomeKind.LOST:
+                goal.server.vanish()
+                return
+            case OutcomeKind.SUCCEEDED:
+                status = GoalStatus.SUCCEEDED
+            case OutcomeKind.CANCELED if goal.is_cancel_asked:
+                status = GoalStatus.CANCELED
+            case _:
+                status = GoalStatus.ABORTED
+        goal.server.end(goal.id, lambda: GoalResult(status, _result_fields(goal.server, outcome)))
+
+    def _feed_later(self) -> None:
+        if not self._is_feeding:
+            self._is_feeding = True
+            self._loop.call_later(FEEDBACK, self._feed)
+
+    def _feed(self) -> None:
+        self._is_feeding = False
+        fed = [(id, goal) for id, goal in self._goals.items() if _has_progress(goal.server)]
+        if self._progress is not None and fed:
+            for id, goal in fed:
+                goal.server.feed(id, {"progress": self._progress(goal.request)})
+            self._feed_later()
 
     # on the ROS thread
 
-    def _serve(self, offer: Offer, action_type: Any) -> None:
-        many = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE)
-        accepted: list[_Goal] = []
-
-        def decide(goal: Any) -> GoalResponse:
-            found = self._decide(offer, to_data(goal))
-            if found is None:
-                return GoalResponse.REJECT
-            accepted.append(found)
-            return GoalResponse.ACCEPT
-
-        def start(handle: Any) -> None:
-            # rclpy calls this for one goal before it decides about the next one of this server
-            goal = accepted.pop()
-            goal.handle = handle
-            self._goals[bytes(handle.goal_id.uuid)] = goal
-
-        def cancel(handle: Any) -> CancelResponse:
-            goal = self._goals.get(bytes(handle.goal_id.uuid))
-            if goal:
-                self._loop.call_soon_threadsafe(self._client.cancel, goal.request)
-            return CancelResponse.ACCEPT
-
-        self._servers[offer.server] = ActionServer(
-            self._ros.node,
-            action_type,
-            offer.server,
-            execute_callback=lambda handle: self._finish(action_type, handle),
-            goal_callback=decide,
-            handle_accepted_callback=start,
-            cancel_callback=cancel,
-            goal_service_qos_profile=many,
-            result_service_qos_profile=many,
-            cancel_service_qos_profile=many,
-            result_timeout=RESULT_TIMEOUT,
-        )
-
-    def _decide(self, offer: Offer, data: Mapping[str, object]) -> _Goal | None:
-        """Pass the goal on and wait for the client to accept it or not."""
+    def _accept(self, offer: Offer, message: Any) -> BeginGoal | str:
+        """Send the request, and wait until the client accepts or rejects it: `rclpy` cannot decide about a goal later."""
+        data = to_data(message)
         try:
             action = offer.decode(data)
         except InputError as error:
-            _log.warning("%s rejects a goal: %s", offer.server, error)
-            return None
-        goal = _Goal(offer)
-        request = Request(goal.request, action, data)
-        self._loop.call_soon_threadsafe(self._client.send, request, partial(self._report, goal))
+            return str(error)
+        goal = _SimulatedGoal(self._servers[offer.server])
+        self._loop.call_soon_threadsafe(self._client.send, Request(goal.request, action, data), partial(self._report, goal))
         try:
-            return goal if goal.decided.result(DECISION) else None
+            return goal.decision.result(DECISION)
         except TimeoutError:
-            _log.warning("%s rejects a goal: no decision within %g s", offer.server, DECISION)
             self._loop.call_soon_threadsafe(self._client.cancel, goal.request)
-            return None
-
-    def _end(self, goal: _Goal, outcome: Outcome) -> None:
-        """Let rclpy run `_finish`, which sends the result; or take the server away without a word."""
-        goal.outcome = outcome
-        if outcome.kind is OutcomeKind.LOST:
-            self._remove(goal.offer.server)
-        elif goal.handle is not None and goal.offer.server in self._servers:
-            goal.handle.execute()
-
-    def _feed(self, shares: Mapping[_Goal, float]) -> None:
-        for goal, share in shares.items():
-            if goal.handle is not None and goal.outcome is None:
-                goal.handle.publish_feedback(import_type(goal.offer.type).Feedback(progress=share))
-
-    def _finish(self, action_type: Any, handle: Any) -> Any:
-        goal = self._goals.pop(bytes(handle.goal_id.uuid))
-        outcome = goal.outcome or Outcome(OutcomeKind.ABORTED)
-        match outcome.kind:
-            case OutcomeKind.SUCCEEDED:
-                handle.succeed()
-            case OutcomeKind.CANCELED if handle.is_cancel_requested:
-                handle.canceled()
-            case _:
-                handle.abort()
-        return _result(action_type, outcome)
-
-    def _remove(self, name: str) -> None:
-        server = self._servers.pop(name, None)
-        if server is not None:
-            server.destroy()
-
-    # on the event loop's thread
-
-    def _report(self, goal: _Goal, report: Report) -> None:
-        match report:
-            case Accepted():
-                goal.decided.set_result(True)
-                if self._progress and _has_progress(goal.offer.type):
-                    self._working.add(goal)
-                    self._tell_later()
-            case Ended(_, outcome) if not goal.decided.done():
-                _log.warning("%s rejects a goal: %s", goal.offer.server, outcome.message)
-                goal.decided.set_result(False)
-            case Ended(_, outcome):
-                self._working.discard(goal)
-                self._ros.call(partial(self._end, goal, outcome))
-
-    def _tell_later(self) -> None:
-        if not self._telling:
-            self._telling = True
-            self._loop.call_later(FEEDBACK, self._tell)
-
-    def _tell(self) -> None:
-        self._telling = False
-        if self._working and self._progress:
-            self._ros.call(partial(self._feed, {goal: self._progress(goal.request) for goal in self._working}))
-            self._tell_later()
+            return f"no decision within {DECISION:g} s"
 
 
-def _has_progress(action_type: str) -> bool:
-    kinds = import_type(action_type).Feedback.get_fields_and_field_types()
-    return kinds.get("progress") in ("float", "double")
+def _has_progress(server: GoalServer) -> bool:
+    return server.type.Feedback.get_fields_and_field_types().get("progress") in ("float", "double")
 
 
-def _result(action_type: Any, outcome: Outcome) -> Any:
-    """Fill the result by name; the message goes to a field called so, if there is one."""
-    data = {"message": outcome.message, **outcome.result}
-    known = fields(action_type.Result)
+def _result_fields(server: GoalServer, outcome: Outcome) -> dict[str, object]:
+    """Return the result's fields by name, the message in a field called so; nothing if a value does not fit its field."""
+    known = fields(server.type.Result)
+    data = {name: value for name, value in {"message": outcome.message, **outcome.result}.items() if name in known}
     try:
-        return to_message(action_type.Result, {name: value for name, value in data.items() if name in known})
+        to_message(server.type.Result, data)
     except FieldError as error:
         _log.warning("the result is left empty: %s", error)
-        return action_type.Result()
+        return {}
+    return data
+
+
+async def publish_state(ros: RosThread, world: SimulatedWorld, names: frozenset[str], matched: Callable[[], None]) -> None:
+    """Publish complete reports about some predicates and functions of a simulated world: now, and whenever it changes.
+
+    Several changes in one turn of the event loop make one report.
+
+    Args:
+        names: the predicates and functions.
+        matched: called at every new subscription.
+    """
+    publisher = Publisher(ros, "pnm_interfaces/msg/State", TOPIC, is_latched=True, depth=_REPORTS, matched=matched)
+    numbers = count(1)
+
+    def report(_: None) -> None:
+        publisher.publish(write_state(names, world.report(names), next(numbers)))
+
+    due: Throttle[None] = Throttle(asyncio.get_running_loop(), 0.0, report)
+    await publisher.open()
+    world.truth.listen(lambda _: due.note(None))
+    due.at_once(None)

@@ -1,7 +1,7 @@
-"""A managed node, as the life cycle of ROS 2 has it, whose transitions take their time.
+"""The life cycle of a managed ROS 2 node, with transitions that take their time.
 
 `rclpy` makes a transition within one callback. Ours wait for action servers, which are reached through the same thread; so a
-transition begins on that thread, its work is done on the event loop's, and it ends on the ROS thread again.
+transition begins on the ROS thread, is carried out on the event loop, and ends on the ROS thread again.
 """
 
 from __future__ import annotations
@@ -13,53 +13,53 @@ from functools import partial
 from typing import Any, Protocol
 
 from pnm.errors import PnmError
-from pnm.ros.node.managed_node import _refuse
+from pnm.ros.node.managed_node import refuse_transition
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.service_server import Fields, RequestServices
 
 _log = logging.getLogger(__name__)
 
 
-class Managed(Protocol):
-    """What a managed node does. A transition that cannot be made raises, and leaves everything as it was."""
+class ManagedTransitions(Protocol):
+    """The transitions of a managed node. One that cannot be made raises, and changes nothing."""
 
     async def configure(self) -> None:
-        """Read what is needed, and get ready."""
+        """Read the configuration, and acquire resources."""
 
     async def activate(self) -> None:
-        """Begin to work, or go on."""
+        """Begin to work, or resume it."""
 
     async def deactivate(self) -> None:
-        """Stop working for now."""
+        """Suspend work."""
 
     async def cleanup(self) -> None:
-        """Let go of everything that `configure` got hold of, if there is anything."""
+        """Release the resources that `configure` acquired, if there are any."""
 
 
 class Lifecycle:
-    """Leads a managed node through its states, for whoever asks.
+    """Makes the transitions of a managed node, on request of its program or over the ROS service ``change_state``.
 
     The mutable state is the service's requests at work.
 
     Args:
         ros: the thread of a node that was made with ``managed=True``.
-        managed: does the work.
+        transitions: carries them out.
     """
 
-    def __init__(self, ros: RosThread, managed: Managed) -> None:
+    def __init__(self, ros: RosThread, transitions: ManagedTransitions) -> None:
         self._ros = ros
-        self._managed = managed
+        self._transitions = transitions
         self._requests = RequestServices(ros)
         self.finalized = asyncio.Event()
         """Set when the node was shut down by a transition."""
 
     async def open(self) -> None:
-        """Answer those who ask for transitions."""
-        await self._ros.ask(lambda: self._ros.node.answer(self._requests.answering(self._asked)))
+        """Accept requests for transitions."""
+        await self._ros.ask(lambda: self._ros.node.set_change_state(self._requests.callback(self._requested)))
 
     async def close(self) -> None:
-        """Stop what goes on, and shut the node down."""
-        await self._ros.ask(lambda: self._ros.node.answer(_refuse))
+        """Refuse requests from now on, cancel those at work, and shut the node down."""
+        await self._ros.ask(lambda: self._ros.node.set_change_state(refuse_transition))
         await self._requests.close()
         if not self.finalized.is_set():
             await self.change("shutdown")
@@ -69,7 +69,7 @@ class Lifecycle:
 
         Raises:
             RosError: it cannot be made in this state.
-            PnmError: it was tried and has failed; the node is in the state in which it was.
+            PnmError: it has failed; the node is in the state in which it was.
         """
         label = await self._ros.ask(partial(self._ros.node.begin, wanted))
         try:
@@ -82,25 +82,26 @@ class Lifecycle:
             self.finalized.set()
 
     async def _fail(self, error: BaseException) -> None:
+        """End the transition: as failed, back to the previous state; or, after an unexpected error, unconfigured."""
         if isinstance(error, PnmError):
             await self._ros.ask(partial(self._ros.node.end, "failure"))
             return
         await self._ros.ask(partial(self._ros.node.end, "error"))
-        await self._managed.cleanup()
-        await self._ros.ask(partial(self._ros.node.end, "success"))  # of dealing with the error: the node is unconfigured
+        await self._transitions.cleanup()
+        await self._ros.ask(partial(self._ros.node.end, "success"))  # of the state "error processing"
 
     def _work(self, label: str) -> Callable[[], Awaitable[None]]:
         match label:
             case "configure":
-                return self._managed.configure
+                return self._transitions.configure
             case "activate":
-                return self._managed.activate
+                return self._transitions.activate
             case "deactivate":
-                return self._managed.deactivate
+                return self._transitions.deactivate
             case _:  # cleanup and shutdown
-                return self._managed.cleanup
+                return self._transitions.cleanup
 
-    async def _asked(self, request: Any) -> Fields:
+    async def _requested(self, request: Any) -> Fields:
         wanted = request.transition.label or request.transition.id
         try:
             await self.change(wanted)

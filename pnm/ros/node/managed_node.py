@@ -1,4 +1,4 @@
-"""A ROS 2 node with a managed life cycle."""
+"""A ROS 2 node with the states of a managed life cycle."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from pnm.errors import RosError
 
 
 class ManagedNode(LifecycleNodeMixin, Node):  # type: ignore[misc]
-    """A node with the services and the topic of the life cycle; belongs to the ROS thread."""
+    """A node with the services and the topic of a life cycle; belongs to the ROS thread."""
 
     def __init__(self, name: str, *, namespace: str, context: Any) -> None:
         Node.__init__(self, name, namespace=namespace, context=context)
-        # reentrant: others are served while a transition takes its time
+        # reentrant: other services answer while a transition takes its time
         LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
-        self.answer(_refuse)
+        self.set_change_state(refuse_transition)
 
-    def answer(self, callback: Callable[[Any, Any], Any]) -> None:
-        """Have somebody answer who is asked for transitions, in place of rclpy, which has no other way in."""
+    def set_change_state(self, callback: Callable[[Any, Any], Any]) -> None:
+        """Set the callback of the service ``change_state``, in place of that of `rclpy`, which has no other hook."""
         self._service_change_state.callback = callback
 
     @property
@@ -35,9 +35,9 @@ class ManagedNode(LifecycleNodeMixin, Node):  # type: ignore[misc]
         """Begin a transition, given by its number or its label; return the label.
 
         Raises:
-            RosError: it is none that can be made now.
+            RosError: it cannot be made in this state.
         """
-        possible = {number: label for number, label, *_ in self._state_machine.available_transitions if number in _ASKED}
+        possible = {number: label for number, label, *_ in self._state_machine.available_transitions if number in _REQUESTABLE}
         for number, label in possible.items():
             if wanted in (number, label):
                 self._state_machine.trigger_transition_by_id(number, True)
@@ -50,12 +50,13 @@ class ManagedNode(LifecycleNodeMixin, Node):  # type: ignore[misc]
         self._state_machine.trigger_transition_by_label(f"transition_{how}", True)
 
 
-def _refuse(_request: Any, response: Any) -> Any:
+def refuse_transition(_request: Any, response: Any) -> Any:
+    """Refuse a request for a transition: nothing is there to carry it out."""
     response.success = False
     return response
 
 
-_ASKED: Final = frozenset(
+_REQUESTABLE: Final = frozenset(
     {
         Transition.TRANSITION_CONFIGURE,
         Transition.TRANSITION_CLEANUP,
@@ -66,4 +67,4 @@ _ASKED: Final = frozenset(
         Transition.TRANSITION_ACTIVE_SHUTDOWN,
     }
 )
-"""The transitions that others may ask for; how one ends is for the node to say."""
+"""The transitions that may be requested; those that end one are made by the node itself."""

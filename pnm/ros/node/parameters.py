@@ -1,6 +1,6 @@
-"""Parameters of a node: declared once with a description, given when it starts, read by anybody.
+"""Parameters of a ROS 2 node: declared once with a description; command line, launch file and parameter services show and set them.
 
-Parameters of a program, as command lines, launch files and parameter services give and show them.
+They are set when the node starts, and read-only from then on.
 """
 
 from __future__ import annotations
@@ -10,24 +10,22 @@ from dataclasses import dataclass
 from sys import float_info
 from typing import Any, TypeAlias
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-
-from pnm.errors import InputError, meant
+from pnm.errors import InputError, suggestion
 
 ParameterValue: TypeAlias = bool | int | float | str
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class NodeParameter:
     """One parameter; its type is that of its default.
 
     Args:
         name: as ROS 2 has it; the option of a command line has ``-`` for ``_``.
-        default: an empty text stands for nothing.
+        default: an empty text stands for no value.
         description: for people.
-        least: the smallest number that makes sense.
-        choices: the texts that make sense, when not all do.
-        option: the name of the option, when it is another one.
+        least: the smallest valid number.
+        choices: the valid texts; empty if all are.
+        option: the name of the command line's option, if it differs.
     """
 
     name: str
@@ -38,37 +36,42 @@ class Parameter:
     option: str = ""
 
 
-def declare(node: Any, parameters: Iterable[Parameter], given: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
-    """Declare parameters that cannot be changed any more, and return their values; only on the ROS thread.
+def declare(node: Any, parameters: Iterable[NodeParameter], given: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
+    """Declare read-only parameters, and return their values; only on the ROS thread.
 
-    What ROS says about a parameter counts before what is given here, and that before its default.
+    ROS arguments override `given`, which overrides the defaults.
 
     Raises:
-        InputError: a value is of the wrong type, or makes no sense.
+        InputError: a value has the wrong type, is too small, or is none of the choices.
     """
     values: dict[str, ParameterValue] = {}
-    for one in parameters:
+    for parameter in parameters:
+        name, default = parameter.name, parameter.default
         try:
-            values[one.name] = node.declare_parameter(one.name, given.get(one.name, one.default), _descriptor(one)).value
+            value = node.declare_parameter(name, given.get(name, default), _descriptor(parameter)).value
         except Exception as error:
-            hint = "; expected a number such as 10.0" if isinstance(one.default, float) else ""
-            raise InputError(f"the parameter {one.name} is wrong: {str(error) or type(error).__name__}{hint}") from error
-        if one.choices and values[one.name] not in one.choices:
-            hint = meant(str(values[one.name]), one.choices)
-            expected = f"expected one of {', '.join(one.choices)}{f'; {hint}' if hint else ''}"
-            raise InputError(f"the parameter {one.name} is {values[one.name]!r}; {expected}")
+            hint = "; expected a number such as 10.0" if isinstance(default, float) else ""
+            raise InputError(f"the parameter {name} is wrong: {str(error) or type(error).__name__}{hint}") from error
+        if parameter.choices and value not in parameter.choices:
+            hint = suggestion(str(value), parameter.choices)
+            expected = f"expected one of {', '.join(parameter.choices)}{f'; {hint}' if hint else ''}"
+            raise InputError(f"the parameter {name} is {value!r}; {expected}")
+        values[name] = value
     return values
 
 
-def _descriptor(parameter: Parameter) -> Any:
-    found = ParameterDescriptor(description=parameter.description, read_only=True)
+def _descriptor(parameter: NodeParameter) -> Any:
+    from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor  # here: `pnm serve --help` needs no ROS
+
+    descriptor = ParameterDescriptor(description=parameter.description, read_only=True)
     if parameter.choices:
-        found.additional_constraints = f"one of {', '.join(parameter.choices)}"
+        descriptor.additional_constraints = f"one of {', '.join(parameter.choices)}"
     match parameter.default:
         case bool() | str():
             pass
         case int():
-            found.integer_range = [IntegerRange(from_value=int(parameter.least), to_value=2**31 - 1, step=0)]
+            descriptor.integer_range = [IntegerRange(from_value=int(parameter.least), to_value=2**31 - 1, step=0)]
         case float():
-            found.floating_point_range = [FloatingPointRange(from_value=float(parameter.least), to_value=float_info.max, step=0.0)]
-    return found
+            limits = FloatingPointRange(from_value=float(parameter.least), to_value=float_info.max, step=0.0)
+            descriptor.floating_point_range = [limits]
+    return descriptor

@@ -1,4 +1,4 @@
-"""A topic of ours: messages from the event loop's thread, and whether anybody listens."""
+"""A publisher that is used from the event loop's thread, and knows how many subscribe."""
 
 from __future__ import annotations
 
@@ -15,40 +15,51 @@ from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.ros_thread import RosThread
 
 DEPTH: Final = 1000
-"""Messages that slow listeners may be behind."""
+"""Messages that slow subscribers may be behind."""
 
 
-class Topic:
-    """A publisher. The mutable state is the publisher, on the ROS thread, and how many listen, on the event loop's.
+class Publisher:
+    """One topic to publish on.
+
+    The mutable state is the publisher of `rclpy`, on the ROS thread, and the number of subscriptions, on the event loop's.
 
     Args:
         type_name: such as ``pnm_interfaces/msg/Plans``.
         name: relative to the node's namespace.
-        is_latched: whether somebody who comes later gets the last message.
-        heard: called on the event loop's thread when somebody begins to listen.
+        is_latched: whether late subscribers get the last messages.
+        depth: messages that are kept for subscribers that are slow, or late if latched; by default 1 if latched, else `DEPTH`.
+        matched: called on the event loop's thread at every new subscription.
 
     Raises:
         InputError: the type is not installed.
     """
 
     def __init__(
-        self, ros: RosThread, type_name: str, name: str, *, is_latched: bool = False, heard: Callable[[], None] = lambda: None
+        self,
+        ros: RosThread,
+        type_name: str,
+        name: str,
+        *,
+        is_latched: bool = False,
+        depth: int | None = None,
+        matched: Callable[[], None] = lambda: None,
     ) -> None:
         self._ros = ros
         self._loop = asyncio.get_running_loop()
         self._type = import_type(type_name)
         self._name = name
-        self._latched = is_latched
-        self._heard = heard
+        self._is_latched = is_latched
+        self._depth = depth or (1 if is_latched else DEPTH)
+        self._matched = matched
         self._publisher: Any = None
-        self.listeners = 0
-        """How many listen."""
+        self.subscriptions = 0
+        """How many subscriptions there are."""
 
     def __repr__(self) -> str:
-        return f"<Topic {self._name}, {self.listeners} listen>"
+        return f"<Publisher {self._name}, {self.subscriptions} subscriptions>"
 
     async def open(self) -> None:
-        """Begin to publish."""
+        """Advertise the topic."""
         await self._ros.ask(self._advertise)
 
     def publish(self, fields: Mapping[str, object] | Callable[[], Mapping[str, object]]) -> None:
@@ -56,25 +67,25 @@ class Topic:
         self._ros.call(partial(self._publish, fields))
 
     async def close(self) -> None:
-        """Publish nothing more."""
+        """Withdraw the topic."""
         await self._ros.ask(self._withdraw)
 
-    def _matched(self, count: int, change: int) -> None:
-        self.listeners = count
+    def _count(self, count: int, change: int) -> None:
+        self.subscriptions = count
         if change > 0:
-            self._heard()
+            self._matched()
 
     # on the ROS thread
 
     def _advertise(self) -> None:
-        depth, durability = (1, DurabilityPolicy.TRANSIENT_LOCAL) if self._latched else (DEPTH, DurabilityPolicy.VOLATILE)
-        told = PublisherEventCallbacks(matched=self._tell)
-        qos = QoSProfile(depth=depth, durability=durability)
-        self._publisher = self._ros.node.create_publisher(self._type, self._name, qos, event_callbacks=told)
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if self._is_latched else DurabilityPolicy.VOLATILE
+        callbacks = PublisherEventCallbacks(matched=self._on_matched)
+        qos = QoSProfile(depth=self._depth, durability=durability)
+        self._publisher = self._ros.node.create_publisher(self._type, self._name, qos, event_callbacks=callbacks)
 
-    def _tell(self, info: Any) -> None:
+    def _on_matched(self, info: Any) -> None:
         with suppress(RuntimeError):  # the event loop is closed
-            self._loop.call_soon_threadsafe(self._matched, info.current_count, info.current_count_change)
+            self._loop.call_soon_threadsafe(self._count, info.current_count, info.current_count_change)
 
     def _publish(self, fields: Mapping[str, object] | Callable[[], Mapping[str, object]]) -> None:
         if self._publisher is not None:

@@ -10,10 +10,6 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, Final, TypeAlias
 
-from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.qos import QoSProfile
-from rclpy.task import Future
-
 from pnm.errors import PnmError
 from pnm.knowledge.sources.person_text import printable
 from pnm.ros.node.messages import import_type, to_message
@@ -22,15 +18,15 @@ from pnm.ros.node.service_client import until_true
 from pnm.tasks import TaskRefused
 
 DEPTH: Final = 1000
-"""Requests that may wait unread."""
+"""Requests that may wait unread; they come in bursts."""
 _FAREWELL: Final = 1.0
-"""Seconds in which the last answers are sent."""
+"""Seconds to send the last responses."""
 ARRIVAL: Final = 1.0
-"""Seconds in which an answer arrives: whoever is destroyed before takes along what has not."""
+"""Seconds in which a response arrives: a publisher that is destroyed earlier takes unsent data along."""
 
 Fields: TypeAlias = Mapping[str, object]
-Work: TypeAlias = Callable[[Any], Awaitable[Fields]]
-"""Returns the fields of the response to a request; what it raises is the message of a response without success."""
+Handler: TypeAlias = Callable[[Any], Awaitable[Fields]]
+"""Returns the fields of the response to a request; an exception becomes the message of a response without success."""
 
 _log = logging.getLogger(__name__)
 
@@ -40,11 +36,28 @@ class RequestServices:
 
     The mutable state is, on the event loop's thread, the requests at work, and when the last one was answered; on the ROS thread,
     the services and the number of requests that are not answered yet.
+
+    Args:
+        loop: the event loop that answers; the running one by default.
+        cancelled: the message for requests that are cancelled, such as by `close`.
+        ended: the message for requests after the end of the event loop.
+        arrival: seconds that `close` leaves the last response to arrive.
     """
 
-    def __init__(self, ros: RosThread) -> None:
+    def __init__(
+        self,
+        ros: RosThread,
+        *,
+        loop: asyncio.AbstractEventLoop | None = None,
+        cancelled: str = "the node is shut down, or cleaned up",
+        ended: str = "the node has ended",
+        arrival: float = ARRIVAL,
+    ) -> None:
         self._ros = ros
-        self._loop = asyncio.get_running_loop()
+        self._loop = loop or asyncio.get_running_loop()
+        self._cancelled = cancelled
+        self._ended = ended
+        self._arrival = arrival
         self._work: set[asyncio.Task[Fields]] = set()
         self._services: list[Any] = []
         self._unanswered = 0
@@ -55,58 +68,64 @@ class RequestServices:
 
     # on the event loop's thread
 
-    async def open(self, services: Mapping[str, tuple[str, Work]]) -> None:
-        """Offer services: by name, relative to the node's namespace, their types and who does the work.
+    async def open(self, services: Mapping[str, tuple[str, Handler]]) -> None:
+        """Offer services: by name, relative to the node's namespace, their types and handlers.
 
         Raises:
             InputError: a type is not installed.
         """
-        for name, (kind, work) in services.items():
-            await self._ros.ask(partial(self._offer, name, import_type(kind), work))
+        for name, (kind, handler) in services.items():
+            await self._ros.ask(partial(self._offer, name, import_type(kind), handler))
 
     async def close(self) -> None:
-        """Refuse what is still at work, and take the services down."""
+        """Refuse the requests that are at work, and take the services down."""
         for task in self._work:
             task.cancel()
         if self._work:
             await asyncio.wait(self._work)
+        # Three things in this order: the coroutines have ended, rclpy has sent their responses, and these have arrived.
         with suppress(TimeoutError):
             async with asyncio.timeout(_FAREWELL):
                 await until_true(self._ros, lambda: not self._unanswered)
-        await arrived(self._answered)
+        await arrived(self._answered, self._arrival)
         await self._ros.ask(self._take_down)
 
-    def _begin(self, work: Work, request: Any, reply: Callable[[Fields], object]) -> None:
-        task = self._loop.create_task(_answer(work, request))
+    def _begin(self, handler: Handler, request: Any, reply: Callable[[Fields], object]) -> None:
+        task = self._loop.create_task(_answer(handler, request))
         self._work.add(task)
         task.add_done_callback(partial(self._done, reply))
 
     def _done(self, reply: Callable[[Fields], object], task: asyncio.Task[Fields]) -> None:
         self._work.discard(task)
         self._answered = self._loop.time()
-        reply(_refusal("the node is shut down, or cleaned up") if task.cancelled() else task.result())
+        reply(_refusal(self._cancelled) if task.cancelled() else task.result())
 
     # on the ROS thread
 
-    def answering(self, work: Work) -> Callable[[Any, Any], Awaitable[Any]]:
-        """Return the callback of a service that has the work done; it may be that of any service in a reentrant group."""
-        return partial(self._serve, work)
+    def callback(self, handler: Handler) -> Callable[[Any, Any], Awaitable[Any]]:
+        """Return a callback for `rclpy` that has the handler answer; for any service in a reentrant callback group."""
+        return partial(self._serve, handler)
 
-    def _offer(self, name: str, kind: Any, work: Work) -> None:
+    def _offer(self, name: str, kind: Any, handler: Handler) -> None:
+        from rclpy.callback_groups import ReentrantCallbackGroup  # here, because rclpy is an extra
+        from rclpy.qos import QoSProfile
+
         # reentrant: the next request is taken while this one waits
         deep, group = QoSProfile(depth=DEPTH), ReentrantCallbackGroup()
-        service = self._ros.node.create_service(kind, name, self.answering(work), qos_profile=deep, callback_group=group)
+        service = self._ros.node.create_service(kind, name, self.callback(handler), qos_profile=deep, callback_group=group)
         self._services.append(service)
 
-    async def _serve(self, work: Work, request: Any, response: Any) -> Any:
-        """Have the work done on the event loop's thread; rclpy goes on with others until the future is set."""
+    async def _serve(self, handler: Handler, request: Any, response: Any) -> Any:
+        """Have the event loop answer; `rclpy` goes on with other callbacks until the future is set."""
+        from rclpy.task import Future  # here, because rclpy is an extra
+
         answer = Future()
         self._unanswered += 1
         try:
-            self._loop.call_soon_threadsafe(self._begin, work, request, lambda fields: self._ros.call(lambda: answer.set_result(fields)))
+            self._loop.call_soon_threadsafe(self._begin, handler, request, lambda fields: self._ros.call(lambda: answer.set_result(fields)))
             fields: Fields = await answer
         except RuntimeError:  # the event loop is closed
-            fields = _refusal("the node has ended")
+            fields = _refusal(self._ended)
         finally:
             self._unanswered -= 1
         known = type(response).get_fields_and_field_types()
@@ -118,14 +137,14 @@ class RequestServices:
         self._services.clear()
 
 
-async def arrived(answered: float) -> None:
-    """Wait until an answer that was given at this time, on the clock of the event loop, has arrived."""
-    await asyncio.sleep(answered + ARRIVAL - asyncio.get_running_loop().time())
+async def arrived(answered: float, arrival: float = ARRIVAL) -> None:
+    """Wait until a response that was sent at this time, on the clock of the event loop, has arrived."""
+    await asyncio.sleep(answered + arrival - asyncio.get_running_loop().time())
 
 
-async def _answer(work: Work, request: Any) -> Fields:
+async def _answer(handler: Handler, request: Any) -> Fields:
     try:
-        return {"success": True, **await work(request)}
+        return {"success": True, **await handler(request)}
     except (PnmError, TaskRefused) as error:
         return _refusal(str(error))
     except Exception as error:

@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass, replace
 from typing import Any, Final, assert_never
 
-from pnm.errors import InputError, meant
-from pnm.knowledge.message_fields import Comparison, Every, Field, Flag, Negation, Some, Source, Test, Unreadable, written
-from pnm.knowledge.sensor_model import Choice, Fact, Number, Object, Sensor, Statement, Stored
+from pnm.errors import InputError, suggestion
+from pnm.knowledge.message_fields import Comparison, Every, Field, FieldValue, Flag, Negation, Some, Test, Unreadable, written
+from pnm.knowledge.sensor_model import ExclusiveFact, Fact, Number, Object, Sensor, Statement, Stored
 from pnm.ros.node.messages import import_type, plain
 
 _LIST: Final = re.compile(r"(.+)\[(\d+)\]|sequence<(.+?)(?:, \d+)?>")
@@ -34,7 +34,7 @@ def _fitted(statement: Statement, message_type: Any) -> Statement:
                 return replace(statement, test=_test(test, message_type))
             case Number(_, source):
                 return replace(statement, source=_source(source, message_type, _NUMBER, "a number"))
-            case Choice(_, source) | Object(_, source):
+            case ExclusiveFact(_, source) | Object(_, source):
                 return replace(statement, source=_source(source, message_type, _TEXT, "a text"))
             case Stored(_, source):
                 return replace(statement, source=_source(source, message_type, _ANY, "a value"))
@@ -86,7 +86,7 @@ def _comparison(test: Comparison, found: Found) -> Comparison:
     return test
 
 
-def _source(source: Source, message_type: Any, needed: re.Pattern[str], expected: str) -> Source:
+def _source(source: FieldValue, message_type: Any, needed: re.Pattern[str], expected: str) -> FieldValue:
     found = found_at(message_type, source.field)
     if source.table is None:
         if not needed.fullmatch(found.kind):
@@ -116,7 +116,7 @@ class Found:
         """
         names = [one for one in dir(type(self.owner)) if one.isupper() and one[0] != "_"]
         if name not in names:
-            hint = meant(name, names) or (f"expected a number, or one of {', '.join(names)}" if names else "expected a number")
+            hint = suggestion(name, names) or (f"expected a number, or one of {', '.join(names)}" if names else "expected a number")
             raise InputError(f"{self.where} is a {self.kind}, which cannot be compared with {name!r}; {hint}")
         return plain(getattr(self.owner, name))
 
@@ -139,7 +139,7 @@ def found_at(message_type: Any, where: Field) -> Found:
             kinds = {} if inside is None else inside.get_fields_and_field_types()
             if step not in kinds:
                 has = f"it has {', '.join(kinds)}" if kinds else "it has none"
-                raise InputError(f"{kind or message_type.__name__} has no field {step!r}; {f'{meant(step, kinds)} {has}'.strip()}")
+                raise InputError(f"{kind or message_type.__name__} has no field {step!r}; {f'{suggestion(step, kinds)} {has}'.strip()}")
             kind, so_far, owner = kinds[step], f"{so_far}.{step}".lstrip("."), inside
         package, slash, name = kind.rpartition("/")
         inside = import_type(f"{package}/msg/{name}") if slash and _item(kind) is None else None

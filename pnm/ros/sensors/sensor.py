@@ -10,11 +10,11 @@ from typing import Any
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.computed_values import MISSING
-from pnm.core.logic.expressions import show
+from pnm.core.logic.expressions import fluent_text
 from pnm.errors import InputError
 from pnm.knowledge.message_fields import Look
-from pnm.knowledge.sensor_model import Instance, Polled, Reading, read, unknown
-from pnm.knowledge.state_reports import Silence
+from pnm.knowledge.sensor_model import ByService, Instance, Reading, read, unknown
+from pnm.knowledge.state_reports import Watchdog
 from pnm.ros.node.messages import FieldError, import_type, to_message
 from pnm.ros.sensors.fields import fitted
 
@@ -36,7 +36,7 @@ class Sense:
         self._knowledge = knowledge
         self._unread: frozenset[int] = frozenset()
         self._closed = False
-        self._silence = Silence(instance.sensor.stale, self._fall_silent)
+        self._silence = Watchdog(instance.sensor.stale, self._fall_silent)
 
     def hear(self, look: Look) -> None:
         """Record what a message says."""
@@ -76,7 +76,7 @@ class Sense:
 
     def _about(self, number: int) -> str:
         statement = self.instance.sensor.statements[number]
-        return statement.name if hasattr(statement, "name") else show(statement.fluent)
+        return statement.name if hasattr(statement, "name") else fluent_text(statement.fluent)
 
 
 def checked(instance: Instance, name: str) -> tuple[Any, Instance]:
@@ -88,11 +88,11 @@ def checked(instance: Instance, name: str) -> tuple[Any, Instance]:
     sensor = instance.sensor
     try:
         kind = import_type(name)
-        if isinstance(sensor.way, Polled):
+        if isinstance(sensor.way, ByService):
             to_message(kind.Request, instance.request(sensor.way))
     except (InputError, FieldError) as error:
         raise InputError(str(error), sensor.position) from error
-    return kind, replace(instance, sensor=fitted(sensor, kind.Response if isinstance(sensor.way, Polled) else kind))
+    return kind, replace(instance, sensor=fitted(sensor, kind.Response if isinstance(sensor.way, ByService) else kind))
 
 
 def resolved(resolve: Callable[[str], object], instance: Instance, what: str) -> str:

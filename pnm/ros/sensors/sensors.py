@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.errors import InputError
-from pnm.knowledge.sensor_model import Instance, Polled, Sensing, instances
+from pnm.knowledge.sensor_model import ByService, Instance, Sensing, instances
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.sensors.sensor import Sense, checked
 from pnm.ros.sensors.service_sensor import PolledSensor
@@ -47,8 +47,8 @@ class Sensors:
             if sensor.type is not None:
                 checked(next((one for one in found if one.sensor is sensor), Instance(sensor, {})), sensor.type)
         self._senses = [Sense(instance, knowledge) for instance in found]
-        self._topics = [TopicSensor(ros, sense) for sense in self._senses if not isinstance(sense.instance.sensor.way, Polled)]
-        self._polls = [PolledSensor(ros, sense, way) for sense in self._senses if isinstance(way := sense.instance.sensor.way, Polled)]
+        self._topics = [TopicSensor(ros, sense) for sense in self._senses if not isinstance(sense.instance.sensor.way, ByService)]
+        self._polls = [PolledSensor(ros, sense, way) for sense in self._senses if isinstance(way := sense.instance.sensor.way, ByService)]
         self._tasks: list[asyncio.Task[None]] = []
         self._timer: Any = None
         for name, late in sensing.lags(lag).items():

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from functools import partial
 
 from pnm.errors import InputError
-from pnm.knowledge.sensor_model import Polled
+from pnm.knowledge.sensor_model import ByService
 from pnm.knowledge.sources.source import SourceError
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.service_client import ServiceClient
@@ -21,7 +21,7 @@ _log = logging.getLogger(__name__)
 class PolledSensor:
     """Asks one service again and again. The mutable state is its client, once its type is known."""
 
-    def __init__(self, ros: RosThread, sense: Sense, way: Polled) -> None:
+    def __init__(self, ros: RosThread, sense: Sense, way: ByService) -> None:
         self.sense = sense
         self._ros = ros
         self._way = way

@@ -1,7 +1,4 @@
-"""Listens to those who sense the world and report facts about it.
-
-Publishes what sensors see of a simulated world, whenever it changes.
-"""
+"""The state topic ``knowledge/sensed``: complete reports about some predicates and functions, both ends of it."""
 
 from __future__ import annotations
 
@@ -12,8 +9,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from pnm.core.knowledge_base import parse_fluent, parse_statement, show_statement
-from pnm.core.logic.expressions import UNKNOWN, Fluent, Unknown, Value, show
+from pnm.core.knowledge_base import parse_fluent, parse_statement, statement_text
+from pnm.core.logic.expressions import UNKNOWN, Fluent, Unknown, Value, fluent_text
 from pnm.errors import InputError
 from pnm.ros.node.messages import import_type
 from pnm.ros.node.ros_thread import RosThread
@@ -127,9 +124,9 @@ def read_state(message: Any) -> Facts:
 
 def write_state(names: frozenset[str], facts: Mapping[Fluent, Value | Unknown], sequence: int) -> dict[str, object]:
     """Return the fields of a ``pnm_interfaces/msg/State`` that reports these facts, objects and numbers."""
-    stated = [show_statement(fluent, value) for fluent, value in facts.items() if value is True or isinstance(value, str)]
+    stated = [statement_text(fluent, value) for fluent, value in facts.items() if value is True or isinstance(value, str)]
     numbers = {
-        show(fluent): math.nan if isinstance(value, Unknown) else value
+        fluent_text(fluent): math.nan if isinstance(value, Unknown) else value
         for fluent, value in facts.items()
         if not isinstance(value, bool | str)
     }

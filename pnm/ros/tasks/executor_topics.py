@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 from uuid import UUID
 
-from pnm.ros.node.publisher import Topic
+from pnm.ros.node.publisher import Publisher
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.throttle import Throttle
 from pnm.ros.tasks.task_messages import Fields, marking_fields, moment_fields, net_fields, plan_fields, status_fields
@@ -39,18 +39,18 @@ class TaskTopics(TaskListener):
         self._nets: dict[UUID, tuple[int, Fields]] = {}
         self._changes = 0
         self._stops: list[Callable[[], None]] = []
-        self._status = Topic(ros, "pnm_interfaces/msg/ExecutorStatus", "executor/status", is_latched=True)
-        self._plan = Topic(ros, "pnm_interfaces/msg/Plans", "executor/plan", is_latched=True)
-        self._net = Topic(ros, "pnm_interfaces/msg/Nets", "executor/net", is_latched=True, heard=self._note_nets)
-        self._marking = Topic(ros, "pnm_interfaces/msg/Marking", "executor/marking", heard=self._note_markings)
-        self._trace = Topic(ros, "pnm_interfaces/msg/TraceEvent", "executor/trace")
-        self._change = Topic(ros, "pnm_interfaces/msg/KnowledgeChange", "knowledge/changes")
+        self._status = Publisher(ros, "pnm_interfaces/msg/ExecutorStatus", "executor/status", is_latched=True)
+        self._plan = Publisher(ros, "pnm_interfaces/msg/Plans", "executor/plan", is_latched=True)
+        self._net = Publisher(ros, "pnm_interfaces/msg/Nets", "executor/net", is_latched=True, matched=self._note_nets)
+        self._marking = Publisher(ros, "pnm_interfaces/msg/Marking", "executor/marking", matched=self._note_markings)
+        self._trace = Publisher(ros, "pnm_interfaces/msg/TraceEvent", "executor/trace")
+        self._change = Publisher(ros, "pnm_interfaces/msg/KnowledgeChange", "knowledge/changes")
 
     def __repr__(self) -> str:
         return f"<TaskTopics {self._soon}>"
 
     @property
-    def _topics(self) -> tuple[Topic, ...]:
+    def _topics(self) -> tuple[Publisher, ...]:
         return (self._status, self._plan, self._net, self._marking, self._trace, self._change)
 
     async def open(self) -> None:
@@ -89,12 +89,12 @@ class TaskTopics(TaskListener):
 
     def happened(self, moment: Moment) -> None:
         """Tell of an event."""
-        if self._trace.listeners:
+        if self._trace.subscriptions:
             self._trace.publish(lambda: moment_fields(moment, ahead(self._ros, self._loop)))
 
     def moved(self, task: UUID) -> None:
         """Have it told where the tokens are."""
-        if self._marking.listeners:
+        if self._marking.subscriptions:
             self._moved.note(task)
 
     def ended(self, task: UUID, ending: TaskEnding) -> None:
@@ -108,7 +108,7 @@ class TaskTopics(TaskListener):
     # telling it
 
     def _note_nets(self) -> None:
-        if self._net.listeners:
+        if self._net.subscriptions:
             self._soon.note(self._tell_nets)
 
     def _note_markings(self) -> None:

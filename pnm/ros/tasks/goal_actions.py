@@ -16,7 +16,7 @@ from typing import Any, Final
 from uuid import UUID
 
 from pnm.errors import InputError
-from pnm.ros.action_server.goal_server import FEEDBACK, Answer, GoalCalls, GoalServer, Status
+from pnm.ros.action_server.goal_server import FEEDBACK, BeginGoal, GoalCallbacks, GoalResult, GoalServer, GoalStatus
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.throttle import Throttle
 from pnm.ros.tasks.executor_topics import ahead
@@ -31,8 +31,7 @@ from pnm.ros.tasks.task_messages import (
     wanted_plan,
     wanted_run,
 )
-from pnm.tasks import Code, Step, TaskEnding, TaskListener, TaskRefused, Tasks, Wanted
-from pnm.tasks import Status as TaskStatus
+from pnm.tasks import Code, Status, Step, TaskEnding, TaskListener, TaskRefused, Tasks, Wanted
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +41,7 @@ class _Kind:
     type: str
     read: Callable[[UUID, Any], Wanted]
     write: Callable[[TaskEnding, float], Fields]
-    tell: Callable[[TaskStatus, Iterable[Step]], Fields] = task_feedback_fields
+    tell: Callable[[Status, Iterable[Step]], Fields] = task_feedback_fields
 
 
 _KINDS: Final = {
@@ -74,9 +73,10 @@ class TaskServers(TaskListener):
             for plan, name in plans.items()
         }
         self._servers = {
-            name: GoalServer(ros, kind.type, name, GoalCalls(partial(self._begin, name), self._cancel, closed))
+            name: GoalServer(ros, kind.type, name, GoalCallbacks(partial(self._accept, name), self._cancel))
             for name, kind in self._kinds.items()
         }
+        self._closed = closed
         self._open: dict[UUID, str] = {}
         self._asked: set[UUID] = set()
         self._noted: set[UUID] = set()
@@ -110,7 +110,10 @@ class TaskServers(TaskListener):
 
     # goals for tasks
 
-    def _begin(self, name: str, id: UUID, request: Any) -> None:
+    def _accept(self, name: str, request: Any) -> BeginGoal | str:
+        return self._closed() or partial(self._begin, name, request)
+
+    def _begin(self, name: str, request: Any, id: UUID) -> None:
         try:
             if id in self._open or not id.int:
                 raise InputError(f"the id {id} is that of another task, or of none; expected a new one")
@@ -162,7 +165,7 @@ class TaskServers(TaskListener):
 
     def _answer(self, name: str, goal: UUID, ending: TaskEnding, is_asked: bool) -> None:
         status = status_of(ending.code, is_asked)
-        self._servers[name].answer(goal, lambda: Answer(status, self._kinds[name].write(ending, ahead(self._ros, self._loop))))
+        self._servers[name].end(goal, lambda: GoalResult(status, self._kinds[name].write(ending, ahead(self._ros, self._loop))))
 
     def _feed(self, _: None) -> None:
         noted, self._noted = self._noted, set()
@@ -172,8 +175,8 @@ class TaskServers(TaskListener):
                 self._servers[name].feed(status.id, self._kinds[name].tell(status, self._tasks.plan(status.id)[1]))
 
 
-def status_of(code: Code, is_asked: bool) -> Status:
+def status_of(code: Code, is_asked: bool) -> GoalStatus:
     """Return the status of a goal in ROS 2."""
     if code is Code.GOAL_REACHED:
-        return Status.SUCCEEDED
-    return Status.CANCELED if code is Code.CANCELLED and is_asked else Status.ABORTED
+        return GoalStatus.SUCCEEDED
+    return GoalStatus.CANCELED if code is Code.CANCELLED and is_asked else GoalStatus.ABORTED

@@ -10,7 +10,7 @@ from typing import Any, Final
 from uuid import UUID
 
 from pnm.errors import InputError
-from pnm.ros.action_server.goal_server import Answer, GoalCalls, GoalServer
+from pnm.ros.action_server.goal_server import GoalCallbacks, GoalResult, GoalServer
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.tasks.goal_actions import status_of
 from pnm.ros.tasks.task_messages import made_fields, seconds
@@ -36,7 +36,8 @@ class PlanningServer:
         self._loop = asyncio.get_running_loop()
         self._searches: dict[UUID, asyncio.Task[MadePlan]] = {}
         self._asked: set[UUID] = set()
-        self._server = GoalServer(ros, "pnm_interfaces/action/MakePlan", NAME, GoalCalls(self._begin, self._give_up, closed))
+        callbacks = GoalCallbacks(lambda request: closed() or partial(self._begin, request), self._give_up)
+        self._server = GoalServer(ros, "pnm_interfaces/action/MakePlan", NAME, callbacks)
 
     def __repr__(self) -> str:
         return f"<PlanningServer {len(self._searches)} searches>"
@@ -53,7 +54,7 @@ class PlanningServer:
             await asyncio.wait(self._searches.values())
         await self._server.close()
 
-    def _begin(self, goal: UUID, request: Any) -> None:
+    def _begin(self, request: Any, goal: UUID) -> None:
         search = self._loop.create_task(self._search(request))
         telling = self._loop.create_task(self._tell(goal))
         self._searches[goal] = search
@@ -79,7 +80,7 @@ class PlanningServer:
         made = MadePlan(Code.CANCELLED, "the search was given up") if search.cancelled() else search.result()
         status = status_of(made.code, goal in self._asked)
         self._asked.discard(goal)
-        self._server.answer(goal, lambda: Answer(status, made_fields(made)))
+        self._server.end(goal, lambda: GoalResult(status, made_fields(made)))
 
     async def _tell(self, goal: UUID) -> None:
         began = self._loop.time()

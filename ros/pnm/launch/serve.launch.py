@@ -7,7 +7,7 @@ from launch_ros.actions import LifecycleNode
 from launch_ros.parameter_descriptions import ParameterValue
 
 from planner_bridge.node.options import PARAMETERS
-from pnm.ros.node.parameters import Parameter
+from pnm.ros.node.parameters import NodeParameter
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -31,7 +31,7 @@ def generate_launch_description() -> LaunchDescription:
     )
 
 
-def _argument(parameter: Parameter) -> DeclareLaunchArgument:
+def _argument(parameter: NodeParameter) -> DeclareLaunchArgument:
     default = str(parameter.default).lower() if isinstance(parameter.default, bool) else str(parameter.default)
     choices = list(parameter.choices) or None
     return DeclareLaunchArgument(parameter.name, default_value=default, description=parameter.description, choices=choices)

@@ -32,11 +32,11 @@ from typing import Final
 from pnm.core.machine.machine import (
     Accepts,
     Adopted,
-    Deed,
     Due,
     Holding,
     OnFailure,
     PetriNetMachine,
+    TransitionAction,
     Withheld,
 )
 from pnm.core.machine.verification.block_shape import shape_of
@@ -153,7 +153,7 @@ def _check_rules(anatomy: Anatomy, call: int | None, names: list[str]) -> None:
         rule, outputs = rules[name], net.outputs[name]
         if getattr(rule.guard, "call", call) != call:
             raise Unsound(f"{name} listens to another call")
-        if (rule.deed is Deed.SEND) is waiting.isdisjoint(outputs):
+        if (rule.action is TransitionAction.SEND) is waiting.isdisjoint(outputs):
             raise Unsound(f"{name} does not send the request that is waited for, or sends one that is not")
         if isinstance(rule.guard, Due):
             for place in dict(rule.guard.since).keys() - net.inputs[name].keys():

@@ -1,0 +1,115 @@
+"""Every example of docs/language.md is run: files are read and their machines proved, commands print what the page says."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from pnm.core.execution.questions import Consultation
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.computed_values import compute
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.expressions import Fluent, Unknown, Value
+from pnm.core.logic.operators import CHANGING, OPERATORS
+from pnm.errors import InputError
+from pnm.files.yaml_nodes import Node, parse_yaml
+from pnm.language import read_domain, read_plans, read_world
+from pnm.language.actions import ACTION_KEYS
+from pnm.language.files import PLAN_KEYS
+from pnm.language.formulas.conditions import read_condition
+from pnm.language.formulas.effects import read_effects
+from pnm.language.formulas.values import read_data
+from pnm.language.plan_tree import COMMANDS
+from pnm.language.runner import Program
+from pnm.language.steps import OPTIONS
+from tests.support.docs.language_reference import PAGE, Shown, blocks, example_files, inside_of, put_files, shown
+from tests.support.files import ROOT
+
+TEXT = PAGE.read_text(encoding="utf-8")
+FILES = example_files(TEXT)
+COMMANDS_SHOWN = [shown(body) for _, body in blocks("console", TEXT)]
+FACTS: dict[Fluent, Value | Unknown] = {("at", "r1", "kitchen"): True, ("battery", "r1"): 80.0}
+KNOWN = Consultation(
+    Layered(KnowledgeBase(FACTS, objects={"robot": ("r1", "r2")}), KnowledgeBase(variables={"v": 3, "list": [1, 2]})),
+)
+
+
+def items(kind: str) -> list[tuple[Node, str]]:
+    """Return the items of a list, each with what the comment behind it says."""
+    ((_, body),) = [(name, body) for name, body in blocks("yaml", TEXT) if name == kind]
+    (top,) = parse_yaml("items:\n" + body, kind)
+    node = top.node("items")
+    assert node is not None
+    assert node.items is not None
+    return list(zip(node.items, re.findall(r"  # (.*)", body), strict=True))
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if not name.startswith("wrong") and name != "faults.yaml"])
+def test_every_file_is_read_and_its_machine_proved(name: str, tmp_path: Path) -> None:
+    put_files(TEXT, tmp_path)
+    match name:
+        case "kitchen.yaml":
+            assert read_domain(tmp_path / name).actions
+            return
+        case "world.yaml":
+            plans = read_world(tmp_path / name).plans
+        case _:
+            plans = read_plans(tmp_path / name)
+    assert all(Program.of(plan) for plan in plans.values())
+
+
+@pytest.mark.parametrize("one", COMMANDS_SHOWN, ids=lambda one: one.command)
+def test_commands_print_what_the_page_says(one: Shown, tmp_path: Path) -> None:
+    put_files(TEXT, tmp_path)
+    with inside_of(tmp_path):
+        printed = one.printed()
+    assert one.agrees(printed), f"{one.command} prints:\n{printed}"
+
+
+def test_every_file_is_shown_in_use() -> None:
+    used = {word for one in COMMANDS_SHOWN for word in one.command.split()} | {"kitchen.yaml", "world.yaml"}
+    assert FILES.keys() <= used
+
+
+@pytest.mark.parametrize("number", range(len(items("conditions"))))
+def test_conditions_are_as_the_page_says(number: int) -> None:
+    node, said = items("conditions")[number]
+    found = evaluate(read_condition(node), KNOWN)
+    assert {True: "true", False: "false"}.get(found is True if not isinstance(found, Unknown) else found, "unknown") == said.partition(":")[
+        0
+    ]
+
+
+@pytest.mark.parametrize("number", range(len(items("values"))))
+def test_values_are_as_the_page_says(number: int) -> None:
+    node, said = items("values")[number]
+    assert compute(read_data(node), KNOWN) == json.loads(said)
+
+
+def test_effects_are_read() -> None:
+    for node, _ in items("effects"):
+        assert read_effects(node)
+
+
+def test_the_tables_have_every_key_and_every_operator() -> None:
+    coded = set(re.findall(r"`([^`\s]+)`", TEXT))
+    assert {*ACTION_KEYS} - {"instances"} <= coded
+    assert {*PLAN_KEYS} <= coded
+    assert {*COMMANDS, *OPTIONS} <= coded
+    assert OPERATORS.keys() | CHANGING <= coded
+
+
+def test_wrong_files_are_refused(tmp_path: Path) -> None:
+    put_files(TEXT, tmp_path)
+    for name in FILES:
+        if name.startswith("wrong"):
+            with pytest.raises(InputError):
+                read_plans(tmp_path / name)
+
+
+def test_the_world_of_the_mall_guide_is_proved() -> None:
+    world = read_world(ROOT / "domains" / "mall_guide" / "plans" / "world.yaml")
+    assert {name: Program.of(plan).machine.plan.calls != () for name, plan in world.plans.items()} == {"guide": True, "greet": True}

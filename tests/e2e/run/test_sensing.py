@@ -1,0 +1,67 @@
+"""A run that learns from a topic what is so, until whoever publishes it is killed."""
+
+from __future__ import annotations
+
+import json
+
+from tests.support.e2e.processes import Program
+from tests.support.e2e.scene import written
+
+DOMAIN = """(define (domain workshop)
+  (:requirements :typing :durative-actions :numeric-fluents)
+  (:types robot)
+  (:predicates (charged ?r - robot) (warm ?r - robot) (done ?r - robot))
+  (:functions (total-cost))
+  (:durative-action warm_up :parameters (?r - robot) :duration (= ?duration 4)
+    :condition (at start (charged ?r)) :effect (at end (warm ?r)))
+  (:durative-action work :parameters (?r - robot) :duration (= ?duration 1)
+    :condition (and (at start (warm ?r)) (at start (charged ?r))) :effect (at end (done ?r)))
+  (:durative-action work_slowly :parameters (?r - robot) :duration (= ?duration 5)
+    :condition (at start (warm ?r)) :effect (at end (done ?r))))"""
+PROBLEM = """(define (problem p) (:domain workshop) (:objects r1 - robot) (:init (charged r1))
+  (:goal (done r1)) (:metric minimize (total-time)))"""
+SENSING = """
+sensors:
+  - topic: /{r}/battery
+    for: {r: robot}
+    facts:
+      - fact: (charged ?r)
+        when: {field: float32_value, ge: 0.8}
+    stale: 1.0
+"""
+
+
+def test_what_is_unknown_because_its_sensor_was_killed_fails_a_call_and_is_planned_around(stage):
+    scene = stage("workshop", texts=(DOMAIN, PROBLEM), speed="2")
+    battery = {"topic": "/r1/battery", "type": "test_msgs/msg/BasicTypes", "fields": {"float32_value": 0.8}}
+    sensor = scene.start(Program(["-m", "tests.support.ros.sensors", json.dumps(battery)], scene.environment))
+    sensor.until(lambda: "ready" in sensor.out)
+    simulation = scene.simulate().ready()
+    run = scene.run("--sensing", written(scene.folder / "sensing.yaml", SENSING))
+    simulation.happens("start", "warm_up")
+    sensor.process.kill()
+    story = scene.judge(run, simulation)
+    (failure,) = story.result["failures"]
+    assert (failure["call"], failure["cause"]) == ("work(r1)#1", "precondition_false")
+    assert failure["expected"] == "(charged r1)"
+    assert failure["observed"] == "(charged r1) is unknown"
+    assert (story.result["goal_reached"], story.result["plans"], story.result["replans"]) == (True, 2, 1)
+    assert story.attempts("work_slowly") == [1]
+    assert any("nothing was heard on /r1/battery for 1 s; what it tells is unknown" in line for line in run.err)
+
+
+def test_sensors_that_are_wrong_are_refused_before_anything_starts(stage):
+    scene = stage("workshop", texts=(DOMAIN, PROBLEM))
+    for text, said in {
+        SENSING.replace("charged", "chraged"): "sensing.yaml:6:15: there is no predicate 'chraged' in the domain; did you mean 'charged'?",
+        SENSING.replace("battery\n", "battery\n    type: test_msgs/msg/Empty\n"): "sensing.yaml:7:15: Empty has no field 'float32_value'",
+    }.items():
+        run = scene.run("--sensing", written(scene.folder / "sensing.yaml", text))
+        assert run.ended() == 2
+        assert said in run.err[-1]
+    battery = {"topic": "/r1/battery", "type": "test_msgs/msg/Strings", "fields": {}}
+    sensor = scene.start(Program(["-m", "tests.support.ros.sensors", json.dumps(battery)], scene.environment))
+    sensor.until(lambda: "ready" in sensor.out)
+    run = scene.run("--sensing", written(scene.folder / "sensing.yaml", SENSING))
+    assert run.ended() == 2
+    assert "sensing.yaml:6:15: Strings has no field 'float32_value'; it has string_value" in run.err[-1]

@@ -1,0 +1,133 @@
+"""Robots on two hosts, and the cable between them pulled out: for less than the lease of DDS, and for longer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.support.e2e.hosts import lan, why_not
+from tests.support.e2e.processes import overlaps
+from tests.support.e2e.survey import Survey
+
+PERSISTENT = """
+actions:
+  fly:
+    params: [robot, from, to]
+    server: "/{{robot}}/navigate"
+    timeout: 60
+    recoveries: {{during: {{lost: {{do: retry, times: {times}}}, unavailable: {{do: retry, times: {times}}}}}}}
+initial_knowledge: {{from: base, to: north}}
+plan:
+  - fly: {{robot: d1}}
+"""
+
+
+ALONE = why_not()
+pytestmark = pytest.mark.skipif(bool(ALONE), reason=ALONE)
+
+
+@pytest.fixture
+def survey(tmp_path: Path) -> Iterator[Survey]:
+    with lan("rover", "drone") as hosts:
+        scene = Survey(hosts, tmp_path)
+        try:
+            yield scene
+        finally:
+            scene.close()
+
+
+def starts(simulation):
+    return [event["action"] for event in simulation.objects() if event["event"] == "start"]
+
+
+def outcomes(simulation):
+    return [event["outcome"] for event in simulation.objects() if event["event"] == "end"]
+
+
+def assert_lost(failure):
+    """Whether the answer to the goal came through before the cut, only the network knows."""
+    assert (failure["call"], failure["cause"], failure["observed"]) in (
+        ("fly(d1, base, north)#0", "lost", "/d1/navigate went away"),
+        ("fly(d1, base, north)#0", "unavailable", "/d1/navigate went away before it answered"),
+    )
+
+
+def test_a_goal_is_reached_by_robots_on_two_hosts(survey):
+    rover, drone = survey.robot("rover"), survey.robot("drone")
+    for one in (rover, drone):
+        one.ready()
+    status, result = survey.run("(and (surveyed north) (standing r1 south) (above d1 north))").result()
+    assert (status, result["goal_reached"], result["failures"]) == (0, True, [])
+    assert starts(rover) == ["drive(r1, base, south)"]
+    assert starts(drone) == ["fly(d1, base, north)", "look_down(d1, north)"]
+
+
+def test_what_ends_while_the_link_is_cut_is_heard_of_when_it_has_healed(survey):
+    drone = survey.robot("drone").ready()
+    run = survey.run("(surveyed north)", kinds=["drone"])
+    drone.happens("start", "fly")
+    survey.lan.cut("drone")
+    drone.happens("end", "fly")
+    survey.lan.heal("drone")
+    status, result = run.result()
+    assert (status, result["goal_reached"], result["failures"]) == (0, True, [])
+    assert starts(drone) == ["fly(d1, base, north)", "look_down(d1, north)"]
+
+
+def test_when_a_host_is_lost_the_robots_on_the_other_one_do_its_work(survey):
+    rover, drone = survey.robot("rover").ready(), survey.robot("drone").ready()
+    run = survey.run("(surveyed north)")
+    drone.happens("start", "fly")
+    survey.lan.cut("drone")
+    status, result = run.result()
+    assert (status, result["goal_reached"]) == (0, True)
+    assert_lost(result["failures"][0])
+    assert starts(rover) == ["drive(r1, base, south)", "drive(r1, south, north)", "look_around(r1, north)"]
+    assert starts(drone) == ["fly(d1, base, north)"]
+
+
+def test_without_another_way_a_run_ends_with_the_reason_and_one_after_the_cut_reaches_the_goal(survey):
+    drone = survey.robot("drone").ready()
+    run = survey.run("(surveyed north)", kinds=["drone"])
+    drone.happens("start", "fly")
+    survey.lan.cut("drone")
+    status, result = run.result()
+    assert (status, result["goal_reached"]) == (1, False)
+    assert_lost(result["failures"][0])
+    drone.happens("end", "fly")
+    survey.lan.heal("drone")
+    status, result = survey.run("(surveyed north)", kinds=["drone"]).result()
+    assert (status, result["goal_reached"], result["failures"]) == (0, True, [])
+    assert starts(drone) == ["fly(d1, base, north)", "look_down(d1, north)"]
+    assert not overlaps(drone.objects())
+
+
+def test_what_was_given_up_is_cancelled_after_the_cut_before_it_is_done_again(survey):
+    drone = survey.robot("drone", faults="faults: [{action: fly, do: hang, times: 1}]").ready()
+    run = survey.run_plan(PERSISTENT.format(times=5))
+    drone.happens("start", "fly")
+    survey.lan.cut("drone")
+    run.until(lambda: any("/d1/navigate went away" in line for line in run.out))
+    survey.lan.heal("drone")
+    assert run.ended() == 0
+    assert outcomes(drone) == ["canceled", "succeeded"]
+    assert not overlaps(drone.objects())
+
+
+def test_whoever_serves_plans_goes_on_after_a_cut(survey):
+    drone = survey.robot("drone").ready()
+    survey.serve(PERSISTENT.format(times=1)).ready()
+
+    def ending(start, end):
+        client = survey.client("served", f"{{from: {start}, to: {end}}}")
+        assert client.ended() == 0
+        return next(one["reason"] for one in client.objects() if one["event"] == "result")
+
+    assert ending("base", "north") == "goal"
+    survey.lan.cut("drone")
+    assert ending("north", "south") == "unavailable"
+    survey.lan.heal("drone")
+    assert ending("north", "base") == "goal"
+    assert starts(drone) == ["fly(d1, base, north)", "fly(d1, north, base)"]

@@ -1,0 +1,154 @@
+"""How serving plans begins and ends: bad worlds, ROS 2 not there, served already, signals; and plans of `pnm run` over ROS 2."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.e2e.serve.test_plans import DOMAIN, PLANS, shared
+from tests.support.e2e.plans import ABORTED
+from tests.support.e2e.processes import ROOT
+from tests.support.e2e.scene import Run
+
+WORLD = "domain: domain.yaml\nplans: [plans.yaml]\n"
+FILES = {"domain.yaml": DOMAIN, "plans.yaml": PLANS, "world.yaml": WORLD}
+
+
+def refused(scene, *options: str) -> tuple[int, str]:
+    """Serve a world that cannot be served; return the exit status and what is said."""
+    serving = scene.serve(*options)
+    status = serving.ended()
+    assert not any(line.startswith("ready") for line in serving.out), str(serving)
+    return status, "\n".join(serving.err)
+
+
+@pytest.mark.parametrize(
+    ("files", "options", "said"),
+    [
+        ({}, ["--world", "nowhere.yaml"], "nowhere.yaml:1:1: cannot be read: No such file or directory"),
+        ({"world.yaml": "domain: domain.yaml\nplan: [plans.yaml]\n"}, [], "world.yaml:2:1: unknown key 'plan'; did you mean 'plans'?"),
+        ({"world.yaml": "domain: domain.yml\nplans: [plans.yaml]\n"}, [], "world.yaml:1:9: there is no file 'domain.yml' beside this one"),
+        ({"world.yaml": "domain: domain.yaml\nplans: []\n"}, [], "has no plans"),
+        ({"world.yaml": "a: {recipes: [plans.yaml]}\nb: {recipes: [plans.yaml]}\n"}, [], "expected the name of one: a, b"),
+        (
+            {"world.yaml": "a: {recipes: [plans.yaml]}\nb: {recipes: [plans.yaml]}\n"},
+            ["--name", "c"],
+            "world.yaml:1:1: there is no world 'c' here; expected one of: a, b",
+        ),
+        ({"plans.yaml": "tour: {plan: [{wiat: {time: 1}}]}"}, [], "plans.yaml:1:16: there is no action 'wiat' here; did you mean 'wait'?"),
+        ({"plans.yaml": "one: {plan: [two: {}]}\ntwo: {plan: [one: {}]}"}, [], "the plan would never end"),
+        ({"domain.yaml": "knowledge: [nobody]\nactions: {}"}, [], "there is no source of knowledge 'nobody'"),
+        (
+            {"plans.yaml": "one: {facts: ['(= (n) 1)'], plan: []}\ntwo: {facts: ['(= (n) 2)'], plan: []}"},
+            [],
+            "one and two begin with different values of (n): 1.0, 2.0",
+        ),
+    ],
+)
+def test_a_world_that_is_wrong_is_refused_before_anything_starts(plan_scene, files, options, said):
+    plan_scene.write({**FILES, **files})
+    status, told = refused(plan_scene, *options)
+    assert (status, said in told) == (2, True), told
+
+
+def test_without_ros_there_is_advice(plan_scene):
+    plan_scene.write({**FILES, "rclpy.py": "raise ImportError('no rclpy')"})
+    plan_scene.environment["PYTHONPATH"] = f"{plan_scene.folder}:{ROOT}"
+    status, told = refused(plan_scene)
+    assert status == 1
+    assert told == ("ROS 2 is not there (no rclpy); `pip install 'petri-net-machines[ros2]'`, or source a ROS 2 installation"), (
+        "one line, no traceback"
+    )
+
+
+@pytest.mark.parametrize(
+    ("files", "said"),
+    [
+        ({"plans.yaml": "1st: {plan: []}"}, "not a name for an action server: '1st'"),
+        ({"plans.yaml": "go-on: {plan: []}\ngo_on: {plan: []}"}, "two plans would both have the action server /go_on"),
+        (
+            {"domain.yaml": "actions: {go: {ros_type: my_msgs/action/Go}}", "plans.yaml": "tour: {plan: [go: {}]}"},
+            "the ROS type my_msgs/action/Go is not installed",
+        ),
+    ],
+)
+def test_names_that_cannot_be_are_refused(plan_scene, files, said):
+    plan_scene.write({**FILES, **files})
+    status, told = refused(plan_scene)
+    assert (status, said in told) == (2, True), told
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_cancels_what_runs_and_tells_the_clients(plan_scene, number):
+    plan_scene.write(FILES)
+    workers = plan_scene.workers("wait").ready()
+    serving = plan_scene.serve().ready()
+    status, told = refused(plan_scene)
+    assert status == 1
+    assert "already" in told
+    client = plan_scene.client("waits", {"time": 1000}, {"time": 2000})
+    for time in (1000, 2000):
+        workers.happens("start", "wait", time)
+    serving.stop(number)
+    assert [(result["status"], result["reason"]) for result in client.results()] == [(ABORTED, "cancelled")] * 2
+    assert {one["value"] for one in workers.objects() if one["event"] == "cancelled"} == {1000, 2000}
+    assert sum("cancelled the node is shut down" in line for line in serving.out) == 2
+
+
+def test_an_action_server_that_does_not_let_go_is_not_waited_for_without_end(plan_scene):
+    plan_scene.write({**FILES, "plans.yaml": "clings: {plan: [stubborn: {time: 1000}]}", "domain.yaml": "actions: {stubborn: {cancel: 1}}"})
+    workers = plan_scene.workers("stubborn").ready()
+    serving = plan_scene.serve().ready()
+    client = plan_scene.client("clings")
+    workers.happens("start", "stubborn")
+    serving.stop()
+    assert client.result()["reason"] == "cancelled"
+
+
+def test_who_asks_twice_does_not_have_to_wait(plan_scene):
+    plan_scene.write(
+        {**FILES, "plans.yaml": "clings: {plan: [stubborn: {time: 1000}]}", "domain.yaml": "actions: {stubborn: {cancel: 500}}"}
+    )
+    workers = plan_scene.workers("stubborn").ready()
+    serving = plan_scene.serve().ready()
+    plan_scene.client("clings")
+    workers.happens("start", "stubborn")
+    serving.process.send_signal(signal.SIGTERM)
+    plan_scene.cancel_all("stubborn")
+    serving.stop()
+    assert "clings has not ended; what it runs is left alone" in serving.err
+
+
+def test_a_plan_of_pnm_run_is_in_touch_with_its_action_servers_too(plan_scene):
+    plan_scene.write({"all.yaml": DOMAIN + PLANS})
+    plan_scene.workers("wait").ready()
+    knowing = plan_scene.workers(script="knowing_workers").ready()
+    file = str(plan_scene.folder / "all.yaml")
+    options = ["--name", "knows", "--set", "value=7", "--actions", "ros2", "--json", "--knowledge", str(plan_scene.knowledge)]
+    run = plan_scene.start(Run(["-m", "planner_bridge", "run", "--plan", file, *options], plan_scene.environment))
+    status, result = run.result()
+    assert (status, result["results"]) == (0, {"spam": 7, "eggs": 107, "time": 7})
+    assert {"event": "found", "server": "remember", "value": [7, 107]} in knowing.objects()
+    assert shared(plan_scene.knowledge, "eggs") == 107
+
+
+def test_global_knowledge_of_simulated_runs_is_in_the_file_that_is_named(tmp_path: Path):
+    plans = tmp_path / "plans.yaml"
+    plans.write_text(
+        "actions: {know: {type: kb_action}}\n"
+        "tell: {plan: [know: {operation: {RemoteUpdate: [n, 5]}}]}\n"
+        "ask: {results: [found], plan: [know: {operation: {LocalUpdate: [found, {RemoteQuery: n}]}}]}\n"
+    )
+    file = tmp_path / "new" / "n.sqlite"
+    command = [sys.executable, "-m", "planner_bridge", "run", "--plan", str(plans), "--json", "--knowledge", str(file)]
+    told = [
+        json.loads(subprocess.run([*command, "--name", name], capture_output=True, text=True, check=True, cwd=ROOT).stdout)
+        for name in ("tell", "ask")
+    ]
+    assert [one["results"] for one in told] == [{}, {"found": 5}]
+    assert shared(file, "n") == 5

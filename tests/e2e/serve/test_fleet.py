@@ -1,0 +1,61 @@
+"""Fifty goals over five robots, one request in twenty of which goes wrong: over ROS 2, and judged by the robots' own log."""
+
+from __future__ import annotations
+
+import json
+import random
+
+import pytest
+
+from planner_bridge.pddl import write_domain, write_problem
+from tests.support.e2e.plans import ABORTED, SUCCEEDED, Client, PlanScene, Serving
+from tests.support.e2e.scene import Simulation
+from tests.support.problems import fleet
+
+ROBOTS, PARCELS, ROOMS = 5, 50, 6
+BINDINGS = """
+actions:
+  move: {server: "/{r}/move", resources: ["{r}"], retries: 0}
+  pick: {server: "/{r}/pick", resources: ["{r}"], retries: 0}
+  drop: {server: "/{r}/drop", resources: ["{r}"], retries: 0}
+"""
+FAULTS = """
+seed: %d
+faults:
+  - {action: move, do: abort, chance: 0.05, message: the way is blocked}
+  - {action: pick, do: abort, chance: 0.05, message: the grip has slipped}
+  - {action: drop, do: abort, chance: 0.05, message: there is no room}
+"""
+TRUE_REASONS = {"action_failed", "condition_lost", "no_plan", "replan_limit"}
+
+
+@pytest.mark.parametrize("seed", [1])
+@pytest.mark.timeout(400)
+def test_all_goals_hold_in_the_end_or_are_reported_with_the_reason(plan_scene: PlanScene, seed: int) -> None:
+    problem = fleet(ROBOTS, PARCELS, ROOMS)
+    files = {"domain.pddl": write_domain(problem.domain), "problem.pddl": write_problem(problem)}
+    plan_scene.write({**files, "bindings.yaml": BINDINGS, "faults.yaml": FAULTS % seed})
+    here = [str(plan_scene.folder / name) for name in ("domain.pddl", "problem.pddl")]
+    bindings = ["--bindings", str(plan_scene.folder / "bindings.yaml")]
+    faults = ["--faults", str(plan_scene.folder / "faults.yaml"), "--speed", "10", "--log", "/dev/stdout"]
+    robots = plan_scene.start(Simulation(["-m", "planner_bridge", "simulate", *here, *bindings, *faults], plan_scene.environment)).ready()
+    plan_scene.start(Serving(["-m", "planner_bridge", "serve", *here, *bindings], plan_scene.environment)).ready()
+
+    rng = random.Random(seed)
+    goals = [f"(in p{number} a{rng.randrange(ROOMS)})" for number in range(PARCELS)]
+    client = plan_scene.start(Client(["-m", "tests.support.e2e.goal_client", "send", *goals], plan_scene.environment))
+    assert client.ended(300.0) == 0, str(client)
+    results = client.results()
+    robots.stop()
+    events = robots.objects()
+    state = set(next(one["facts"] for one in events if one["event"] == "state"))
+    assert len(results) == PARCELS
+    for goal, result in zip(goals, results, strict=True):
+        if result["status"] == SUCCEEDED:
+            assert goal in state
+        else:
+            assert (result["status"], result["reason"] in TRUE_REASONS) == (ABORTED, True), result
+            assert result["message"]
+    assert not [one for one in events if one["event"] == "clash"]
+    assert [one for one in events if one["event"] == "end" and one["outcome"] == "aborted"], "nothing went wrong, so nothing was tested"
+    assert sum(result["status"] == SUCCEEDED for result in results) >= 0.9 * PARCELS, json.dumps(results)

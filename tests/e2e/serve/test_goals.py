@@ -1,0 +1,89 @@
+"""Goals over ROS 2 from one process to another, planned for and carried out by simulated robots in a third: all of it is real."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.e2e.serve.test_tasks import DOMAIN, PAGE, PROBLEM, goals
+from tests.support.e2e.plans import ABORTED, CANCELED, SUCCEEDED, Client, PlanScene, Serving
+from tests.support.e2e.processes import Program
+from tests.support.e2e.scene import Simulation
+
+
+@pytest.fixture(scope="module")
+def robots(plan_scene_of_module: PlanScene) -> Simulation:
+    command = ["-m", "planner_bridge", "simulate", DOMAIN, PROBLEM, "--speed", "20", "--log", "/dev/stdout"]
+    return plan_scene_of_module.start(Simulation(command, plan_scene_of_module.environment)).ready()
+
+
+@pytest.fixture(scope="module")
+def served(plan_scene_of_module: PlanScene, robots: Simulation) -> PlanScene:
+    """The node that takes goals, and robots for it."""
+    plan_scene_of_module.write({"goals.yaml": "goals:\n  in the yard: (and (at r1 yard) (not (at r2 yard)))"})
+    options = ["--goals", str(plan_scene_of_module.folder / "goals.yaml"), "--problems", str(plan_scene_of_module.folder)]
+    serving = Serving(["-m", "planner_bridge", "serve", DOMAIN, PROBLEM, *options], plan_scene_of_module.environment)
+    plan_scene_of_module.start(serving).ready()
+    return plan_scene_of_module
+
+
+@pytest.mark.parametrize(
+    ("goal", "reason", "said"),
+    [
+        ("(at r1 kichen)", "invalid_goal", "goal:1:8: "),
+        ("(at r1", "invalid_goal", "goal:1:1: "),
+        ("in the jard", "invalid_goal", "there is no goal 'in the jard'; did you mean 'in the yard'?"),
+        ("(and (at r1 hall) (at r1 store))", "no_plan", "no plan"),
+    ],
+)
+def test_a_goal_that_cannot_be_is_answered_with_the_reason(served, goal, reason, said):
+    result = goals(served, goal).result()
+    assert (result["status"], result["reason"]) == (ABORTED, reason)
+    assert said in result["message"]
+
+
+def test_a_goal_with_a_name_is_reached_by_the_robots(served, robots):
+    result = goals(served, "in the yard").result()
+    assert (result["status"], result["reason"]) == (SUCCEEDED, "goal_reached"), result
+    robots.happens("end", "move")
+    assert goals(served, "in the yard").result()["status"] == SUCCEEDED, "it is so already"
+
+
+def page(scene: PlanScene, folder: Path, goal: str, limit: str) -> Program:
+    """Run the client of the page, with another goal and another limit."""
+    (script,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    assert script.count("(at r2 kitchen)") == script.count(", 5.0)") == 1
+    file = folder / "client.py"
+    file.write_text(script.replace("(at r2 kitchen)", goal).replace(", 5.0)", f", {limit})"))
+    client = scene.start(Client([str(file)], scene.environment))
+    assert client.ended() == 0, str(client)
+    return client
+
+
+def test_the_client_of_the_page_sends_a_goal_and_hears_of_it(served, tmp_path):
+    client = page(served, tmp_path, "(at r2 kitchen)", "30.0")
+    assert any("move(r2, hall, kitchen)" in line for line in client.out[:-1]), str(client)
+    assert client.out[-1] == f"{SUCCEEDED} goal_reached the goal holds"
+
+
+def test_the_client_of_the_page_cancels_what_takes_too_long(served, robots, tmp_path):
+    client = page(served, tmp_path, "(and (at parcel1 hall) (at parcel2 kitchen))", "0.1")
+    assert client.out[-1].startswith(f"{CANCELED} cancelled "), str(client)
+    starts = [one["action"] for one in robots.objects() if one["event"] == "start"]
+    ends = [one["action"] for one in robots.objects() if one["event"] == "end"]
+    assert sorted(starts) == sorted(ends), "what was under way has confirmed that it is cancelled"
+
+
+def test_what_is_known_and_the_problem_are_asked_for(served):
+    client = served.start(Client(["-m", "tests.support.e2e.world_client"], served.environment))
+    assert client.ended() == 0, str(client)
+    told = {one["event"]: one for one in client.objects()}
+    assert told["query"]["values"] == ["true", "false", "1"]
+    assert told["update"]["success"]
+    assert "did you mean 'hall'" in told["wrong"]["message"]
+    assert "(takes_parcels yard)" in told["get"]["problem"]
+    assert (served.folder / "now.pddl").read_text() == told["get"]["problem"]
+    assert "is not in the folder" in told["outside"]["message"]
+    assert not told["load"]["success"]

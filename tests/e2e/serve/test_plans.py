@@ -1,0 +1,270 @@
+"""Plans as action servers: goals, results, feedback and cancelling over ROS 2, with action servers and clients in other processes."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from uuid import UUID
+
+import pytest
+
+from pnm.core.logic.computed_values import Layer, Question
+from pnm.knowledge.sources import Asker
+from pnm.knowledge.sources.sqlite import SqliteKnowledge
+from tests.support.e2e.plans import ABORTED, CANCELED, SUCCEEDED, PlanScene, Workers
+
+DOMAIN = """
+actions:
+  wait: {params: [time], timeout: 600}
+  broken: {params: [value]}
+  fragile: {params: [time], server: fragile/wait, timeout: 600}
+  nobody: {params: [value], ros_type: pnm_interfaces/action/EstimateTime}
+  dummy_server: {type: rpn_action, params: [value], store: {time: result}, effects: {and: {Exists: [LocalQuery: result]}}}
+  add_one: {params: [value], store: {time: result}, preconditions: {and: [Exists: [LocalQuery: value]]}}
+  remember: {type: rpn_action, params: [value]}
+  alarm: {type: rpn_action, params: [value]}
+  watched_wait: {params: [time], server: wait, preconditions: {over_all: {not: {Exists: [LocalQuery: alarm]}}}, timeout: 600}
+  know: {type: kb_action, params: [operation]}
+"""
+PLANS = """
+count:
+  initial_knowledge: {value: 5}
+  results: [value, result]
+  plan:
+    - dummy_server: {}
+    - while:
+        condition: {Comparison: [ne, [LocalQuery: value, 10]]}
+        actions:
+          - add_one: {}
+          - know: {operation: {LocalUpdate: [value, {LocalQuery: result}]}}
+empty:
+  plan: []
+fails:
+  plan:
+    - broken: {value: 1}
+    - wait: {time: 77}
+forks:
+  plan:
+    - concurrent_actions:
+        - broken: {value: 2}
+        - wait: {time: 0.25}
+        - [wait: {time: 0.5}, wait: {time: 78}]
+waits:
+  params: [time]
+  initial_knowledge: {time: 59}
+  plan:
+    - wait: {}
+goes_on:
+  plan:
+    - wait: {time: 3001}
+    - add_one: {value: 41}
+  initial_knowledge: {value: 0}
+  results: [result]
+knows:
+  params: [value]
+  results: [spam, eggs, time]
+  plan:
+    - remember: {}
+    - know: {operation: {LocalUpdate: [eggs, {RemoteQuery: eggs}]}}
+    - wait: {time: {LocalQuery: spam}}
+asks_what_is_shared:
+  results: [eggs]
+  plan:
+    - know: {operation: {LocalUpdate: [eggs, {RemoteQuery: eggs}]}}
+alarmed:
+  on_failure: cancel
+  plan:
+    - concurrent_actions:
+        - watched_wait: {time: 3002}
+        - alarm: {value: 1}
+misses:
+  plan:
+    - nobody: {value: 1}
+calls:
+  params: [shop]
+  results: [told]
+  plan:
+    - called: {place: {LocalQuery: shop}, time: 3003}
+called:
+  params: [place, time]
+  results: [told]
+  plan:
+    - know: {operation: {LocalUpdate: [told, {LocalQuery: place}]}}
+    - wait: {}
+breaks:
+  plan:
+    - fragile: {time: 3004}
+limited:
+  timeout: 0.5
+  plan:
+    - wait: {time: 3005}
+"""
+
+
+@pytest.fixture(scope="module")
+def workers(plan_scene_of_module: PlanScene) -> Workers:
+    return plan_scene_of_module.workers("add_one", "broken", "dummy_server", "wait").ready()
+
+
+@pytest.fixture(scope="module")
+def knowing(plan_scene_of_module: PlanScene) -> Workers:
+    return plan_scene_of_module.workers(script="knowing_workers").ready()
+
+
+@pytest.fixture(scope="module")
+def served(plan_scene_of_module: PlanScene, workers: Workers, knowing: Workers) -> PlanScene:
+    """A process that serves all of the plans, with the action servers that they need."""
+    plan_scene_of_module.write(
+        {
+            "domain.yaml": DOMAIN,
+            "plans.yaml": PLANS,
+            "world.yaml": "mine: {domain: domain.yaml, recipes: [plans.yaml]}\nother: {domain: domain.yaml, recipes: [plans.yaml]}",
+        }
+    )
+    plan_scene_of_module.serve("--name", "mine").ready()
+    return plan_scene_of_module
+
+
+# --- what fails ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("parameters", "said"),
+    [
+        ({"tim": 3}, "waits has no parameter 'tim'; did you mean 'time'?"),
+        ("[1", "parameters:1:3: "),
+        ("3", "expected a mapping such as {shop: bakery} as parameters, found '3'"),
+        ("{1: 2, ? [a] : b}", "parameters:1:"),
+        ("time: &a [*a]", "parameters:1:"),
+        ("{time: !!python/object/apply:os.system [ls]}", "parameters:1:"),
+    ],
+)
+def test_parameters_that_are_wrong_abort_the_goal_with_the_reason(served, workers, parameters, said):
+    before = len(workers.objects())
+    result = served.client("waits", parameters).result()
+    assert (result["status"], result["success"], result["reason"], result["results"]) == (ABORTED, False, "parameters", {})
+    assert said in result["message"]
+    assert len(workers.objects()) == before
+
+
+def test_an_action_that_aborts_fails_the_plan(served, workers):
+    result = served.client("fails").result()
+    assert (result["status"], result["success"], result["reason"]) == (ABORTED, False, "aborted")
+    assert "broken(1)" in result["message"]
+    assert 77 not in workers.starts("wait")
+
+
+def test_when_one_branch_fails_the_others_end_what_they_are_doing_and_begin_nothing(served, workers):
+    result = served.client("forks").result()
+    assert (result["status"], result["reason"]) == (ABORTED, "aborted")
+    workers.happens("end", "wait", 0.25)
+    workers.happens("end", "wait", 0.5)
+    assert 78 not in workers.starts("wait")
+
+
+def test_an_action_server_that_is_not_there_fails_the_plan_by_its_name(served):
+    result = served.client("misses").result()
+    assert (result["status"], result["reason"]) == (ABORTED, "unavailable")
+    assert "there is no action server /nobody" in result["message"]
+
+
+def test_an_action_server_that_is_killed_fails_the_plan_by_its_name(served):
+    fragile = served.workers("fragile").ready()
+    client = served.client("breaks")
+    fragile.happens("start", "fragile/wait", 3004)
+    fragile.process.kill()
+    result = client.result()
+    assert (result["status"], result["reason"]) == (ABORTED, "lost")
+    assert "/fragile/wait went away" in result["message"]
+
+
+def test_a_plan_has_a_limit_and_what_it_runs_is_cancelled_then(served, workers):
+    result = served.client("limited").result()
+    assert (result["status"], result["reason"]) == (ABORTED, "timed_out")
+    assert result["message"] == "the plan's limit of 0.5 s is reached"
+    workers.happens("cancelled", "wait", 3005)
+
+
+# --- cancelling ------------------------------------------------------------------------------
+
+
+def test_a_goal_that_is_cancelled_ends_when_the_action_server_has_confirmed_it(served, workers):
+    client = served.client("waits", {"time": 3006}, cancel_on="wait")
+    result = client.result()
+    assert (result["status"], result["success"], result["reason"]) == (CANCELED, False, "cancelled")
+    workers.happens("cancelled", "wait", 3006)
+    assert client.hears("feedback", running=["wait(3006)"])["ended"] == 0
+
+
+def test_cancelling_reaches_what_a_plan_runs_that_is_called_by_another(served, workers):
+    client = served.client("calls", {"shop": "bakery"}, cancel_on="wait")
+    result = client.result()
+    assert (result["status"], result["reason"]) == (CANCELED, "cancelled")
+    workers.happens("cancelled", "wait", 3003)
+    client.hears("feedback", running=["called(bakery, 3003): wait(3003)"])
+
+
+def test_an_action_that_somebody_else_cancels_is_no_failure(served, workers):
+    client = served.client("goes_on")
+    workers.happens("start", "wait", 3001)
+    served.cancel_all("wait")
+    result = client.result()
+    assert (result["status"], result["results"]) == (SUCCEEDED, {"result": 42})
+
+
+# --- what goes well --------------------------------------------------------------------------
+
+
+def test_a_plan_without_steps_succeeds(served):
+    result = served.client("empty").result()
+    assert (result["status"], result["success"], result["reason"], result["results"]) == (SUCCEEDED, True, "goal", {})
+
+
+def test_a_loop_counts_from_five_to_ten(served, workers):
+    before = len(workers.starts("add_one"))
+    result = served.client("count").result()
+    assert (result["status"], result["results"]) == (SUCCEEDED, {"value": 10, "result": 10})
+    assert workers.starts("add_one")[before:] == [5, 6, 7, 8, 9]
+    assert workers.starts("dummy_server") == [5]
+
+
+def test_goals_for_the_same_plan_run_side_by_side_with_their_own_knowledge(served, workers):
+    before = len(workers.objects())
+    results = served.client("waits", *({"time": time} for time in (1.5, 2.5))).results()
+    assert [result["status"] for result in results] == [SUCCEEDED] * 2
+    events = [(one["event"], one["value"]) for one in workers.objects()[before:]]
+    assert sorted(events[:2]) == [("start", 1.5), ("start", 2.5)]
+    assert sorted(events[2:]) == [("end", 1.5), ("end", 2.5)]
+
+
+def test_what_an_action_server_stores_while_it_runs_is_used_by_later_steps_of_its_own_run(served, workers):
+    results = served.client("knows", {"value": 0}, {"value": 1}).results()
+    assert [result["status"] for result in results] == [SUCCEEDED] * 2
+    assert [(result["results"]["spam"], result["results"]["time"]) for result in results] == [(0, 0), (1, 1)]
+    assert {0, 1} <= set(workers.starts("wait"))
+    assert {result["results"]["eggs"] for result in results} <= {100, 101}
+
+
+def test_what_is_stored_for_all_is_found_by_other_runs_and_by_other_programs(served):
+    assert served.client("knows", {"value": 2}).result()["status"] == SUCCEEDED
+    assert served.client("asks_what_is_shared").result()["results"] == {"eggs": 102}
+    assert shared(served.knowledge, "eggs") == 102
+
+
+def test_a_condition_hears_of_what_an_action_server_stores_while_it_runs(served, workers, knowing):
+    result = served.client("alarmed").result()
+    assert (result["status"], result["reason"]) == (ABORTED, "invariant_false")
+    workers.happens("cancelled", "wait", 3002)
+    knowing.happens("cancelled", "alarm", 1)
+
+
+def shared(file: Path, name: str) -> object:
+    """Return a variable of the global knowledge in a file."""
+
+    async def look() -> object:
+        source = SqliteKnowledge(file)
+        found = await source.query(Question(name, Layer.GLOBAL, "null"), Asker(UUID(int=0)))
+        await source.close()
+        return found
+
+    return asyncio.run(look())

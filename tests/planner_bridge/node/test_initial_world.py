@@ -1,0 +1,138 @@
+"""A node that has plans only: what others may ask of their world, and tell."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import pytest
+
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.node.problem_service import NOTHING, CurrentProblem, ServedProblem
+from planner_bridge.tasks.settings import Settings
+from pnm.clock import run_async
+from pnm.errors import InputError
+from pnm.language.plan import parse_plans
+
+UNDECLARED = """
+actions:
+  move:
+    params: ?r ?to
+    preconditions:
+      at_start:
+        - (free ?r)
+        - Comparison: [gt, ["(battery ?r)", 5]]
+    effects:
+      at_end:
+        - (at ?r ?to)
+        - assign: ["(place ?r)", "?to"]
+tour:
+  facts:
+    - (at r1 hall)
+    - (= (speed) 2)
+    - (= (place r1) hall)
+  goal: {not: (lost r1)}
+  plan:
+    - if: (rainy)
+      then: [{move: {r: r1, to: hall}}]
+    - move: {r: r1, to: kitchen}
+"""
+DECLARED = """
+types: robot room - object
+predicates:
+  - (at ?r - robot ?x - room)
+  - (open)
+  - (ready ?r - robot)
+functions:
+  - (battery ?r - robot) - number
+  - (place ?r - robot) - room
+derived:
+  - fact: (ready ?r - robot)
+    condition: {and: [(open), "(at ?r hall)"]}
+actions:
+  move: {params: "?r - robot ?to - room"}
+problem:
+  objects: r1 r2 - robot hall kitchen - room
+  init:
+    - (at r1 hall)
+plan:
+  - move: {r: r1, to: kitchen}
+"""
+
+
+def play(text: str, scene: Callable[[ServedProblem], Awaitable[None]]) -> None:
+    async def whole() -> None:
+        plans = parse_plans(text).values()
+        current = CurrentProblem(NOTHING, initial_knowledge(*plans), {}, Settings(), plans)
+        await scene(ServedProblem(current, Path(), lambda _: None))
+
+    run_async(whole(), virtual=True)
+
+
+async def answers(world: ServedProblem, *questions: str) -> list[str]:
+    return [answer for _, answer in await world.query(questions)]
+
+
+def test_facts_of_plans_that_declare_nothing_are_asked_for_and_told() -> None:
+    async def scene(world: ServedProblem) -> None:
+        asked = (
+            "(at r1 hall)",
+            "(at r1 cellar)",
+            "(speed)",
+            "(place r1)",
+            "(battery r1)",
+            "(and (free r1) (not (lost r1)) (not (rainy)))",
+            "(>= (speed) 2)",
+        )
+        assert await answers(world, *asked) == ["true", "false", "2", "hall", "unknown", "false", "true"]
+        told = await world.update(
+            ["(at r1 cellar)", "(= (battery r1) 7)", "(= (place r1) cellar)", "(lost r1)"], ["(at r1 hall)"], ["(speed)"]
+        )
+        assert told == 6
+        assert await answers(world, *asked) == ["false", "true", "unknown", "cellar", "7", "false", "unknown"]
+        assert dict(await world.query([]))["(at r1 cellar)"] == "true"
+
+    play(UNDECLARED, scene)
+
+
+@pytest.mark.parametrize(
+    ("text", "question", "said"),
+    [
+        (UNDECLARED, "(att r1 hall)", "questions[0]:1:2: unknown predicate 'att'; did you mean 'at'?"),
+        (UNDECLARED, "(at r1)", "questions[0]:1:1: (at ?x0 - object ?x1 - object) takes 2 arguments, found 1"),
+        (UNDECLARED, "(exists (?p) (at r1 ?p))", "the plans declare no objects; expected a condition without exists"),
+        (DECLARED, "(at r1 hal)", "questions[0]:1:8: unknown object 'hal'; did you mean 'hall'?"),
+        (DECLARED, "(at hall r1)", "questions[0]:1:5: 'hall' is of type room; expected robot"),
+    ],
+)
+def test_what_plans_do_not_speak_of_is_refused(text: str, question: str, said: str) -> None:
+    async def scene(world: ServedProblem) -> None:
+        with pytest.raises(InputError) as caught:
+            await world.query([question])
+        assert str(caught.value).startswith(said)
+
+    play(text, scene)
+
+
+def test_declarations_of_plans_count_as_those_of_a_problem_do() -> None:
+    async def scene(world: ServedProblem) -> None:
+        asked = ("(exists (?x - room) (at r1 ?x))", "(place r2)", "(battery r2)", "(ready r1)")
+        assert await answers(world, *asked) == ["true", "undefined", "unknown", "false"]
+        assert await world.update(["(open)", "(= (place r2) kitchen)"], [], []) == 2
+        assert await answers(world, *asked) == ["true", "kitchen", "unknown", "true"]
+        with pytest.raises(InputError, match="'ready' is a derived predicate"):
+            await world.update(["(ready r2)"], [], [])
+        with pytest.raises(InputError, match="no domain and problem are loaded"):
+            await world.load("  ", "(define (problem p) (:domain plans) (:goal (open)))")
+
+    play(DECLARED, scene)
+
+
+def test_without_a_problem_there_are_no_goals() -> None:
+    async def scene() -> None:
+        plans = parse_plans(DECLARED).values()
+        current = CurrentProblem(NOTHING, initial_knowledge(*plans), {}, Settings(), plans)
+        with pytest.raises(InputError, match="no domain and problem are loaded"):
+            current.read_goal("(open)")
+
+    run_async(scene(), virtual=True)

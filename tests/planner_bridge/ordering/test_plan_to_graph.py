@@ -1,0 +1,247 @@
+"""The causal order of plans: as loose as the causes allow, and never looser."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+from math import inf
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.problem import Problem
+from planner_bridge.ordering.plan_to_graph import plan_graph
+from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.pipeline import achieve
+from planner_bridge.planning.kairos import validate
+from planner_bridge.planning.solve import solve
+from planner_bridge.tasks.replanning import Progress, why_not
+from pnm.core.logic.conditions import All, Holds, Not
+from pnm.core.logic.trajectory import Constraint
+from pnm.core.machine.plan_graph import Moment, PlanEvent, PlanGraph
+from tests.support.problems import matches, rooms
+
+
+def sequence(*steps: str) -> Plan:
+    return Plan(tuple(PlanStep(step.split()[0], tuple(step.split()[1:]), float(index)) for index, step in enumerate(steps)))
+
+
+def shown(graph: PlanGraph) -> list[str]:
+    return [str(ordering) for ordering in graph.orderings]
+
+
+def test_independent_calls_are_not_ordered() -> None:
+    assert shown(plan_graph(rooms(), sequence("move r1 a b", "move r2 a d"))) == []
+
+
+def test_an_ordering_names_the_fact_it_protects() -> None:
+    graph = plan_graph(rooms(), sequence("move r1 a b", "move r1 b c"))
+    assert shown(graph) == ["end of #0 < start of #1 ((at r1 b))"]
+
+
+def test_a_reader_comes_before_the_next_writer() -> None:
+    graph = plan_graph(rooms(), sequence("sweep r1 a", "move r1 a b"))
+    assert shown(graph) == ["end of #0 < start of #1 ((at r1 a))"]
+
+
+def test_a_counter_that_only_a_metric_reads_orders_nothing() -> None:
+    graph = plan_graph(rooms(), sequence(*(f"move {robot} a b" for robot in ("r1", "r2"))))
+    assert graph.orderings == ()
+
+
+def never_both(room: str) -> Constraint:
+    return Constraint("always", (Not(All((Holds(("at", "r1", room)), Holds(("at", "r2", room))))),))
+
+
+def test_what_a_constraint_speaks_of_changes_in_the_order_of_the_plan() -> None:
+    two = sequence("move r1 a b", "move r2 a b")
+    constrained = replace(rooms(), constraints=(never_both("b"),))
+    assert shown(plan_graph(constrained, two)) == ["end of #0 < start of #1 ((always (not (and (at r1 b) (at r2 b)))))"]
+    elsewhere = replace(rooms(), domain=replace(rooms().domain, constraints=(never_both("d"),)))
+    assert shown(plan_graph(elsewhere, two)) == []
+
+
+def test_a_network_of_tasks_keeps_the_order_of_the_plan() -> None:
+    network = replace(rooms(), network="(:htn)")
+    assert shown(plan_graph(network, sequence("move r1 a b", "move r2 a d", "sweep r1 b"))) == [
+        "end of #0 < start of #1 ((order of tasks))",
+        "end of #0 < start of #2 ((at r1 b))",
+        "end of #1 < start of #2 ((order of tasks))",
+    ]
+
+
+def test_what_a_constraint_with_times_speaks_of_does_not_change_before_its_time() -> None:
+    plan = Plan((PlanStep("strike", ("m0",), 6.0, 8.0), PlanStep("strike", ("m1",), 7.0, 8.0)), temporal=True)
+    dark = Constraint("hold-during", (Not(Holds(("light", "m0"))),), (0.0, 5.0))
+    soon = Constraint("within", (Holds(("light", "m1")),), (9.0,))
+    graph = plan_graph(replace(matches(2), constraints=(dark, soon)), plan)
+    assert [call.release for call in graph.calls] == [6.0, 0.0]
+
+
+def test_a_call_inside_another_starts_after_its_start_and_ends_before_its_end() -> None:
+    problem = matches(1)
+    plan = Plan((PlanStep("strike", ("m0",), 0.0, 8.0), PlanStep("mend", ("f0", "m0"), 0.0, 5.0)), temporal=True)
+    assert shown(plan_graph(problem, plan)) == ["start of #0 < start of #1 ((light m0))", "end of #1 < end of #0 ((light m0))"]
+
+
+TWO_MATCHES = (
+    PlanStep("strike", ("m0",), 0.0, 8.0),
+    PlanStep("mend", ("f0", "m0"), 0.0, 5.0),
+    PlanStep("strike", ("m1",), 3.0, 8.0),
+    PlanStep("mend", ("f1", "m1"), 5.0, 5.0),
+)
+
+
+def test_an_enveloping_call_keeps_the_plans_distance_from_what_its_insides_wait_for() -> None:
+    graph = plan_graph(matches(2), Plan(TWO_MATCHES, temporal=True))
+    assert "start of #1 + 3.08 s < start of #2 ((light m1))" in shown(graph)  # 1 % of its 8 s later than the plan
+
+
+def test_calls_that_fill_another_to_the_last_moment_are_carried_out() -> None:
+    problem = parse_problem(
+        "(define (problem p) (:domain d) (:init) (:goal (last)))",
+        parse_domain("""(define (domain d) (:requirements :durative-actions) (:predicates (fresh) (on) (first) (seen) (last))
+          (:durative-action cover :parameters () :duration (= ?duration 219.04) :condition ()
+            :effect (and (at start (on)) (at end (not (on)))))
+          (:durative-action one :parameters () :duration (= ?duration 139) :condition (over all (on)) :effect (at end (first)))
+          (:durative-action look :parameters () :duration (= ?duration 2) :condition (at start (first)) :effect (at end (seen)))
+          (:durative-action two :parameters () :duration (= ?duration 80.04)
+            :condition (and (over all (first)) (over all (on)) (at end (seen))) :effect (at end (last))))"""),
+    )
+    result = achieve(None, problem)
+    assert result.goal_reached
+    assert [call.outcome for call in result.calls] == ["succeeded"] * 4
+    assert result.replans == 0
+
+
+def test_an_enveloping_call_waits_for_what_the_plan_had_happen_before_its_start() -> None:
+    late = (*TWO_MATCHES[:2], replace(TWO_MATCHES[2], start=6.0), replace(TWO_MATCHES[3], start=6.0))
+    graph = plan_graph(matches(2), Plan(late, temporal=True))
+    assert "end of #1 < start of #2 ((light m1))" in shown(graph)
+
+
+@pytest.mark.parametrize("fuses", [1, 2, 4])
+def test_calls_inside_others_end_when_the_plan_says(fuses: int) -> None:
+    problem = matches(fuses)
+    found = solve(problem).plan
+    assert found
+    result = achieve(None, problem)
+    assert result.goal_reached
+    assert result.replans == 0
+    assert max(call.ended or 0.0 for call in result.calls) - result.began == pytest.approx(found.makespan, rel=0.05)
+
+
+def test_an_enveloping_call_is_not_earlier_than_what_its_insides_are_released_for() -> None:
+    text = """(define (domain d) (:requirements :durative-actions :timed-initial-literals) (:predicates (on) (open) (done))
+      (:durative-action light :parameters () :duration (= ?duration 8) :condition ()
+        :effect (and (at start (on)) (at end (not (on)))))
+      (:durative-action pass :parameters () :duration (= ?duration 2)
+        :condition (and (at start (open)) (over all (on))) :effect (at end (done))))"""
+    problem = parse_problem("(define (problem p) (:domain d) (:init (at 70 (open))) (:goal (done)))", parse_domain(text))
+    steps = PlanStep("light", (), 65.0, 8.0), PlanStep("pass", (), 70.0, 2.0)
+    graph = plan_graph(problem, Plan(steps, temporal=True))
+    assert [call.release for call in graph.calls] == [65.08, 70.0]
+    assert achieve(None, problem).replans == 0
+
+
+def test_an_end_does_not_come_before_a_start_that_must_precede_it() -> None:
+    problem = parse_problem(
+        "(define (problem p) (:domain d) (:init (p)) (:goal (and (done) (w))))",
+        parse_domain("""(define (domain d) (:requirements :durative-actions) (:predicates (p) (w) (done))
+          (:durative-action a :parameters () :duration (= ?duration 8) :condition () :effect (at end (not (p))))
+          (:durative-action make-w :parameters () :duration (= ?duration 5) :condition () :effect (at end (w)))
+          (:durative-action b :parameters () :duration (= ?duration 1)
+            :condition (and (at start (p)) (at start (w))) :effect (at end (done))))"""),
+    )
+    plan = Plan((PlanStep("a", (), 0.0, 8.0), PlanStep("make-w", (), 0.0, 5.0), PlanStep("b", (), 5.001, 1.0)), temporal=True)
+    graph = plan_graph(problem, plan)
+    assert "start of #1 + 0.08 s < start of #0 ((p))" in shown(graph)
+    assert "start of #2 < end of #0 ((p))" in shown(graph)
+
+
+TIMED = """(define (domain d) (:requirements :durative-actions :timed-initial-literals) (:predicates (p) (open) (done) (gone))
+  (:durative-action work :parameters () :duration (= ?duration 5) :condition (at end (open)) :effect (at end (done)))
+  (:durative-action hold :parameters () :duration (= ?duration 10) :condition (over all (p)) :effect (at end (done)))
+  (:durative-action remove :parameters () :duration (= ?duration 1) :condition () :effect (and (at start (not (p))) (at end (gone)))))"""
+
+
+def test_an_end_that_needs_a_timed_fact_is_not_reached_too_early() -> None:
+    problem = parse_problem("(define (problem p) (:domain d) (:init (at 70 (open))) (:goal (done)))", parse_domain(TIMED))
+    plan = Plan((PlanStep("work", (), 70.0, 5.0),), temporal=True)
+    assert plan_graph(problem, plan).calls[0].release == 65.0
+
+
+def test_what_a_timed_change_would_break_must_end_before() -> None:
+    problem = parse_problem("(define (problem p) (:domain d) (:init (p) (at 12 (not (p)))) (:goal (done)))", parse_domain(TIMED))
+    plan = Plan((PlanStep("hold", (), 0.0, 10.0),), temporal=True)
+    assert plan_graph(problem, plan).calls[0].deadline == 12.0
+
+
+def test_a_timed_change_that_leaves_a_condition_true_is_no_deadline() -> None:
+    problem = parse_problem("(define (problem p) (:domain d) (:init (p) (at 12 (p))) (:goal (done)))", parse_domain(TIMED))
+    plan = Plan((PlanStep("hold", (), 0.0, 10.0),), temporal=True)
+    assert plan_graph(problem, plan).calls[0].deadline == inf
+
+
+def test_a_timed_change_does_not_hide_who_reads_the_fact() -> None:
+    problem = parse_problem("(define (problem p) (:domain d) (:init (p) (at 5 (p))) (:goal (and (done) (gone))))", parse_domain(TIMED))
+    plan = Plan((PlanStep("hold", (), 0.0, 10.0), PlanStep("remove", (), 10.001, 1.0)), temporal=True)
+    assert shown(plan_graph(problem, plan)) == ["end of #0 < start of #1 ((p))"]
+
+
+def test_writes_that_keep_an_over_all_condition_true_together_are_ordered() -> None:
+    text = """(define (domain d) (:requirements :durative-actions :disjunctive-preconditions) (:predicates (p) (q) (held) (r))
+      (:durative-action hold :parameters () :duration (= ?duration 10) :condition (over all (or (p) (q))) :effect (at end (held)))
+      (:durative-action add-p :parameters () :duration (= ?duration 3) :condition () :effect (at end (p)))
+      (:durative-action del-q :parameters () :duration (= ?duration 1) :condition () :effect (and (at end (not (q))) (at end (r)))))"""
+    problem = parse_problem("(define (problem p) (:domain d) (:init (q)) (:goal (and (held) (r))))", parse_domain(text))
+    steps = PlanStep("hold", (), 0.0, 10.0), PlanStep("add-p", (), 0.0, 3.0), PlanStep("del-q", (), 8.5, 1.0)
+    assert "end of #1 < end of #2 ((p), (q))" in shown(plan_graph(problem, Plan(steps, temporal=True)))
+
+
+def any_order(graph: PlanGraph, seed: int) -> list[PlanEvent]:
+    """A random order of all events that keeps every ordering."""
+    chooser = random.Random(seed)
+    left = {PlanEvent(call.index, moment) for call in graph.calls for moment in Moment}
+    order: list[PlanEvent] = []
+    while left:
+        free = [
+            event
+            for event in left
+            if not any(one.after == event and one.before in left for one in graph.orderings)
+            and not (event.moment is Moment.END and PlanEvent(event.call, Moment.START) in left)
+        ]
+        order.append(chooser.choice(sorted(free, key=str)))
+        left.remove(order[-1])
+    return order
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.sampled_from(["r1", "r2"]), min_size=1, max_size=10), st.randoms(use_true_random=False))
+def test_every_order_that_the_graph_allows_is_a_valid_plan(robots: list[str], chooser: random.Random) -> None:
+    problem = rooms(goal="(and)", ways="ab bc cd da ad dc cb ba")
+    plan = _walk(problem, robots, chooser)
+    graph = plan_graph(problem, plan)
+    order = any_order(graph, chooser.randrange(10**6))
+    starts = [event.call for event in order if event.moment is Moment.START]
+    reordered = Plan(tuple(plan.steps[index] for index in starts))
+    assert validate(problem, reordered) == ""
+    assert why_not(Progress.beginning(graph), initial_knowledge(problem)) == ""
+
+
+def _walk(problem: Problem, robots: list[str], chooser: random.Random) -> Plan:
+    """A random plan in which the robots walk about and sweep."""
+    at, clean, steps = {"r1": "a", "r2": "a"}, set[str](), []
+    links = [(fluent[1], fluent[2]) for fluent in problem.init if fluent[0] == "way"]
+    for robot in robots:
+        here = at[robot]
+        if here not in clean and chooser.random() < 0.4:
+            steps.append(f"sweep {robot} {here}")
+            clean.add(here)
+        else:
+            at[robot] = chooser.choice([there for one, there in links if one == here])
+            steps.append(f"move {robot} {here} {at[robot]}")
+    return sequence(*steps)

@@ -1,0 +1,69 @@
+"""Hand-written plans among the tasks of a node: what they are given, and how others see what they do."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from io import StringIO
+
+from planner_bridge.cli.console import SafeConsole
+from planner_bridge.cli.node_console import TaskConsole
+from planner_bridge.tasks.settings import Settings
+from pnm.language.plan import parse_plans
+from pnm.language.runner import Program
+from pnm.tasks import Code
+from tests.support.tasks.task_stage import Stage
+from tests.support.tasks.task_stage import play as on_stage
+
+TRIP = """
+actions:
+  move: {params: [r, from, to], duration: 1}
+trip:
+  params: [robot, far]
+  initial_knowledge: {far: a1}
+  plan:
+    - move: {r: {LocalQuery: robot}, from: a0, to: {LocalQuery: far}}
+    - move: {r: {LocalQuery: robot}, from: {LocalQuery: far}, to: {LocalQuery: home}}
+"""
+
+
+def play(scene: Callable[[Stage], Awaitable[None]]) -> None:
+    programs = {name: Program.of(plan) for name, plan in parse_plans(TRIP).items()}
+    on_stage(scene, chosen=Settings(), programs=programs)
+
+
+def test_a_plan_whose_parameter_has_no_value_is_refused_before_anything_of_it_begins() -> None:
+    async def scene(stage: Stage) -> None:
+        task = stage.want("trip", is_plan=True)
+        assert await stage.ended_with(task) == [Code.INVALID_GOAL]
+        assert stage.endings[task].message.startswith("trip needs a value for its parameter 'robot'; expected one such as {robot: …} among")
+        assert stage.sent(task) == []
+
+    play(scene)
+
+
+def test_the_steps_of_a_plan_have_the_values_that_are_known() -> None:
+    async def scene(stage: Stage) -> None:
+        task = stage.want("trip", is_plan=True, parameters={"robot": "r0"})
+        await stage.sees(task, "sent")
+        assert [str(step) for step in stage.master.plan(task)[1]] == ["move(r0, a0, a1)", "move(r0, a1, ?to)"]
+        run = stage.performer.going_on[0].executor.run  # type: ignore[union-attr]
+        run.knowledge.local.store({"far": "a3", "home": "a0"})
+        assert [str(step) for step in stage.master.plan(task)[1]] == ["move(r0, a0, a1)", "move(r0, a3, a0)"]
+        run.knowledge.local.store({"far": "a1"})
+        assert await stage.ended_with(task) == [Code.GOAL_REACHED], stage.endings[task]
+
+    play(scene)
+
+
+def test_people_read_with_which_parameters_a_plan_is_carried_out() -> None:
+    shown = StringIO()
+
+    async def scene(stage: Stage) -> None:
+        stage.master.listen(TaskConsole(SafeConsole(file=shown, width=200), stage.master))
+        one = stage.want("trip", is_plan=True, parameters={"robot": "r0", "far": ["a1", 2]})
+        other, goal = stage.want("trip", is_plan=True), stage.want("(at r0 a0)")
+        await stage.ended_with(one, other, goal)
+
+    play(scene)
+    goals = [line.split("goal", 1)[1].strip() for line in shown.getvalue().splitlines() if "  goal  " in line]
+    assert goals == ['trip(robot: r0, far: ["a1", 2])', "trip", "(at r0 a0)"]

@@ -1,0 +1,73 @@
+"""A plan that is exported and run does what running its PDDL files does: the same calls, and the same world in the end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from planner_bridge.loading import load
+from planner_bridge.pipeline import pursue
+from planner_bridge.simulation import simulated_backend
+from planner_bridge.tasks.plan_task import merge_bindings
+from planner_bridge.tasks.result import Stopwatch
+from planner_bridge.tasks.settings import Settings, TaskObserver
+from planner_bridge.yaml.convert import exported
+from pnm.clock import run_async
+from pnm.core.execution.call_results import CallResult
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.expressions import Fluent, Unknown, Value
+from pnm.language.plan import HandWrittenPlan, read_plans
+from pnm.language.runner import Performer, Program
+from tests.support.files import ROOT
+
+Told = tuple[bool, list[tuple[str, ...]], dict[Fluent, Value | Unknown]]
+
+KNOWN = ROOT.parent / "shared" / "pddl"
+SMALLEST: Final = (
+    *("robots/rosplan_test", "robots/lights", "robots/match_cellar", "robots/simple_1", "robots/turtlebot", "robots/amazon"),
+    *("ipc/ipc2011-match-cellar-temporal_s", "ipc/blocks_m", "ipc/gripper_s", "ipc/miconic_s", "ipc/zenotravel_s", "ipc/satellite_s"),
+    *("ipc/ipc2008-openstacks-temporal-adl_s", "robots/test_2"),
+)
+"""Those of the smallest for which there is a plan."""
+OWN: Final = [
+    (ROOT / "domains" / name / "domain.pddl", ROOT / "problems" / name / f"{number}.pddl")
+    for name in ("delivery", "mall_guide", "patrol")
+    for number in ("p01", "p02")
+]
+PAIRS: Final = [*OWN, *((KNOWN / one / "domain.pddl", KNOWN / one / "problem.pddl") for one in SMALLEST if (KNOWN / one).is_dir())]
+
+
+def told(calls: tuple[CallResult, ...]) -> list[tuple[str, ...]]:
+    return sorted((one.call.action.name, *one.call.action.arguments, one.outcome, str(one.attempts)) for one in calls)
+
+
+def planned(domain: Path, problem: Path) -> Told:
+    loaded = load(domain, problem)
+    site = simulated_backend(loaded, Settings().bindings)
+    result = run_async(pursue(loaded, site, Settings(), TaskObserver(), Stopwatch()), virtual=True)
+    return result.goal_reached, told(result.calls), site.robots.world.truth.facts()
+
+
+def written(plan: HandWrittenPlan) -> Told:
+    site = simulated_backend(plan, merge_bindings([plan]))
+
+    async def performed() -> Told:
+        performer = Performer({plan.name: Program.of(plan)}, site, KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules))
+        await site.open(performer.world)
+        result = await performer.execute(performer.perform(plan.name))
+        await site.close()
+        return result.goal, told(result.calls), site.robots.world.truth.facts()
+
+    return run_async(performed(), virtual=True)
+
+
+@pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: f"{pair[0].parent.name}-{pair[1].stem}")
+def test_the_exported_plan_does_the_same(pair: tuple[Path, Path], tmp_path: Path) -> None:
+    file = tmp_path / "exported.yaml"
+    file.write_text(exported(*pair, with_plan=True).text, encoding="utf-8")
+    (plan,) = read_plans(file).values()
+    expected = planned(*pair)
+    assert expected[0]
+    assert written(plan) == expected

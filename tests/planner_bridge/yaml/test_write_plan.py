@@ -1,0 +1,152 @@
+"""Plans as steps: blocks where their order is series-parallel, lists of what steps wait for where it is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.ordering.plan_to_graph import plan_graph
+from planner_bridge.yaml.series_parallel import Block, Mesh, Parallel, Series, blocks, closure, reduced
+from planner_bridge.yaml.write_domain import write_problem, written
+from planner_bridge.yaml.write_plan import plan_entries
+from pnm.core.machine.plan_graph import ActionCall, Junction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.language.plan import read_plans
+from tests.support.problems import matches, rooms
+
+EDGES = st.integers(1, 9).flatmap(
+    lambda size: st.tuples(
+        st.just(size), st.lists(st.tuples(st.integers(0, size - 1), st.integers(0, size - 1)).filter(lambda edge: edge[0] < edge[1]))
+    )
+)
+
+
+def pairs_of(block: Block) -> tuple[set[int], set[tuple[int, int]]]:
+    """The elements of a block, and which of them come before which."""
+    match block:
+        case int():
+            return {block}, set()
+        case Mesh(before):
+            edges = {(first, second) for second, others in before.items() for first in others}
+            return set(before), closed(edges)
+        case Series(parts) | Parallel(parts):
+            found = [pairs_of(part) for part in parts]
+            pairs = {pair for _, own in found for pair in own}
+            if isinstance(block, Series):
+                pairs |= {(a, b) for i, (first, _) in enumerate(found) for second, _ in found[i + 1 :] for a in first for b in second}
+            return {one for members, _ in found for one in members}, pairs
+
+
+def closed(edges: set[tuple[int, int]]) -> set[tuple[int, int]]:
+    found = set(edges)
+    while more := {(a, d) for a, b in found for c, d in edges if b == c} - found:
+        found |= more
+    return found
+
+
+@given(EDGES)
+def test_blocks_say_the_same_order(drawn: tuple[int, list[tuple[int, int]]]) -> None:
+    size, edges = drawn
+    before = reduced(size, edges)
+    assert closed({(one, number) for number, others in enumerate(before) for one in others}) == closed(set(edges))
+    members, pairs = pairs_of(blocks(before))
+    assert members == set(range(size))
+    assert pairs == closed(set(edges))
+    assert closure(before) == [sum(1 << a for a, b in closed(set(edges)) if b == number) for number in range(size)]
+
+
+@pytest.mark.parametrize(
+    ("size", "edges", "block"),
+    [
+        (1, [], 0),
+        (3, [(0, 1), (1, 2), (0, 2)], Series((0, 1, 2))),
+        (2, [], Parallel((0, 1))),
+        (4, [(0, 1), (0, 2), (1, 3), (2, 3)], Series((0, Parallel((1, 2)), 3))),
+        (4, [(0, 2), (0, 3), (1, 2), (1, 3)], Series((Parallel((0, 1)), Parallel((2, 3))))),
+        (4, [(0, 2), (1, 2), (1, 3)], Mesh({0: (), 1: (), 2: (0, 1), 3: (1,)})),
+        (5, [(0, 2), (1, 2), (1, 3)], Parallel((Mesh({0: (), 1: (), 2: (0, 1), 3: (1,)}), 4))),
+    ],
+)
+def test_blocks(size: int, edges: list[tuple[int, int]], block: Block) -> None:
+    assert blocks(reduced(size, edges)) == block
+
+
+def move(robot: str, start: str, end: str) -> PlanStep:
+    return PlanStep("move", (robot, start, end))
+
+
+def steps(graph: PlanGraph, problem: object) -> object:
+    return yaml.safe_load(written(plan_entries(graph, problem.domain)))["plan"]  # type: ignore[attr-defined]
+
+
+def test_a_sequence_and_what_is_beside_it() -> None:
+    problem = rooms()
+    plan = Plan((move("r1", "a", "b"), move("r2", "a", "d"), move("r1", "b", "c"), move("r2", "d", "c")))
+    text = written(plan_entries(plan_graph(problem, plan), problem.domain))
+    assert text == (
+        "\n"
+        "plan:\n"
+        "  - concurrent_actions:\n"
+        "      - sequence:\n"
+        "          - move: {r: r1, a: a, b: b}\n"
+        "          - move: {r: r1, a: b, b: c}\n"
+        "      - sequence:\n"
+        "          - move: {r: r2, a: a, b: d}\n"
+        "          - move: {r: r2, a: d, b: c}\n"
+    )
+
+
+def test_nothing_to_do() -> None:
+    assert steps(PlanGraph(()), rooms()) == []
+
+
+def order_of(graph: PlanGraph) -> set[tuple[int, int]]:
+    """Which call comes before which, whatever meets in between."""
+    edges = {(one.before.call, one.after.call) for one in graph.orderings}
+    kept = {step.index for step in graph.steps if not isinstance(step, Junction)}
+    return {(a, b) for a, b in closed(edges) if a in kept and b in kept}
+
+
+ORDERS = st.sets(st.tuples(st.integers(0, 5), st.integers(0, 5)).filter(lambda edge: edge[0] < edge[1]), max_size=7)
+PLACES = ("ab", "bc", "ad", "dc", "ba", "cb")
+
+
+@settings(max_examples=40, deadline=None)
+@given(ORDERS)
+def test_the_language_reads_the_same_order(tmp_path_factory: pytest.TempPathFactory, edges: set[tuple[int, int]]) -> None:
+    problem = rooms()
+    graph = plan_graph(problem, Plan(tuple(move("r1", *places) for places in PLACES)))
+    orderings = tuple(Ordering(PlanEvent(a, Moment.END), PlanEvent(b, Moment.START)) for a, b in sorted(edges))
+    graph = replace(graph, orderings=orderings)
+    file = tmp_path_factory.getbasetemp() / "plan.yaml"
+    file.write_text(write_problem(problem, plan=plan_entries(graph, problem.domain)), encoding="utf-8")
+    (found,) = read_plans(file).values()
+    assert len(found.graph.calls) == len(PLACES)
+    assert shape(found.graph) == shape(graph)
+    assert str(found.goal) == str(problem.goal)
+
+
+def shape(graph: PlanGraph) -> list[tuple[str, str]]:
+    return sorted((str(graph.calls[a].action), str(graph.calls[b].action)) for a, b in order_of(graph))
+
+
+def test_starts_and_ends_that_wait_are_said() -> None:
+    problem = matches(1)
+    plan = Plan((PlanStep("strike", ("m0",), 0.0, 8.0), PlanStep("mend", ("f0", "m0"), 0.001, 5.0)), temporal=True)
+    assert steps(plan_graph(problem, plan), problem) == [
+        {"strike": {"m": "m0"}, "id": "strike", "after": [], "end_after": ["mend"]},
+        {"mend": {"f": "f0", "m": "m0"}, "id": "mend", "after": [{"start": "strike"}]},
+    ]
+
+
+def test_times_are_said() -> None:
+    problem = rooms()
+    graph = plan_graph(problem, Plan((move("r1", "a", "b"),)))
+    (call,) = graph.calls
+    assert isinstance(call, ActionCall)
+    late = replace(graph, steps=(replace(call, release=2.5, deadline=9.0),))
+    assert steps(late, problem) == [{"move": {"r": "r1", "a": "a", "b": "b"}, "after": [], "release": 2.5, "deadline": 9}]

@@ -1,0 +1,271 @@
+"""Machines on simulated robots: every way a call can go wrong ends in the goal or in a named failure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from pnm.actions.faults import FaultKind
+from pnm.core.logic.conditions import All, Condition, Holds
+from pnm.core.logic.effects import Set
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.expressions import Constant
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.machine import OnFailure
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from tests.support.runs.plan_graphs import ordering
+from tests.support.runs.simulated import Simulation, fault, hidden, move, simulate
+
+AT_START = {("at", "r1", "hall"): True, ("at", "r2", "hall"): True}
+
+
+def graph(actions: list[GroundAction], *orderings: str, goal: Condition = All()) -> PlanGraph:
+    calls = tuple(ActionCall(index, action) for index, action in enumerate(actions))
+    return PlanGraph(calls, tuple(map(ordering, orderings)), goal)
+
+
+GOAL = Holds(("at", "r1", "kitchen"))
+TO_KITCHEN = graph([move("r1", "hall", "door"), move("r1", "door", "kitchen")], "0e<1s", goal=GOAL)
+
+
+def assert_true_to_the_world(simulation: Simulation, goal: Condition = GOAL) -> None:
+    assert simulation.result.goal == (evaluate(goal, simulation.truth) is True)
+
+
+@pytest.mark.parametrize(
+    ("kind", "cause", "attempts"),
+    [
+        (FaultKind.ABORT, "aborted", 2),
+        (FaultKind.REJECT, "rejected", 2),
+        (FaultKind.HANG, "timed_out", 2),
+        (FaultKind.NO_EFFECT, "effects_missing", 2),
+        (FaultKind.SLOW, "timed_out", 2),
+        (FaultKind.LOSE_SERVER, "unavailable", 2),
+    ],
+)
+def test_a_lasting_fault_is_retried_and_then_named(kind: FaultKind, cause: str, attempts: int) -> None:
+    done = simulate(TO_KITCHEN, AT_START, fault("move(r1, door, kitchen)", kind))
+    assert not done.result.goal
+    assert_true_to_the_world(done)
+    assert done.causes() == [cause]
+    assert done.attempts() == [1, attempts]
+    assert not done.log.orphans
+
+
+@pytest.mark.parametrize("kind", [kind for kind in FaultKind if kind is not FaultKind.LOSE_SERVER])
+def test_a_passing_fault_is_overcome_by_a_retry(kind: FaultKind) -> None:
+    done = simulate(TO_KITCHEN, AT_START, fault("move(r1, door, kitchen)", kind, times=1))
+    assert done.result.goal
+    assert_true_to_the_world(done)
+    assert done.attempts() == [1, 2]
+    assert done.outcomes() == ["succeeded", "succeeded"]
+
+
+def test_a_fault_may_come_late() -> None:
+    done = simulate(TO_KITCHEN, AT_START, fault("move", FaultKind.ABORT, after=1, times=1))
+    assert done.result.goal
+    assert done.attempts() == [1, 2]
+
+
+@pytest.mark.parametrize("retries", [0, 1, 3])
+def test_the_budget_is_the_number_of_retries(retries: int) -> None:
+    bindings = Bindings({"move": Binding(retries=retries)})
+    done = simulate(TO_KITCHEN, AT_START, fault("move(r1, hall, door)", FaultKind.ABORT), bindings=bindings)
+    assert done.attempts() == [1 + retries, 0]
+    assert done.outcomes() == ["aborted", "skipped"]
+
+
+def test_a_hung_server_is_cancelled_when_its_time_is_up() -> None:
+    bindings = Bindings({"move": Binding(timeout=6.0, retries=0)})
+    done = simulate(TO_KITCHEN, AT_START, fault("move(r1, hall, door)", FaultKind.HANG), bindings=bindings)
+    assert done.log.times("timed_out") == [6.0]
+    assert done.log.times("expired") == [6.0]
+    assert done.truth.value(("at", "r1", "hall")) is True
+
+
+def test_a_server_that_ignores_its_cancellation_is_not_asked_again() -> None:
+    bindings = Bindings({"move": Binding(timeout=6.0, cancel=2.0, retries=5)})
+    done = simulate(TO_KITCHEN, AT_START, fault("move(r1, hall, door)", FaultKind.HANG, ignores_cancel=True), bindings=bindings)
+    assert done.log.times("unconfirmed") == [8.0]
+    assert done.attempts() == [1, 0]
+    assert done.causes() == ["timed_out"]
+
+
+def test_a_false_precondition_is_found_before_anything_moves() -> None:
+    done = simulate(TO_KITCHEN, {("at", "r1", "cellar"): True})
+    assert done.causes() == ["precondition_false"]
+    assert done.result.failures[0].expected == "(at r1 hall)"
+    assert done.result.failures[0].observed == "(at r1 hall) is false"
+    assert done.attempts() == [0, 0]
+
+
+def test_a_fact_changed_behind_the_robots_back_is_found_by_the_precondition() -> None:
+    moved = hidden({("at", "r1", "door"): False, ("at", "r1", "cellar"): True}, moment="end", what="move(r1, hall, door)")
+    done = simulate(TO_KITCHEN, AT_START, moved)
+    assert done.causes() == ["precondition_false"]
+    assert_true_to_the_world(done)
+
+
+def test_effects_that_hold_already_are_skipped() -> None:
+    done = simulate(graph([move("r1", "hall", "door")], goal=Holds(("at", "r1", "door"))), {("at", "r1", "door"): True})
+    assert done.result.goal
+    assert done.outcomes() == ["already true"]
+    assert done.attempts() == [0]
+
+
+def test_effects_that_something_still_to_come_will_undo_are_not_skipped() -> None:
+    leave = replace(move("r1", "door", "yard", 7.0), start_effects=(), end_effects=(Set(("at", "r1", "door"), Constant(False)),))
+    back = replace(move("r1", "hall", "door", 8.0), precondition=All(), start_effects=())
+    done = simulate(graph([leave, back], "0e<1e", goal=Holds(("at", "r1", "door"))), {("at", "r1", "door"): True})
+    assert done.outcomes() == ["succeeded", "succeeded"]
+    assert done.result.goal
+
+
+HOLD = GroundAction(
+    "hold", ("r1",), ("robot",), invariant=Holds(("ok",)), end_effects=(Set(("at", "r1", "kitchen"), Constant(True)),), duration=9.0
+)
+
+
+def test_an_over_all_condition_that_breaks_cancels_the_call() -> None:
+    done = simulate(graph([HOLD], goal=GOAL), {("ok",): True}, hidden({("ok",): False}, at=3.0))
+    assert done.causes() == ["invariant_false"]
+    assert done.log.times("invariant_false") == [pytest.approx(3.01)]
+    assert done.result.failures[0].expected == "(ok)"
+    assert_true_to_the_world(done)
+
+
+def test_an_over_all_condition_that_nobody_watches_fails_in_the_world() -> None:
+    bindings = Bindings({"hold": Binding(retries=0)})
+    done = simulate(graph([HOLD], goal=GOAL), {("ok",): True}, hidden({("ok",): False}, at=3.0), watched=False, bindings=bindings)
+    assert done.causes() == ["aborted"]
+    assert_true_to_the_world(done)
+
+
+def test_siblings_drain_when_a_call_has_failed() -> None:
+    plan = graph([move("r1", "hall", "door", 4.0), move("r2", "hall", "door", 20.0), move("r2", "door", "yard")], "1e<2s")
+    done = simulate(plan, AT_START, fault("move(r1, hall, door)", FaultKind.ABORT))
+    assert done.outcomes() == ["aborted", "succeeded", "skipped"]
+    assert done.truth.value(("at", "r2", "door")) is True
+
+
+def test_siblings_are_cancelled_if_that_is_the_policy() -> None:
+    plan = graph([move("r1", "hall", "door", 4.0), move("r2", "hall", "door", 20.0), move("r2", "door", "yard")], "1e<2s")
+    done = simulate(plan, AT_START, fault("move(r1, hall, door)", FaultKind.ABORT), on_failure=OnFailure.CANCEL)
+    assert done.outcomes() == ["aborted", "canceled", "skipped"]
+    assert done.truth.value(("at", "r2", "hall")) is True
+    assert max(time for time, _ in done.log.fired_at) < 20.0
+
+
+def test_stopping_a_run_cancels_what_runs_and_reports_no_success() -> None:
+    done = simulate(TO_KITCHEN, AT_START, stop_at=2.0)
+    assert not done.result.goal
+    assert done.result.stopped
+    assert done.result.reason == "cancelled"
+    assert done.outcomes() == ["canceled", "skipped"]
+    assert done.truth.value(("at", "r1", "hall")) is True
+
+
+def test_calls_without_orderings_overlap() -> None:
+    plan = graph([move("r1", "hall", "door", 4.0), move("r2", "hall", "door", 6.0)])
+    done = simulate(plan, AT_START)
+    assert [(call.started, call.ended) for call in done.result.calls] == [(0.0, 4.0), (0.0, 6.0)]
+
+
+def test_a_call_may_start_with_the_start_of_another() -> None:
+    plan = graph([move("r1", "hall", "door", 10.0), move("r2", "hall", "door", 4.0)], "0s<1s")
+    done = simulate(plan, AT_START)
+    assert done.result.calls[1].ended == 4.0
+
+
+def test_an_announced_start_is_announced_once_however_often_it_is_tried() -> None:
+    plan = graph([move("r1", "hall", "door", 10.0), move("r2", "hall", "door", 4.0)], "0s<1s")
+    done = simulate(plan, AT_START, fault("move(r1, hall, door)", FaultKind.ABORT, times=1))
+    assert done.result.goal
+    assert done.attempts() == [2, 1]
+
+
+def test_a_rejected_start_is_not_announced() -> None:
+    plan = graph([move("r1", "hall", "door", 10.0), move("r2", "hall", "door", 4.0)], "0s<1s")
+    done = simulate(plan, AT_START, fault("move(r1, hall, door)", FaultKind.REJECT))
+    assert done.outcomes() == ["rejected", "skipped"]
+
+
+def test_a_start_keeps_its_distance_from_another() -> None:
+    later = Ordering(PlanEvent(0, Moment.START), PlanEvent(1, Moment.START), delay=7.0)
+    calls = tuple(ActionCall(index, move(f"r{index + 1}", "hall", "door", 20.0)) for index in range(2))
+    done = simulate(PlanGraph(calls, (later,)), AT_START)
+    assert [call.started for call in done.result.calls] == [0.0, 7.0]
+
+
+def test_a_delay_is_overtaken_when_the_run_ends() -> None:
+    later = Ordering(PlanEvent(0, Moment.END), PlanEvent(1, Moment.START), delay=100.0)
+    calls = tuple(ActionCall(index, move(f"r{index + 1}", "hall", "door", 2.0)) for index in range(2))
+    done = simulate(PlanGraph(calls, (later,)), AT_START, fault("move(r1, hall, door)", FaultKind.ABORT))
+    assert done.outcomes() == ["aborted", "skipped"]
+    assert done.log.fired_at[-1][0] < 10.0
+
+
+def test_a_call_that_is_not_over_by_its_deadline_is_cancelled() -> None:
+    done = simulate(PlanGraph((ActionCall(0, move("r1", "hall", "door", 20.0), deadline=15.0),)), AT_START)
+    assert done.causes() == ["deadline_missed"]
+    assert done.log.times("deadline_missed") == [15.0]
+    assert done.result.failures[0].expected == "an end within 15 s of the plan's start"
+    assert_true_to_the_world(done)
+
+
+def test_a_call_is_not_started_after_its_deadline() -> None:
+    calls = ActionCall(0, move("r1", "hall", "door", 20.0)), ActionCall(1, move("r2", "hall", "door"), deadline=15.0)
+    done = simulate(PlanGraph(calls, (ordering("0e<1s"),)), AT_START)
+    assert done.causes() == ["too_late"]
+    assert done.attempts() == [1, 0]
+
+
+def test_a_call_waits_for_its_release() -> None:
+    plan = PlanGraph((ActionCall(0, move("r1", "hall", "door"), release=30.0),))
+    done = simulate(plan, AT_START)
+    assert done.result.calls[0].started == 30.0
+
+
+def test_an_end_waits_for_the_events_before_it() -> None:
+    plan = graph([move("r1", "hall", "door", 2.0), move("r2", "hall", "door", 8.0)], "1e<0e")
+    done = simulate(plan, AT_START)
+    assert done.result.goal
+    assert done.result.calls[0].ended == 8.0
+
+
+def test_unwatched_effects_are_assumed_and_that_is_said() -> None:
+    done = simulate(TO_KITCHEN, AT_START, watched=False)
+    assert done.result.goal
+    assert all(call.assumed for call in done.result.calls)
+    assert done.beliefs.value(("at", "r1", "kitchen")) is True
+
+
+def test_unwatched_start_effects_are_taken_back_when_an_action_fails() -> None:
+    done = simulate(TO_KITCHEN, AT_START, fault("move(r1, hall, door)", FaultKind.ABORT, times=1), watched=False)
+    assert done.result.goal
+    assert done.attempts() == [2, 1]
+
+
+def test_every_call_done_is_not_yet_the_goal() -> None:
+    elsewhere = hidden({("at", "r1", "kitchen"): False}, at=9.0)
+    plan = graph([move("r1", "hall", "door"), move("r1", "door", "kitchen"), move("r2", "hall", "door", 20.0)], "0e<1s", goal=GOAL)
+    done = simulate(plan, AT_START, elsewhere)
+    assert not done.result.goal
+    assert done.result.failures == ()
+    assert (
+        done.result.reason == "every call is done but the goal does not hold: expected (at r1 kitchen); observed (at r1 kitchen) is false"
+    )
+
+
+def test_an_empty_plan_reaches_a_goal_that_holds() -> None:
+    assert simulate(graph([], goal=Holds(("at", "r1", "hall"))), AT_START).result.goal
+    assert not simulate(graph([], goal=GOAL), AT_START).result.goal
+
+
+def test_the_end_leaves_only_records_behind() -> None:
+    for kind in FaultKind:
+        done = simulate(TO_KITCHEN, AT_START, fault("move", kind))
+        final = {done.run.machine.goal_place, done.run.machine.failed_place}
+        assert len(final & set(done.run.marking)) == 1
+        assert set(done.run.marking) <= final | done.run.machine.record_places

@@ -1,0 +1,425 @@
+"""Runs that are paused and resumed: nothing starts meanwhile, nothing is lost, and all of it ends."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from random import Random
+from uuid import UUID
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from pnm.actions.simulated_robots import SimulatedRobots, sense
+from pnm.actions.simulated_world import SimulatedWorld
+from pnm.clock import run_async
+from pnm.core.execution.call_results import RunResult
+from pnm.core.execution.events import Answered, Ask, Begin, Cancel, Command, Event, KnowledgeChanged, Pause, Resume, Send, Stop, Tick
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.effects import Set
+from pnm.core.logic.expressions import Constant
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import Always, CancelAsked, PauseAsked
+from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, PlanGraph, Recovery, Then
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
+from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.verify import explore, verify
+from pnm.executor import Executor
+from tests.pnm.core.machine.test_generated_programs import read
+from tests.support.runs.plan_graphs import ordering, plan
+from tests.support.runs.simulated import Log, move
+from tests.support.runs.yaml_programs import Chaos, in_use, programs
+
+RUN = UUID(int=1)
+CANCELED, SUCCEEDED = Outcome(OutcomeKind.CANCELED), Outcome(OutcomeKind.SUCCEEDED)
+
+
+def calls(*actions: GroundAction, orders: tuple[str, ...] = ()) -> PlanGraph:
+    return PlanGraph(tuple(ActionCall(index, action) for index, action in enumerate(actions)), tuple(map(ordering, orders)))
+
+
+def begun(graph: PlanGraph, bindings: Bindings | None = None, **options: object) -> tuple[Run, list[Command]]:
+    knowledge = Layered(options.pop("world", None) or KnowledgeBase())  # type: ignore[arg-type]
+    run = Run(generate(graph, bindings), knowledge, id=RUN, bindings=bindings, **options)  # type: ignore[arg-type]
+    return run, run.handle(Begin(), 0.0)
+
+
+def sent(commands: list[Command]) -> list[str]:
+    return [command.request.action.name for command in commands if isinstance(command, Send)]
+
+
+def cancelled(commands: list[Command]) -> list[UUID]:
+    return [command.request for command in commands if isinstance(command, Cancel)]
+
+
+def going(graph: PlanGraph | None = None, bindings: Bindings | None = None, **options: object) -> Run:
+    """A run whose first calls have been accepted."""
+    run, _ = begun(graph or plan(1), bindings, **options)
+    for request in run.open_requests:
+        run.handle(Accepted(request), 0.0)
+    return run
+
+
+def test_nothing_starts_while_a_run_is_paused_and_what_runs_goes_on() -> None:
+    run = going(plan(2, "0e<1s"))
+    assert cancelled(run.handle(Pause(), 1.0)) == []
+    assert not run.paused
+    assert sent(run.handle(Ended(run.open_requests[0], SUCCEEDED), 2.0)) == []
+    assert run.paused
+    assert run.handle(KnowledgeChanged(), 3.0) == []
+    assert sent(run.handle(Resume(), 4.0)) == ["a1"]
+    assert not run.paused
+
+
+def test_what_has_not_begun_begins_paused_and_resuming_what_is_not_paused_changes_nothing() -> None:
+    run = Run(generate(plan(1)), Layered(KnowledgeBase()), id=RUN)
+    run.handle(Pause(), 0.0)
+    assert run.handle(Begin(), 0.0) == []
+    assert run.paused
+    assert sent(run.handle(Resume(), 1.0)) == ["a0"]
+    before = run.marking
+    assert run.handle(Resume(), 2.0) == []
+    assert run.marking == before
+
+
+def test_a_call_is_cancelled_at_once_and_begins_anew_without_spending_its_budget() -> None:
+    run = going(bindings=Bindings({"a0": Binding(retries=1)}))
+    (first,) = run.open_requests
+    assert cancelled(run.handle(Pause(at_once=True), 1.0)) == [first]
+    assert not run.paused
+    assert run.handle(Ended(first, CANCELED), 2.0) == []
+    assert run.paused
+    assert run.told().calls[0].outcome == "suspended"
+    assert run.marking["a0()#0 budget"] == 1
+    assert sent(run.handle(Resume(), 3.0)) == ["a0"]
+    run.handle(Ended(run.open_requests[0], SUCCEEDED), 4.0)
+    assert [(call.outcome, call.attempts) for call in run.result().calls] == [("succeeded", 2)]
+
+
+def test_being_told_twice_cancels_once_and_at_once_is_the_stronger_word() -> None:
+    run = going()
+    assert cancelled(run.handle(Pause(), 1.0)) == []
+    assert len(cancelled(run.handle(Pause(at_once=True), 1.0))) == 1
+    assert cancelled(run.handle(Pause(at_once=True), 1.0)) == []
+    assert cancelled(run.handle(Pause(), 1.0)) == []
+    assert run.pausing == Pause(at_once=True)
+
+
+def test_a_request_that_is_not_accepted_yet_is_cancelled_when_it_is() -> None:
+    run, _ = begun(plan(1))
+    assert cancelled(run.handle(Pause(at_once=True), 1.0)) == []
+    assert cancelled(run.handle(Accepted(run.open_requests[0]), 2.0)) == [*run.open_requests]
+    run.handle(Ended(run.open_requests[0], CANCELED), 3.0)
+    assert run.paused
+
+
+def test_a_request_that_is_never_accepted_is_withdrawn_and_tried_again_after_the_pause() -> None:
+    run, _ = begun(plan(1), Bindings({"a0": Binding(accept=5.0)}))
+    run.handle(Pause(at_once=True), 1.0)
+    run.handle(Tick(), 5.0)
+    assert sent(run.handle(Ended(run.open_requests[0], CANCELED), 6.0)) == []
+    assert run.paused
+    assert sent(run.handle(Resume(), 7.0)) == ["a0"]
+
+
+def test_success_in_spite_of_the_cancellation_is_success() -> None:
+    run = going(plan(2, "0e<1s"))
+    run.handle(Pause(at_once=True), 1.0)
+    assert sent(run.handle(Ended(run.open_requests[0], SUCCEEDED), 2.0)) == []
+    assert run.paused
+    assert run.told().calls[0].outcome == "succeeded"
+    assert sent(run.handle(Resume(), 3.0)) == ["a1"]
+
+
+@pytest.mark.parametrize("kind", [OutcomeKind.ABORTED, OutcomeKind.LOST, OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE])
+def test_any_other_end_has_the_call_begin_anew(kind: OutcomeKind) -> None:
+    run = going(bindings=Bindings({"a0": Binding(retries=0)}))
+    run.handle(Pause(at_once=True), 1.0)
+    run.handle(Ended(run.open_requests[0], Outcome(kind)), 2.0)
+    assert sent(run.handle(Resume(), 3.0)) == ["a0"]
+
+
+def test_a_cancellation_that_is_not_confirmed_is_a_failure_with_an_open_end() -> None:
+    run = going(bindings=Bindings({"a0": Binding(cancel=3.0)}))
+    run.handle(Pause(at_once=True), 1.0)
+    run.handle(Tick(), 4.0)
+    (failure,) = run.result().failures
+    assert (failure.cause, failure.unconfirmed, failure.observed) == ("timed_out", True, "none")
+
+
+def test_resuming_before_the_cancellation_is_confirmed_waits_for_it() -> None:
+    run = going()
+    (first,) = run.open_requests
+    run.handle(Pause(at_once=True), 1.0)
+    assert sent(run.handle(Resume(), 1.5)) == []
+    assert sent(run.handle(Ended(first, CANCELED), 2.0)) == ["a0"]
+
+
+@pytest.mark.parametrize(("ending", "outcome"), [(CANCELED, "canceled"), (SUCCEEDED, "succeeded"), (None, "canceled, unconfirmed")])
+def test_a_run_that_is_stopped_while_it_pauses_ends(ending: Outcome | None, outcome: str) -> None:
+    run = going(bindings=Bindings({"a0": Binding(cancel=3.0)}))
+    run.handle(Pause(at_once=True), 1.0)
+    assert cancelled(run.handle(Stop(reason="enough"), 2.0)) == []
+    run.handle(Tick() if ending is None else Ended(run.open_requests[0], ending), 5.0)
+    result = run.result()
+    assert (result.goal, result.reason, result.failures) == (False, "enough", ())
+    assert [call.outcome for call in result.calls] == [outcome]
+
+
+def test_a_run_that_is_stopped_when_it_is_paused_ends_at_once() -> None:
+    run = going()
+    run.handle(Pause(at_once=True), 1.0)
+    run.handle(Ended(run.open_requests[0], CANCELED), 2.0)
+    run.handle(Stop(), 3.0)
+    assert [call.outcome for call in run.result().calls] == ["canceled"]
+    never, _ = begun(plan(1), resources=None)
+    never.handle(Pause(), 0.0)
+    never.handle(Ended(never.open_requests[0], Outcome(OutcomeKind.ABORTED)), 1.0)
+    never.handle(Stop(cancel=False), 2.0)
+    assert never.over
+
+
+def test_a_failure_while_a_call_is_being_suspended_ends_the_run() -> None:
+    run = going(plan(2), Bindings({"a1": Binding(retries=0)}))
+    one, other = run.open_requests
+    run.handle(Pause(at_once=True), 1.0)
+    run.handle(Ended(one, CANCELED), 2.0)
+    run.handle(Ended(other, CANCELED), 2.0)
+    run.handle(Resume(), 3.0)
+    run.handle(Pause(), 3.5)
+    run.handle(Ended(run.open_requests[1], Outcome(OutcomeKind.REJECTED)), 4.0)
+    assert run.ending
+    run.handle(Ended(run.open_requests[0], SUCCEEDED), 4.0)
+    assert run.over
+
+
+def test_assumed_start_effects_are_taken_back_and_all_checks_are_made_anew() -> None:
+    world = KnowledgeBase({("at", "r1", "hall"): True})
+    run = going(calls(move("r1", "hall", "lab")), world=world)
+    assert world.value(("at", "r1", "hall")) is False
+    run.handle(Pause(at_once=True), 1.0)
+    run.handle(Ended(run.open_requests[0], CANCELED), 2.0)
+    assert world.value(("at", "r1", "hall")) is True
+    world.update({("at", "r1", "hall"): False})
+    run.handle(KnowledgeChanged(), 3.0)
+    assert not run.over
+    run.handle(Resume(), 4.0)
+    assert [failure.cause for failure in run.result().failures] == ["precondition_false"]
+
+
+def test_what_became_true_during_the_pause_is_not_done() -> None:
+    world = KnowledgeBase()
+    run, _ = begun(
+        calls(GroundAction("first"), GroundAction("act", end_effects=(Set(("done",), Constant(True)),)), orders=("0e<1s",)), world=world
+    )
+    run.handle(Pause(), 0.5)
+    run.handle(Ended(run.open_requests[0], SUCCEEDED), 1.0)
+    world.update({("done",): True})
+    run.handle(KnowledgeChanged(), 2.0)
+    assert run.over, "nothing has to be started for that"
+
+
+def test_a_start_that_others_wait_for_is_announced_once() -> None:
+    run = going(plan(2, "0s<1s"))
+    verify(run.machine)
+    assert [str(call) for call in run.open_calls.values()] == ["a0()#0", "a1()#1"]
+    run.handle(Pause(at_once=True), 1.0)
+    for request in run.open_requests:
+        run.handle(Accepted(request), 1.0)
+        run.handle(Ended(request, CANCELED), 1.0)
+    assert run.paused
+    assert sorted(sent(run.handle(Resume(), 2.0))) == ["a0", "a1"]
+
+
+def test_effects_are_looked_for_during_a_pause() -> None:
+    world = KnowledgeBase(sensed={"done": 2.0})
+    run = going(calls(GroundAction("act", end_effects=(Set(("done",), Constant(True)),))), world=world)
+    run.handle(Ended(run.open_requests[0], SUCCEEDED), 1.0)
+    run.handle(Pause(at_once=True), 1.5)
+    assert not run.paused
+    world.update({("done",): True})
+    run.handle(KnowledgeChanged(), 2.0)
+    assert run.result().goal
+
+
+def test_a_call_whose_effects_stay_away_during_a_pause_begins_anew_after_it() -> None:
+    world = KnowledgeBase(sensed={"done": 2.0})
+    run = going(calls(GroundAction("act", end_effects=(Set(("done",), Constant(True)),))), world=world)
+    run.handle(Ended(run.open_requests[0], SUCCEEDED), 1.0)
+    run.handle(Pause(), 1.5)
+    assert sent(run.handle(Tick(), 3.0)) == []
+    assert run.paused
+    assert sent(run.handle(Resume(), 4.0)) == ["act"]
+
+
+def test_questions_stay_open_and_their_answers_are_kept() -> None:
+    run, commands = begun(calls(GroundAction("asks")), Bindings({"asks": Binding(goal={"word": "$word"})}), asks=True)
+    (question,) = [command for command in commands if isinstance(command, Ask)]
+    assert run.handle(Pause(at_once=True), 1.0) == []
+    assert run.paused
+    assert run.handle(Answered(question.id, "hello"), 2.0) == []
+    (request,) = [command.request for command in run.handle(Resume(), 3.0) if isinstance(command, Send)]
+    assert request.goal["word"] == "hello"
+
+
+def test_a_paused_run_waits_for_no_resources() -> None:
+    run, _ = begun(calls(*(GroundAction(name, resources=("arm",)) for name in ("first", "second"))))
+    assert len(run.resources.line) == 1
+    run.handle(Pause(at_once=True), 0.5)
+    assert run.resources.line == ()
+    run.handle(Accepted(run.open_requests[0]), 1.0)
+    run.handle(Ended(run.open_requests[0], CANCELED), 2.0)
+    assert run.resources.held == ()
+    assert sent(run.handle(Resume(), 3.0)) == ["second"], "it has waited longer"
+    assert len(run.resources.line) == 1
+
+
+def test_a_call_that_goes_on_after_a_recovery_waits_for_the_end_of_the_pause() -> None:
+    recovery = Recovery(frozenset({Cause.ABORTED}), Then.CONTINUE, Flow((ActionCall(1, GroundAction("mend")),)))
+    acting = GroundAction("act", resources=("arm",), end_effects=(Set(("done",), Constant(True)),))
+    world = KnowledgeBase(sensed={"done": 2.0})
+    run = going(PlanGraph((ActionCall(0, acting, recoveries=(recovery,)),)), world=world)
+    run.handle(Ended(run.open_requests[0], Outcome(OutcomeKind.ABORTED)), 1.0)
+    run.handle(Pause(), 1.0)
+    run.handle(Ended(run.open_requests[0], SUCCEEDED), 2.0)
+    assert run.paused
+    assert run.resources.held == ()
+    run.handle(Resume(), 3.0)
+    assert [claim.names for claim in run.resources.held] == [("arm",)]
+    world.update({("done",): True})
+    run.handle(KnowledgeChanged(), 4.0)
+    assert run.result().goal
+
+
+def test_a_call_s_own_limit_counts_only_while_it_is_under_way() -> None:
+    run = going(bindings=Bindings({"a0": Binding(timeout=10.0)}))
+    run.handle(Pause(at_once=True), 1.0)
+    run.handle(Ended(run.open_requests[0], CANCELED), 2.0)
+    assert run.handle(Tick(), 50.0) == []
+    run.handle(Resume(), 60.0)
+    assert cancelled(run.handle(Accepted(run.open_requests[0]), 60.0)) == []
+    assert cancelled(run.handle(Tick(), 69.0)) == []
+    assert len(cancelled(run.handle(Tick(), 70.0))) == 1
+
+
+def test_what_the_plan_says_about_cancelled_calls_is_about_others_wishes() -> None:
+    recovery = Recovery(frozenset({Cause.CANCELED}), Then.SKIP, Flow((ActionCall(1, GroundAction("mend")),)))
+    run = going(PlanGraph((ActionCall(0, GroundAction("act"), recoveries=(recovery,)),)))
+    run.handle(Pause(at_once=True), 1.0)
+    assert sent(run.handle(Ended(run.open_requests[0], CANCELED), 2.0)) == []
+    assert sent(run.handle(Resume(), 3.0)) == ["act"]
+    run.handle(Accepted(run.open_requests[0]), 4.0)
+    assert sent(run.handle(Ended(run.open_requests[0], CANCELED), 4.0)) == ["mend"]
+
+
+# --- the proof -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("guard", [Always(), CancelAsked()])
+def test_only_pauses_may_have_a_call_begin_anew_for_ever(guard: Always | CancelAsked) -> None:
+    machine = generate(plan(1))
+    explore(machine)
+    (name,) = [name for name, rule in machine.rules.items() if isinstance(rule.guard, PauseAsked)]
+    mutant = replace(machine, rules={**machine.rules, name: machine.rules[name]._replace(guard=guard)})
+    for prove in (explore, verify):
+        if isinstance(guard, CancelAsked):
+            # behind `stop`, which is open whenever it is: it never fires
+            prove(mutant)
+            continue
+        with pytest.raises(Unsound, match="round for ever"):
+            prove(mutant)
+
+
+def test_a_round_beside_that_of_a_pause_is_found() -> None:
+    machine = generate(plan(1))
+    mutant = replace(machine, net=replace(machine.net, outputs={**machine.net.outputs, "a0()#0 aborted": {"a0()#0 ready": 1}}))
+    for prove in (explore, verify):
+        with pytest.raises(Unsound, match="round for ever"):
+            prove(mutant)
+
+
+# --- runs on robots ------------------------------------------------------------------------
+
+
+def test_robots_stop_for_a_pause_and_do_the_rest_after_it() -> None:
+    at = ("at", "r1", "hall")
+    truth = KnowledgeBase({at: True})
+    world, beliefs, log = SimulatedWorld(truth, {"at"}), KnowledgeBase({at: True}), Log()
+    robots = SimulatedRobots(world)
+    graph = calls(move("r1", "hall", "door"), move("r1", "door", "lab"), orders=("0e<1s",))
+    run = Run(generate(graph), Layered(beliefs), id=RUN, observer=log)
+
+    async def main() -> RunResult:
+        sense(world, beliefs)
+        executor = Executor(run, robots)
+        task = asyncio.ensure_future(executor.execute())
+        await asyncio.sleep(2)
+        executor.pause(at_once=True)
+        await asyncio.sleep(10)
+        assert run.paused
+        assert truth.value(at) is True
+        executor.resume()
+        await asyncio.sleep(1)
+        executor.pause()
+        await asyncio.sleep(30)
+        assert run.paused
+        assert truth.value(("at", "r1", "door")) is True
+        executor.resume()
+        return await task
+
+    result = run_async(main(), virtual=True)
+    assert result.goal
+    assert [call.attempts for call in result.calls] == [2, 1]
+    assert truth.value(("at", "r1", "lab")) is True
+
+
+# --- any program ---------------------------------------------------------------------------
+
+
+class Pausing(Chaos):
+    """Pauses and resumes as well, up to some time."""
+
+    pauses = 12
+
+    def _next(self) -> Event:
+        if self.run.pausing and (self.random.random() < 0.2 or not (self.queues or self.wake)):
+            return Resume()
+        if not self.run.pausing and self.pauses and self.random.random() < 0.1:
+            self.pauses -= 1
+            return Pause(at_once=self.random.random() < 0.6)
+        return super()._next()
+
+
+@pytest.mark.timeout(600)
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+@given(programs(), st.integers(0, 2**32))
+def test_any_program_that_is_paused_and_resumed_ends_and_loses_no_token(text: str, seed: int) -> None:
+    found = read(text)
+    machine = generate(found.graph, found.bindings, on_failure=found.on_failure)
+    random = Random(seed)
+    world = KnowledgeBase(found.facts, objects=found.objects, rules=found.rules)
+    knowledge = Layered(world, KnowledgeBase(variables=found.variables))
+    run = Run(machine, knowledge, id=RUN, bindings=found.bindings, asks=random.random() < 0.7)
+    chaos = Pausing(run, knowledge, random)
+    open_before: set[UUID] = set()
+    was_pausing = False
+    for _ in chaos.play():
+        for place, tokens in run.marking.items():
+            assert tokens == 1 or place in machine.record_places, f"{place} holds {tokens} tokens"
+        for name, used in in_use(chaos.requests).items():
+            assert used <= found.graph.capacities.get(name, 1), f"{name} is used by {used} calls"
+        assert {one for claim in run.resources.held for one in claim.names} >= in_use(chaos.requests).keys()
+        if was_pausing and run.pausing:
+            assert set(run.open_requests) <= open_before, "nothing starts during a pause"
+        if run.paused:
+            assert (run.resources.line, run.open_requests) == ((), ())
+            assert {claim.request for claim in run.resources.held} <= chaos.requests.keys()
+        open_before, was_pausing = set(run.open_requests), run.pausing is not None
+    assert run.resources.line == ()
+    assert {claim.request for claim in run.resources.held} <= chaos.requests.keys(), "only servers that may be at work keep any"
+    assert all(run.marking[place] == machine.initial[place] for place in machine.resource_places)
+    ended = {place: tokens for place, tokens in run.marking.items() if place not in machine.record_places}
+    assert ended == ({machine.goal_place: 1} if run.result().goal else {machine.failed_place: 1})

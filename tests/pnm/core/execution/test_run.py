@@ -1,0 +1,246 @@
+"""The sans-I/O contract of a run: events in, commands out, nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from uuid import UUID
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pnm.core.execution.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.conditions import Holds, Not
+from pnm.core.logic.effects import Effect, Set, When
+from pnm.core.logic.expressions import UNKNOWN, Constant, Unknown, Value
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
+from pnm.core.net.firing_rule import fire
+from pnm.errors import RunError
+from tests.support.runs.plan_graphs import plan, plans
+from tests.support.runs.simulated import Log
+
+RUN = UUID(int=1)
+SUCCEEDED = Outcome(OutcomeKind.SUCCEEDED)
+
+
+def begun(graph: PlanGraph, bindings: Bindings | None = None, log: Log | None = None) -> tuple[Run, list[Command]]:
+    run = Run(generate(graph, bindings), Layered(KnowledgeBase()), id=RUN, bindings=bindings, observer=log)
+    return run, run.handle(Begin(), 0.0)
+
+
+def sent(commands: list[Command]) -> list[UUID]:
+    return [command.request.id for command in commands if isinstance(command, Send)]
+
+
+def test_beginning_sends_what_waits_for_nothing() -> None:
+    _, commands = begun(plan(3, "0e<2s"))
+    assert [command.request.action.name for command in commands if isinstance(command, Send)] == ["a0", "a1"]
+
+
+def test_a_run_begins_once() -> None:
+    run, _ = begun(plan(1))
+    with pytest.raises(RunError, match="begun already"):
+        run.handle(Begin(), 1.0)
+
+
+def test_an_unfinished_run_has_no_result() -> None:
+    run, _ = begun(plan(1))
+    with pytest.raises(RunError, match="not over"):
+        run.result()
+
+
+def test_the_same_events_give_the_same_commands_and_identities() -> None:
+    assert begun(plan(2))[1] == begun(plan(2))[1]
+
+
+def test_reports_about_unknown_or_finished_requests_change_nothing() -> None:
+    log = Log()
+    run, commands = begun(plan(1), log=log)
+    request = sent(commands)[0]
+    before = run.marking
+    assert run.handle(Ended(UUID(int=99), SUCCEEDED), 1.0) == []
+    assert run.marking == before
+    run.handle(Accepted(request), 1.0)
+    run.handle(Ended(request, SUCCEEDED), 2.0)
+    over = run.marking
+    assert run.handle(Ended(request, SUCCEEDED), 3.0) == []
+    assert run.marking == over
+    assert len(log.orphans) == 2
+
+
+def test_a_goal_that_nobody_answers_is_withdrawn_and_tried_again_once_that_is_confirmed() -> None:
+    bindings = Bindings({"a0": Binding(accept=5.0, cancel=3.0, retries=1)})
+    run, commands = begun(plan(1), bindings)
+    assert commands[-1] == Wake(5.0)
+    first = sent(commands)[0]
+    assert run.handle(Tick(), 5.0) == [Cancel(first), Wake(8.0)]
+    run.handle(Accepted(first), 6.0)
+    commands = run.handle(Ended(first, Outcome(OutcomeKind.CANCELED)), 6.0)
+    assert len(sent(commands)) == 1
+    assert sent(commands)[0] != first
+
+
+def test_a_goal_that_is_neither_answered_nor_confirmed_as_withdrawn_is_not_tried_again() -> None:
+    log = Log()
+    run, commands = begun(plan(1), Bindings({"a0": Binding(accept=5.0, cancel=3.0, retries=5)}), log)
+    run.handle(Tick(), 5.0)
+    assert sent(run.handle(Tick(), 8.0)) == []
+    run.handle(Accepted(sent(commands)[0]), 9.0)
+    failure = run.result().failures[0]
+    assert (failure.cause, failure.unconfirmed) == ("unavailable", True)
+    assert log.orphans == [Accepted(sent(commands)[0])]
+
+
+def test_results_are_stored_by_name_and_fill_later_goals() -> None:
+    bindings = Bindings({"a0": Binding(store={"time": "wait"}), "a1": Binding(goal={"time": "$wait", "word": "$spam"})})
+    run, commands = begun(plan(2, "0e<1s"), bindings)
+    run.handle(Accepted(sent(commands)[0]), 0.0)
+    commands = run.handle(Ended(sent(commands)[0], Outcome(OutcomeKind.SUCCEEDED, {"time": 4, "spam": "eggs"})), 1.0)
+    goals = [command.request.goal for command in commands if isinstance(command, Send)]
+    assert [(goal["time"], goal["word"]) for goal in goals] == [(4, "eggs")]
+    assert run.knowledge.world.variables() == {}
+
+
+def test_a_goal_field_without_a_value_is_a_failure_by_name() -> None:
+    run, commands = begun(plan(1), Bindings({"a0": Binding(goal={"time": "$nobody_knows"})}))
+    assert sent(commands) == []
+    assert run.result().failures[0].cause == "data_missing"
+    assert run.result().failures[0].expected == "values for time"
+
+
+def test_a_fact_that_comes_in_time_opens_a_waiting_check() -> None:
+    knowledge = KnowledgeBase(sensed={"ok": 2.0})
+    graph = plan(1)
+    action = replace(graph.calls[0].action, precondition=Holds(("ok",)))
+    run = Run(generate(PlanGraph((replace(graph.calls[0], action=action),))), Layered(knowledge), id=RUN)
+    assert run.handle(Begin(), 0.0) == [Wake(2.0)]
+    knowledge.update({("ok",): True})
+    assert len(sent(run.handle(KnowledgeChanged(), 1.0))) == 1
+
+
+def test_a_fact_that_does_not_come_in_time_is_a_failure() -> None:
+    graph = plan(1)
+    action = replace(graph.calls[0].action, precondition=Holds(("ok",)))
+    run = Run(generate(PlanGraph((replace(graph.calls[0], action=action),))), Layered(KnowledgeBase(sensed={"ok": 2.0})), id=RUN)
+    run.handle(Begin(), 0.0)
+    run.handle(Tick(), 2.0)
+    assert [failure.cause for failure in run.result().failures] == ["precondition_false"]
+
+
+def test_an_end_that_implies_acceptance_needs_no_acceptance() -> None:
+    run, commands = begun(plan(1))
+    assert sent(run.handle(Ended(sent(commands)[0], SUCCEEDED), 1.0)) == []
+    assert run.result().goal
+
+
+def test_being_told_to_cancel_is_stronger_than_being_told_to_end() -> None:
+    run, commands = begun(plan(1))
+    run.handle(Accepted(sent(commands)[0]), 0.0)
+    assert run.handle(Stop(cancel=False), 1.0) == []
+    assert run.handle(Stop(cancel=True), 2.0)[0] == Cancel(sent(commands)[0])
+
+
+def test_releases_count_from_the_moment_that_was_planned_from() -> None:
+    graph = plan(1)
+    released = PlanGraph((replace(graph.calls[0], release=10.0),))
+    run = Run(generate(released), Layered(KnowledgeBase()), id=RUN, origin=100.0)
+    assert run.handle(Begin(), 105.0) == [Wake(110.0)]
+
+
+def acting(*effects: Effect, **options: object) -> tuple[Run, list[Command]]:
+    """A run of one instantaneous action with these effects, in knowledge with these facts."""
+    action = GroundAction("act", end_effects=effects)
+    run = Run(generate(PlanGraph((ActionCall(0, action),))), Layered(KnowledgeBase(**options)), id=RUN)  # type: ignore[arg-type]
+    return run, run.handle(Begin(), 0.0)
+
+
+def test_assumed_effects_do_not_depend_on_what_the_sensors_show_meanwhile() -> None:
+    held = Holds(("held",))
+    effects = When(held, (Set(("held",), Constant(False)), Set(("delivered",), Constant(True))))
+    run, commands = acting(effects, facts={("held",): True}, sensed={"held": 0.0})
+    run.handle(Accepted(sent(commands)[0]), 0.0)
+    run.knowledge.world.update({("held",): False})
+    run.handle(KnowledgeChanged(), 1.0)
+    run.handle(Ended(sent(commands)[0], SUCCEEDED), 1.0)
+    assert run.result().goal
+    assert run.knowledge.value(("delivered",)) is True
+
+
+def test_a_toggle_that_the_sensors_show_early_is_not_taken_for_a_missing_effect() -> None:
+    on = ("on",)
+    effects = (When(Holds(on), (Set(on, Constant(False)),)), When(Not(Holds(on)), (Set(on, Constant(True)),)))
+    run, commands = acting(*effects, sensed={"on": 0.0})
+    run.knowledge.world.update({on: True})
+    run.handle(Accepted(sent(commands)[0]), 0.5)
+    run.handle(Ended(sent(commands)[0], SUCCEEDED), 1.0)
+    assert run.result().goal
+    assert run.result().calls[0].attempts == 1
+
+
+@pytest.mark.parametrize("before", [0.0, 3.0, UNKNOWN, None])
+def test_a_number_changed_at_the_start_is_what_it_was_after_a_failure(before: Value | Unknown | None) -> None:
+    action = GroundAction("act", start_effects=(Set(("fuel",), Constant(1.0), "increase"),), duration=1.0)
+    facts = {} if before is None else {("fuel",): before}
+    run = Run(generate(PlanGraph((ActionCall(0, action),))), Layered(KnowledgeBase(facts)), id=RUN)
+    commands = run.handle(Begin(), 0.0)
+    run.handle(Accepted(sent(commands)[0]), 0.0)
+    run.handle(Ended(sent(commands)[0], Outcome(OutcomeKind.ABORTED)), 1.0)
+    assert run.knowledge.value(("fuel",)) == (UNKNOWN if before is None else before)
+
+
+def test_a_fact_that_is_unknown_is_not_already_true() -> None:
+    _, commands = acting(Set(("p",), Constant(True)), facts={("p",): UNKNOWN}, sensed={"p": 0.0})
+    assert len(sent(commands)) == 1
+
+
+ANSWERS = st.lists(
+    st.tuples(st.sampled_from((*OutcomeKind, None, "accept", "stop", "cancel")), st.integers(0, 5), st.floats(0.0, 20.0)), max_size=40
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(plans(most=4), ANSWERS)
+def test_whatever_the_world_answers_the_run_ends_and_every_marking_follows_from_the_firings(
+    graph: PlanGraph, answers: list[tuple[object, int, float]]
+) -> None:
+    log = Log()
+    run, commands = begun(graph, Bindings({f"a{index}": Binding(accept=5.0, timeout=30.0, cancel=3.0) for index in range(4)}), log)
+    now, open_requests, wake = 0.0, sent(commands), _wake(commands, None)
+    for kind, which, pause in answers:
+        if run.over:
+            break
+        event: Event
+        request = open_requests[which % len(open_requests)] if open_requests else UUID(int=0)
+        if kind is None:
+            event = KnowledgeChanged()
+        elif kind == "accept":
+            event = Accepted(request)
+        elif kind in ("stop", "cancel"):
+            event = Stop(cancel=kind == "cancel")
+        else:
+            event = Ended(request, Outcome(kind))  # type: ignore[arg-type]
+        now += pause
+        commands = run.handle(event, now)
+        open_requests += sent(commands)
+        wake = _wake(commands, wake)
+    for _ in range(1000):  # from now on nobody answers: limits alone must end it
+        if run.over:
+            break
+        assert wake is not None, "nothing is going to happen any more"
+        now = max(now, wake)
+        wake = _wake(run.handle(Tick(), now), None)
+    result = run.result()
+    assert result.goal != bool(result.failures or result.stopped)
+    marking = run.machine.initial
+    for _, transition in log.fired_at:
+        marking = fire(run.machine.net, marking, transition)
+    assert marking == run.marking
+
+
+def _wake(commands: list[Command], before: float | None) -> float | None:
+    return next((command.at for command in reversed(commands) if isinstance(command, Wake)), before)

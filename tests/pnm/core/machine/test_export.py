@@ -1,0 +1,43 @@
+"""Machines in other formats: the same bytes as ever. `--write` with python -m tests.pnm.core.machine.test_export renews them."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pnm.core.machine.export import to_dot, to_json
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraph
+from tests.support.runs.simulated import move
+
+GOLDEN = Path(__file__).parent / "golden"
+FORMATS: dict[str, Callable[[PetriNetMachine], str]] = {"dot": to_dot, "json": to_json}
+
+
+def machine() -> PetriNetMachine:
+    calls = (ActionCall(0, move("r1", "hall", "door")), ActionCall(1, move("r1", "door", "kitchen")))
+    ordering = Ordering(PlanEvent(0, Moment.END), PlanEvent(1, Moment.START), (("at", "r1", "door"),))
+    return generate(PlanGraph(calls, (ordering,)))
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_machine_is_written_as_it_ever_was(name: str) -> None:
+    assert FORMATS[name](machine()) == (GOLDEN / f"machine.{name}").read_text(encoding="utf-8")
+
+
+def test_the_json_of_a_machine_has_every_place_transition_and_arc() -> None:
+    made = machine()
+    written = json.loads(to_json(made))
+    assert [place["name"] for place in written["places"]] == list(made.net.places)
+    assert [transition["name"] for transition in written["transitions"]] == list(made.net.transitions)
+    assert len(written["arcs"]) == len(made.net.arcs)
+
+
+if __name__ == "__main__" and "--write" in sys.argv:
+    for form, write in FORMATS.items():
+        (GOLDEN / f"machine.{form}").write_text(write(machine()), encoding="utf-8")

@@ -1,0 +1,203 @@
+"""Any program of the language: its machine is proved, it ends whatever the world answers, and no token is lost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from random import Random
+from tempfile import TemporaryDirectory
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.verification.verify import verify
+from pnm.core.net.net import Marking
+from pnm.language import HandWrittenPlan, read_plans
+from tests.support.runs.direct import RUN, play
+from tests.support.runs.yaml_programs import DOMAIN, Chaos, Json, in_use, programs, written
+
+
+def read(text: str) -> HandWrittenPlan:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "plan.yaml"
+        path.write_text(text, encoding="utf-8")
+        (plan,) = read_plans(path).values()
+    return plan
+
+
+def check_marking(machine: PetriNetMachine, marking: Marking, budgets: Mapping[tuple[str, str], int]) -> None:
+    """No place but a record holds two tokens, and no budget grows; giving up takes all of it away."""
+    for place, tokens in marking.items():
+        assert tokens == 1 or place in machine.record_places, f"{place} holds {tokens} tokens"
+    for (left, spent), whole in budgets.items():
+        assert marking[left] + marking[spent] <= whole, f"{left} and {spent} have more than {whole}"
+    for place in machine.resource_places:
+        assert marking[place] <= machine.initial[place]
+
+
+def counters(machine: PetriNetMachine) -> dict[tuple[str, str], int]:
+    """Return every pair of places that count together, and what they add up to."""
+    pairs = (("budget", "spent"), ("left", "used"), ("left", "spent"))
+    found: dict[tuple[str, str], int] = {}
+    for place in machine.budget_places:
+        for left, spent in pairs:
+            head, word, number = place.rpartition(f" {left}")
+            other = f"{head} {spent}{number}"
+            if word and other in machine.budget_places and (not number or number.strip().isdigit()):
+                found[place, other] = machine.initial[place]
+    assert {one for pair in found for one in pair} == machine.budget_places
+    return found
+
+
+def carry_out(text: str, seed: int) -> None:
+    plan = read(text)
+    machine = generate(plan.graph, plan.bindings, on_failure=plan.on_failure)
+    verify(machine)
+    world = KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules)
+    knowledge = Layered(world, KnowledgeBase(variables=plan.variables))
+    random = Random(seed)
+    if random.random() < 0.3:
+        world.sense({"at", "free"}, lag=0.5)
+    run = Run(machine, knowledge, id=RUN, bindings=plan.bindings, asks=random.random() < 0.7)
+    chaos = Chaos(run, knowledge, random)
+    budgets = counters(machine)
+    for _ in chaos.play():
+        check_marking(machine, run.marking, budgets)
+        for name, used in in_use(chaos.requests).items():
+            assert used <= plan.graph.capacities.get(name, 1), f"{name} is used by {used} calls"
+    ended = {place: tokens for place, tokens in run.marking.items() if place not in machine.record_places}
+    result = run.result()
+    assert ended == ({machine.goal_place: 1} if result.goal else {machine.failed_place: 1})
+    assert all(run.marking[place] == machine.initial[place] for place in machine.resource_places)
+    assert not run.open_requests
+    assert not (result.goal and result.failures)
+    assert result.reason
+
+
+@pytest.mark.timeout(900)
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+@given(programs(), st.integers(0, 2**32))
+def test_any_program_is_proved_ends_and_loses_no_token(text: str, seed: int) -> None:
+    carry_out(text, seed)
+
+
+@pytest.mark.parametrize(
+    "inner", ["[{arm: {}}, {arm: {}}]", "[{arm: {}}, [{plain: {}}, {while: {condition: true, actions: [{both: {}}], limit: 1}}]]"]
+)
+def test_steps_that_recover_at_the_same_time_take_turns_with_what_they_share(inner: str) -> None:
+    chain = f"[{{concurrent_actions: {inner}}}, skip_action]"
+    text = f"{DOMAIN}---\nplan: [{{plain: {{}}, recoveries: {{before: {{when: true, do: {chain}}}}}}}]"
+    for seed in range(40):
+        carry_out(text, seed)
+
+
+# --- what programs without concurrency mean, in a few lines --------------------------------
+
+COUNTING = """
+actions:
+  a: {}
+  b: {}
+  c: {}
+  set: {type: kb_action, params: [operation]}
+"""
+NAMES = st.sampled_from(["x", "y"])
+TERMS: st.SearchStrategy[Json] = st.one_of(st.integers(0, 3), st.builds(lambda name: {"LocalQuery": name}, NAMES))
+SUMS: st.SearchStrategy[Json] = st.one_of(
+    TERMS, st.builds(lambda op, a, b: {"Operation": [op, [a, b]]}, st.sampled_from(["add", "sub"]), TERMS, TERMS)
+)
+TESTS: st.SearchStrategy[Json] = st.recursive(
+    st.builds(lambda op, a, b: {"Comparison": [op, [a, b]]}, st.sampled_from(["lt", "eq", "ge"]), SUMS, SUMS),
+    lambda inner: st.one_of(
+        st.builds(lambda one: {"not": one}, inner),
+        st.builds(lambda word, parts: {word: parts}, st.sampled_from(["and", "or"]), st.lists(inner, max_size=3)),
+    ),
+    max_leaves=3,
+)
+BLOCKS: st.SearchStrategy[Json] = st.recursive(
+    st.lists(
+        st.one_of(
+            st.sampled_from([{"a": {}}, {"b": {}}, {"c": {}}]),
+            st.builds(lambda name, value: {"set": {"operation": {"LocalUpdate": [name, value]}}}, NAMES, SUMS),
+        ),
+        max_size=3,
+    ),
+    lambda inner: st.lists(
+        st.one_of(
+            inner,
+            st.builds(lambda steps: {"sequence": steps}, inner),
+            st.builds(lambda test, then, other: {"if": test, "then": then, "else": other}, TESTS, inner, inner),
+            st.builds(
+                lambda test, steps: {"while": {"condition": test, "actions": steps, "limit": 5}}, TESTS, inner.filter(lambda steps: steps)
+            ),
+        ),
+        max_size=3,
+    ),
+    max_leaves=8,
+)
+
+
+@dataclass
+class Interpreter:
+    """Does what a program says, one step after the other. The mutable state is all fields."""
+
+    variables: dict[str, int]
+    done: list[str] = field(default_factory=list)
+
+    def value(self, data: Json) -> int:
+        match data:
+            case {"LocalQuery": name}:
+                return self.variables[name]
+            case {"Operation": [operator, [left, right]]}:
+                return self.value(left) + (self.value(right) if operator == "add" else -self.value(right))
+            case _:
+                return int(data)
+
+    def holds(self, test: Json) -> bool:
+        match test:
+            case {"not": inner}:
+                return not self.holds(inner)
+            case {"and": parts}:
+                return all(map(self.holds, parts))
+            case {"or": parts}:
+                return any(map(self.holds, parts))
+            case {"Comparison": [operator, [left, right]]}:
+                one, other = self.value(left), self.value(right)
+                return {"lt": one < other, "eq": one == other, "ge": one >= other}[operator]
+        raise AssertionError(test)
+
+    def do(self, step: Json) -> bool:
+        """Return whether it went well: only loops can fail, when they reach their limit."""
+        match step:
+            case list() | {"sequence": list()}:
+                return all(map(self.do, step if isinstance(step, list) else step["sequence"]))
+            case {"if": test, "then": then, "else": other}:
+                return self.do(then if self.holds(test) else other)
+            case {"while": {"condition": test, "actions": steps, "limit": limit}}:
+                for _ in range(limit):
+                    if not self.holds(test):
+                        return True
+                    if not self.do(steps):
+                        return False
+                return not self.holds(test)
+            case {"set": {"operation": {"LocalUpdate": [name, value]}}}:
+                self.variables[name] = self.value(value)
+            case _:
+                self.done += step
+        return True
+
+
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(BLOCKS, st.integers(0, 3), st.integers(0, 3))
+def test_a_program_without_concurrency_does_what_it_says(steps: Json, x: int, y: int) -> None:
+    plan = read(f"{COUNTING}---\n{written({'initial_knowledge': {'x': x, 'y': y}, 'plan': steps})}")
+    story = play(plan.graph, bindings=plan.bindings, variables=plan.variables)
+    meant = Interpreter({"x": x, "y": y})
+    assert story.result.goal is meant.do(steps)
+    assert story.actions == meant.done
+    assert story.run.knowledge.local.variables() == meant.variables

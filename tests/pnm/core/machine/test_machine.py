@@ -1,0 +1,262 @@
+"""Machines are sound: explored exhaustively when small, and proved block by block at any size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pnm.core.logic.conditions import TRUE
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import (
+    Accepts,
+    After,
+    Always,
+    Denied,
+    Due,
+    EffectsMissing,
+    Ends,
+    Guard,
+    OnFailure,
+    PauseAsked,
+    PetriNetMachine,
+    Rule,
+    TransitionAction,
+    Withheld,
+)
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph, PlanGraphError
+from pnm.core.machine.verification.block_shape import shape_of
+from pnm.core.machine.verification.explore import Part, Step, Unsound, explore_part
+from pnm.core.machine.verification.verify import explore, verify
+from pnm.core.net.net import PetriNet
+from tests.support.runs.plan_graphs import ordering, plan, plans
+
+SHAPES = {
+    "empty": plan(0),
+    "one call": plan(1),
+    "one call with an over-all condition": plan(1, invariants=True),
+    "side by side": plan(2),
+    "chain": plan(2, "0e<1s"),
+    "fork": plan(3, "0e<1s", "0e<2s"),
+    "join": plan(3, "0e<2s", "1e<2s"),
+    "start before start": plan(2, "0s<1s"),
+    "start before end": plan(2, "0s<1e"),
+    "end before end": plan(2, "0e<1e"),
+    "inside": plan(2, "0s<1s", "1e<0e", invariants=True),
+    "crossing": plan(2, "0s<1s", "0e<1e"),
+    "chain inside": plan(3, "0s<1s", "1e<2s", "2e<0e"),
+}
+
+
+def bindings(retries: int) -> Bindings:
+    return Bindings({f"a{index}": Binding(retries=retries) for index in range(10)})
+
+
+@pytest.mark.parametrize("on_failure", OnFailure)
+@pytest.mark.parametrize("retries", [0, 1, 2])
+@pytest.mark.parametrize("name", SHAPES)
+def test_every_answer_of_the_world_leads_to_goal_or_failed(name: str, retries: int, on_failure: OnFailure) -> None:
+    machine = generate(SHAPES[name], bindings(retries if len(SHAPES[name].calls) < 3 else min(retries, 1)), on_failure=on_failure)
+    explore(machine)
+    verify(machine)
+
+
+def test_an_n_shape_of_four_calls_is_sound() -> None:
+    explore(generate(plan(4, "0e<2s", "0e<3s", "1e<3s"), bindings(0)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(plans(most=3), st.integers(0, 1), st.sampled_from(OnFailure))
+def test_any_partial_order_of_events_is_sound(graph: PlanGraph, retries: int, on_failure: OnFailure) -> None:
+    machine = generate(graph, bindings(retries if len(graph.calls) < 3 else 0), on_failure=on_failure)
+    explore(machine)
+    verify(machine)
+
+
+def _without(net: PetriNet, transition: str) -> PetriNet:
+    inputs = {name: weights for name, weights in net.inputs.items() if name != transition}
+    return PetriNet(net.places, inputs, {name: net.outputs[name] for name in inputs})
+
+
+def _with_output(net: PetriNet, transition: str, place: str) -> PetriNet:
+    outputs = {**net.outputs, transition: {**net.outputs[transition], place: net.outputs[transition].get(place, 0) + 1}}
+    return PetriNet(net.places, net.inputs, outputs)
+
+
+def _with_input(net: PetriNet, transition: str, place: str) -> PetriNet:
+    return PetriNet(net.places, {**net.inputs, transition: {**net.inputs[transition], place: 1}}, net.outputs)
+
+
+def _less_output(net: PetriNet, transition: str, place: str) -> PetriNet:
+    kept = {name: weight for name, weight in net.outputs[transition].items() if name != place}
+    return PetriNet(net.places, net.inputs, {**net.outputs, transition: kept})
+
+
+def mutants(machine: PetriNetMachine) -> list[PetriNetMachine]:
+    """The machine with one transition lost, one arc more, one arc less, or one guard always open."""
+    found = []
+    for name in machine.rules:
+        rules = {other: rule for other, rule in machine.rules.items() if other != name}
+        found.append(replace(machine, net=_without(machine.net, name), rules=rules))
+        found += [replace(machine, net=_less_output(machine.net, name, place)) for place in machine.net.outputs[name]]
+        found += [
+            replace(machine, net=_with_output(machine.net, name, place))
+            for place in machine.net.places[:: max(1, len(machine.net.places) // 5)]
+        ]
+        found.append(replace(machine, rules={**machine.rules, name: Rule(name, Always(), machine.rules[name].call)}))
+    return found
+
+
+def check_proof_of_mutants(machine: PetriNetMachine) -> None:
+    """Whatever mutant the state space refutes, the proof block by block refutes."""
+    refuted = accepted = 0
+    for mutant in mutants(machine):
+        try:
+            explore(mutant)
+        except Unsound:
+            refuted += 1
+            with pytest.raises(Unsound):
+                verify(mutant)
+        else:
+            accepted += 1
+    assert refuted > accepted
+
+
+@pytest.mark.parametrize("name", ["one call with an over-all condition", "chain", "inside"])
+def test_the_block_proof_accepts_no_machine_that_the_state_space_refutes(name: str) -> None:
+    check_proof_of_mutants(generate(SHAPES[name], bindings(1)))
+
+
+def lost(machine: PetriNetMachine, name: str) -> PetriNetMachine:
+    rules = {other: rule for other, rule in machine.rules.items() if other != name}
+    return replace(machine, net=_without(machine.net, name), rules=rules)
+
+
+def ruled(machine: PetriNetMachine, name: str, **changes: object) -> PetriNetMachine:
+    return replace(machine, rules={**machine.rules, name: machine.rules[name]._replace(**changes)})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", ["timed_out", "unconfirmed", "unconfirmed_stop", "unanswered", "unheard"])
+def test_a_wait_without_a_limit_is_refuted(name: str) -> None:
+    machine = generate(SHAPES["chain"])
+    with pytest.raises(Unsound, match="no exit that is sure to open in finite time"):
+        verify(lost(machine, f"a1()#1 {name}"))
+    with pytest.raises(Unsound, match="no exit that is sure to open in finite time"):
+        verify(ruled(machine, f"a1()#1 {name}", guard=After(float("inf"))))
+    net = PetriNet((*machine.net.places, "never"), machine.net.inputs, machine.net.outputs)
+    never = _with_input(net, f"a1()#1 {name}", "never")
+    for proof in (verify, explore):
+        with pytest.raises(Unsound, match="no exit that is sure to open in finite time"):
+            proof(replace(machine, net=never))
+
+
+def test_rules_that_are_not_what_they_seem_are_refuted() -> None:
+    machine = generate(SHAPES["chain"])
+    for broken, why in (
+        (ruled(machine, "a0()#0 start", action=None), "does not send"),
+        (ruled(machine, "a0()#0 retry", action=TransitionAction.SEND), "sends one that is not"),
+        (ruled(machine, "a0()#0 accepted", guard=Accepts(1)), "listens to another call"),
+        (ruled(machine, "goal_holds", guard=Always()), "without asking for the goal"),
+        (ruled(machine, "a0()#0 timed_out", guard=Due(1.0, (("start", 1.0),))), "counts from the marking of start"),
+        (replace(machine, failure_places=dict.fromkeys(machine.failure_places, 0)), "marks the failure of another call"),
+    ):
+        with pytest.raises(Unsound, match=why):
+            verify(broken)
+
+
+def test_a_channel_that_closes_a_cycle_is_refuted() -> None:
+    machine = generate(SHAPES["chain"])
+    net = PetriNet(
+        (*machine.net.places, "hidden"),
+        {**machine.net.inputs, "a0()#0 join": {**machine.net.inputs["a0()#0 join"], "hidden": 1}},
+        {**machine.net.outputs, "a1()#1 fork": {**machine.net.outputs["a1()#1 fork"], "hidden": 1}},
+    )
+    with pytest.raises(Unsound, match="wait for each other"):
+        verify(replace(machine, net=net))
+
+
+def test_who_waits_for_what_is_withheld_has_a_limit() -> None:
+    graph = PlanGraph((ActionCall(0, GroundAction("act", resources=("arm",))),))
+    machine = generate(graph)
+    verify(machine)
+    name = "act()#0 withheld before start"
+    for broken in (lost(machine, name), ruled(machine, name, guard=Withheld(0, float("inf"), TransitionAction.SEND))):
+        with pytest.raises(Unsound, match=r"act\(\)#0 start has no way out"):
+            verify(broken)
+
+
+def test_two_final_places_are_not_one() -> None:
+    one = ending_in("goal")
+    other = ending_in("goal", "failed")
+    explore_part(one)
+    with pytest.raises(Unsound, match="it ends in"):
+        explore_part(other)
+    assert shape_of(one) != shape_of(other)
+
+
+@pytest.mark.parametrize("guard", [PauseAsked(), Accepts(0), Denied(TRUE), EffectsMissing(0), Withheld(0, 1.0, None)])
+def test_what_nobody_may_ever_do_is_no_exit(guard: Guard) -> None:
+    with pytest.raises(Unsound, match="start has no exit"):
+        explore_part(ending_in("goal", guard=guard))
+
+
+def ending_in(*finals: str, guard: Guard = Always()) -> Part:
+    """A part that ends in these places, all at once."""
+    nothing = frozenset[str]()
+    step = Step("end", guard, {"start": 1}, dict.fromkeys(finals, 1))
+    return Part(("start", *finals), (step,), {"start": 1}, (), nothing, nothing, nothing, False, nothing, frozenset(finals))
+
+
+def test_a_missing_outcome_is_refuted_by_name() -> None:
+    machine = generate(SHAPES["one call"])
+    rules = {name: rule for name, rule in machine.rules.items() if rule.name != "aborted"}
+    broken = replace(machine, net=_without(machine.net, "a0()#0 aborted"), rules=rules)
+    with pytest.raises(Unsound, match=r"a0\(\)#0 running has no exit for .*ABORTED"):
+        verify(broken)
+
+
+def test_a_budget_is_spent_by_an_arc_of_its_weight() -> None:
+    machine = generate(SHAPES["one call"], bindings(3))
+    assert machine.initial["a0()#0 budget"] == 3
+    assert machine.net.inputs["a0()#0 give_up"] == {"a0()#0 recover": 1, "a0()#0 spent": 3}
+
+
+def test_every_outcome_has_a_transition() -> None:
+    machine = generate(SHAPES["one call"])
+    names = {rule.name for rule in machine.rules.values()}
+    assert {
+        "succeeded",
+        "aborted",
+        "canceled",
+        "rejected",
+        "timed_out",
+        "unavailable",
+        "lost",
+        "effects_missing",
+        "precondition_false",
+    } <= names
+    at_running = [
+        rule.guard for name, rule in machine.rules.items() if "a0()#0 running" in machine.net.inputs[name] and isinstance(rule.guard, Ends)
+    ]
+    assert len(at_running) == len({guard.kinds for guard in at_running})
+
+
+def test_orderings_that_contradict_each_other_are_refused() -> None:
+    with pytest.raises(PlanGraphError, match="cycle"):
+        plan(2, "0e<1s", "1e<0s")
+
+
+@given(plans())
+def test_the_order_of_events_keeps_every_ordering(graph: PlanGraph) -> None:
+    position = {event: number for number, event in enumerate(graph.in_order())}
+    assert len(position) == 2 * len(graph.calls)
+    assert all(position[one.before] < position[one.after] for one in graph.orderings)
+
+
+def test_an_ordering_place_knows_the_fact_it_protects() -> None:
+    graph = replace(plan(2), orderings=(ordering("0e<1s", (("at", "r1", "hall"),)),))
+    machine = generate(graph)
+    assert [one.protects for one in machine.orderings.values()] == [(("at", "r1", "hall"),)]

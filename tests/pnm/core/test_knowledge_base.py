@@ -1,0 +1,342 @@
+"""What is known: batches that succeed or fail as one, layers, variables, and what sensors report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pnm.core.knowledge_base import KnowledgeBase, Layered, parse_fluent, parse_statement, statement_text
+from pnm.core.logic.computed_values import MISSING
+from pnm.core.logic.conditions import All, Exists, Holds, Not
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, Variable
+from pnm.core.logic.rules import NO_RULES, Rule, Rules
+from pnm.errors import InputError
+
+Facts = Mapping[Fluent, Value | Unknown]
+
+P, Q, N = ("p",), ("q", "a"), ("n",)
+VALUES = st.sampled_from((True, False, UNKNOWN, 0.0, 1.0, "a"))
+FACTS = st.dictionaries(st.sampled_from((P, Q, N)), VALUES)
+
+
+def heard(knowledge: KnowledgeBase) -> list[Facts]:
+    """Return the list that fills with every batch of changes from now on."""
+    batches: list[Facts] = []
+    knowledge.listen(batches.append)
+    return batches
+
+
+# --- batches and events -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("malformed", ["p", (), ("p", 1), 7, None])
+def test_a_batch_with_a_malformed_fluent_changes_nothing(malformed: object) -> None:
+    knowledge = KnowledgeBase({P: True})
+    batches = heard(knowledge)
+    with pytest.raises(InputError) as caught:
+        knowledge.update({Q: True, malformed: True, P: False})  # type: ignore[dict-item]
+    assert str(caught.value) == f"not a fluent: {malformed!r}; expected a tuple of names such as ('at', 'r1', 'kitchen')"
+    assert (knowledge.facts(), batches) == ({P: True}, [])
+
+
+@given(FACTS, FACTS)
+def test_listeners_hear_of_real_changes_only(first: Facts, then: Facts) -> None:
+    knowledge = KnowledgeBase(first)
+    batches = heard(knowledge)
+    before = {fluent: knowledge.value(fluent) for fluent in then}
+    real = knowledge.update(then)
+    assert batches == ([real] if real else [])
+    assert knowledge.update(then) == {}
+    for fluent, value in then.items():
+        assert (fluent in real) is (evident(before[fluent]) != evident(value))
+        assert evident(knowledge.value(fluent)) == evident(value)
+
+
+def evident(value: Value | Unknown | None) -> tuple[type, Value | Unknown]:
+    """The value and its kind, because True == 1.0; nothing recorded reads as false."""
+    return (bool, False) if value is None else (type(value), value)
+
+
+@pytest.mark.parametrize("value", [True, 0.0, 1.0, "a", UNKNOWN])
+@pytest.mark.parametrize("before", [None, False])
+def test_everything_differs_from_false(before: Value | None, value: Value | Unknown) -> None:
+    knowledge = KnowledgeBase({} if before is None else {P: before})
+    assert knowledge.update({P: value}) == {P: value}
+    assert knowledge.value(P) == value
+
+
+def test_what_is_false_and_what_nobody_recorded_read_the_same() -> None:
+    knowledge = KnowledgeBase({P: False})
+    assert (knowledge.value(P), knowledge.value(Q)) == (False, None)
+    assert evaluate(Holds(P), knowledge) is evaluate(Holds(Q), knowledge) is False
+    assert knowledge.update({P: False, Q: False}) == {}
+    assert knowledge.facts() == {}
+
+
+def test_unknown_is_a_value_of_its_own() -> None:
+    knowledge = KnowledgeBase({P: True})
+    assert knowledge.update({P: UNKNOWN}) == {P: UNKNOWN}
+    assert evaluate(Holds(P), knowledge) is UNKNOWN
+    assert knowledge.update({P: UNKNOWN}) == {}
+    assert knowledge.facts() == {P: UNKNOWN}
+    assert knowledge.update({P: False}) == {P: False}
+
+
+def test_a_listener_that_stops_hears_nothing_more() -> None:
+    knowledge = KnowledgeBase()
+    first: list[Facts] = []
+    second = heard(knowledge)
+    stop = knowledge.listen(first.append)
+    knowledge.update({P: True})
+    stop()
+    knowledge.update({P: False})
+    assert (first, second) == ([{P: True}], [{P: True}, {P: False}])
+
+
+def test_a_listener_may_stop_while_it_listens() -> None:
+    knowledge = KnowledgeBase()
+    stops: list[Callable[[], None]] = []
+    stops.append(knowledge.listen(lambda _: stops.pop()()))
+    after = heard(knowledge)
+    knowledge.update({P: True})
+    knowledge.update({Q: True})
+    assert after == [{P: True}, {Q: True}]
+
+
+def test_what_was_given_and_what_is_returned_are_copies() -> None:
+    first: dict[Fluent, Value | Unknown] = {P: True}
+    knowledge = KnowledgeBase(first)
+    first[P] = False
+    knowledge.facts().clear()
+    knowledge.variables()["x"] = 1
+    knowledge.objects_by_type()["room"] = ("hall",)
+    assert knowledge.facts() == {P: True}
+    assert (knowledge.variable("x"), knowledge.objects(("room",))) == (MISSING, ())
+
+
+# --- complete reports -------------------------------------------------------------------------
+
+
+def test_a_report_replaces_the_facts_of_the_names_it_is_about() -> None:
+    knowledge = KnowledgeBase({("at", "r1", "hall"): True, ("at", "r2", "hall"): True, ("open", "door"): True})
+    batches = heard(knowledge)
+    knowledge.replace({"at"}, {("at", "r1", "kitchen"): True, ("at", "r2", "hall"): True})
+    assert knowledge.facts() == {("at", "r1", "kitchen"): True, ("at", "r2", "hall"): True, ("open", "door"): True}
+    assert batches == [{("at", "r1", "hall"): False, ("at", "r1", "kitchen"): True}]
+
+
+def test_of_what_a_report_omits_a_number_is_no_longer_known_and_an_object_is_gone() -> None:
+    knowledge = KnowledgeBase({("battery", "r1"): 80.0, ("battery", "r2"): 0.0, ("place", "r1"): "hall"})
+    changed = knowledge.replace({"battery", "place"}, {("battery", "r1"): 79.0})
+    assert changed == {("battery", "r1"): 79.0, ("battery", "r2"): UNKNOWN, ("place", "r1"): UNDEFINED}
+
+
+@given(FACTS, FACTS, st.frozensets(st.sampled_from(("p", "q", "n"))))
+def test_after_a_report_its_facts_are_all_that_is_so(first: Facts, report: Facts, names: frozenset[str]) -> None:
+    knowledge = KnowledgeBase(first)
+    knowledge.replace(iter(names), report)
+    about = {fluent for fluent, value in knowledge.facts().items() if fluent[0] in names and value is True}
+    assert about == {fluent for fluent, value in report.items() if fluent[0] in names and value is True}
+    others = {fluent: value for fluent, value in knowledge.facts().items() if fluent[0] not in names and fluent not in report}
+    assert others == {fluent: value for fluent, value in KnowledgeBase(first).facts().items() if fluent in others}
+
+
+def test_a_malformed_report_changes_nothing() -> None:
+    knowledge = KnowledgeBase({P: True})
+    with pytest.raises(InputError, match="not a fluent"):
+        knowledge.replace({"p"}, {(): True})
+    assert knowledge.facts() == {P: True}
+
+
+def test_what_is_reported_stays_in_another_world_and_is_not_what_that_begins_with() -> None:
+    knowledge = KnowledgeBase({("at", "hall"): True, ("at", "dock"): False, ("free", "dock"): True, ("n",): 3.0}, sensed={"at": 0.0})
+    heard: list[Facts] = []
+    knowledge.listen(lambda changes: heard.append(dict(changes)))
+    knowledge.begin_anew({("at", "dock"): True, ("at", "lab"): True, ("n",): 4.0}, {"place": ("dock",)}, NO_RULES)
+    assert knowledge.facts() == {("at", "hall"): True, ("n",): 4.0}
+    assert heard == [{("free", "dock"): False, ("n",): 4.0}]
+
+
+# --- objects, layers, variables, sensing ------------------------------------------------------
+
+
+def test_objects_of_several_types_come_once_and_in_order() -> None:
+    knowledge = KnowledgeBase(objects={"room": ("hall", "lab"), "place": ("dock", "hall")})
+    assert knowledge.objects(("room",)) == ("hall", "lab")
+    assert knowledge.objects(("place", "room", "nothing")) == ("dock", "hall", "lab")
+    assert knowledge.objects(()) == ()
+
+
+def test_a_run_reads_facts_and_objects_of_the_world_it_shares() -> None:
+    both = Layered(KnowledgeBase({P: True, N: 1.0}, objects={"room": ("hall",)}), KnowledgeBase({P: False}, objects={"room": ("lab",)}))
+    assert (both.value(P), both.value(N), both.value(("absent",))) == (True, 1.0, None)
+    assert both.objects(("room",)) == ("hall",)
+
+
+def test_a_variable_that_is_none_is_not_missing() -> None:
+    both = Layered(KnowledgeBase(variables={"pose": 1, "other": 0}), KnowledgeBase(variables={"pose": None}))
+    assert (both.variable("pose"), both.variable("other"), both.variable("absent")) == (None, 0, MISSING)
+    assert repr(MISSING) == "MISSING"
+
+
+def test_a_variable_belongs_to_the_run_that_stored_it() -> None:
+    world = KnowledgeBase(variables={"pose": 1})
+    one, other = Layered(world), Layered(world)
+    one.local.store({"pose": 2})
+    one.local.store({"more": [3]})
+    assert (one.variable("pose"), other.variable("pose"), other.variable("more")) == (2, 1, MISSING)
+    assert one.local.variables() == {"pose": 2, "more": [3]}
+
+
+def test_fluents_are_sensed_by_name_and_late_by_the_slowest() -> None:
+    knowledge = KnowledgeBase(sensed={"open": 0.5})
+    knowledge.sense(["at", "battery"], lag=2.0)
+    knowledge.sense({"battery"})
+    assert [knowledge.is_sensed((name, "r1")) for name in ("at", "open", "battery", "holding")] == [True, True, True, False]
+    assert knowledge.lag({"open", "at", "holding"}) == 2.0
+    assert knowledge.lag({"battery"}) == knowledge.lag({"holding"}) == knowledge.lag(()) == 0.0
+
+
+def test_repr_says_how_much_there_is() -> None:
+    knowledge = KnowledgeBase({P: True}, variables={"x": 1, "y": 2}, sensed={"p": 0.0})
+    assert repr(knowledge) == "<KnowledgeBase 1 facts, 2 variables, 1 sensed names>"
+
+
+# --- derived facts ------------------------------------------------------------------------------
+
+X = Variable("?x", ("room",))
+LIT = Rule("lit", (X,), All((Holds(("lamp", "?x")), Holds(("power",)))))
+DARK = Rule("dark", (), Exists((X,), Not(Holds(("lit", "?x")))))
+
+
+def rooms(facts: Facts | None = None) -> KnowledgeBase:
+    return KnowledgeBase(facts, objects={"room": ("hall", "lab")}, rules=Rules((LIT, DARK)))
+
+
+def test_derived_facts_follow_from_what_is_recorded_and_are_not_listed() -> None:
+    knowledge = rooms({("lamp", "hall"): True})
+    batches = heard(knowledge)
+    assert (knowledge.value(("lit", "hall")), knowledge.value(("dark",))) == (False, True)
+    knowledge.update({("power",): True})
+    assert (knowledge.value(("lit", "hall")), knowledge.value(("dark",))) == (True, True)
+    knowledge.update({("lamp", "lab"): UNKNOWN})
+    assert knowledge.value(("dark",)) is UNKNOWN
+    assert Layered(knowledge).value(("dark",)) is UNKNOWN
+    assert Layered(knowledge).because(("lit", "hall")) == "because of (lamp hall), (power)"
+    assert knowledge.facts() == {("lamp", "hall"): True, ("power",): True, ("lamp", "lab"): UNKNOWN}
+    assert batches == [{("power",): True}, {("lamp", "lab"): UNKNOWN}]
+
+
+def test_a_listener_sees_the_derived_facts_as_they_are_after_the_change() -> None:
+    knowledge = rooms({("lamp", "hall"): True})
+    seen = [knowledge.value(("lit", "hall"))]
+    knowledge.listen(lambda _: seen.append(knowledge.value(("lit", "hall"))))
+    knowledge.update({("power",): True})
+    knowledge.update({("power",): False})
+    assert seen == [False, True, False]
+
+
+def test_nobody_writes_a_derived_fact() -> None:
+    knowledge = rooms({("power",): True})
+    for wrong in ({("power",): False, ("lit", "hall"): True}, {("dark",): False}):
+        with pytest.raises(InputError, match=r"\((lit hall|dark)\) follows from rules; it is neither set nor reported"):
+            knowledge.update(wrong)
+    assert knowledge.facts() == {("power",): True}
+    with pytest.raises(InputError, match="follows from rules"):
+        rooms({("dark",): True})
+
+
+def test_reports_about_derived_facts_are_left_out() -> None:
+    knowledge = rooms({("power",): True})
+    report: Facts = {("lit", "lab"): True, ("lamp", "hall"): True}
+    assert knowledge.replace(("lit", "lamp", "dark"), report) == {("lamp", "hall"): True}
+    assert (knowledge.value(("lit", "lab")), knowledge.value(("dark",))) == (False, True)
+    with pytest.raises(InputError, match="not a fluent"):
+        knowledge.replace({"p"}, {(): True})
+
+
+def test_a_derived_fact_is_sensed_if_all_below_it_is_and_as_late_as_that() -> None:
+    knowledge = rooms()
+    knowledge.sense(("lit", "dark", "lamp"), lag=2.0)
+    assert not knowledge.is_sensed(("dark",))
+    knowledge.sense(("power",), lag=3.0)
+    assert [knowledge.is_sensed(one) for one in (("dark",), ("lit", "lab"), ("lamp", "lab"), ("at", "r1"))] == [True, True, True, False]
+    assert (knowledge.lag({"dark"}), knowledge.lag({"lamp"}), knowledge.longest_lag) == (3.0, 2.0, 3.0)
+
+
+# --- reading facts ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "statement"),
+    [
+        ("(at r1 kitchen)", (("at", "r1", "kitchen"), True)),
+        ("  ( at\tr1\n kitchen ) ", (("at", "r1", "kitchen"), True)),
+        ("(ready)", (("ready",), True)),
+        ("(not (at r1 kitchen))", (("at", "r1", "kitchen"), False)),
+        ("( not ( ready ) )", (("ready",), False)),
+        ("(= (battery r1) 80)", (("battery", "r1"), 80.0)),
+        ("(= (offset) -1.5e1)", (("offset",), -15.0)),
+        ("(= (place-of r1) hall)", (("place-of", "r1"), "hall")),
+        ("(= (battery r1) 0)", (("battery", "r1"), 0.0)),
+        ("(= (battery r1) .5)", (("battery", "r1"), 0.5)),
+        ("(= (place-of r1) nan)", (("place-of", "r1"), "nan")),
+        ("(= (place-of r1) infinity)", (("place-of", "r1"), "infinity")),
+    ],
+)
+def test_statements(text: str, statement: tuple[Fluent, Value]) -> None:
+    assert parse_statement(text) == statement
+    assert type(parse_statement(text)[1]) is type(statement[1])
+
+
+@pytest.mark.parametrize(
+    ("text", "refused"),
+    [
+        ("", ""),
+        ("at r1", "at r1"),
+        ("()", "()"),
+        ("(at r1", "(at r1"),
+        ("(at r1))", "(at r1))"),
+        ("(at (r1))", "(at (r1))"),
+        ("(p) (q)", "(p) (q)"),
+        ("(not (not (p)))", "(not (p))"),
+        ("(not (p) (q))", "(p) (q)"),
+        ("(= (at (r1)) 1)", "(at (r1))"),
+        ("(= (n) 1 2)", "(= (n) 1 2)"),
+        ("(and (p) (q))", "(and (p) (q))"),
+    ],
+)
+def test_what_is_no_statement_is_refused(text: str, refused: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse_statement(text)
+    assert str(caught.value) == f"not a fact: {refused!r}; expected something like (at r1 kitchen)"
+
+
+FLUENTS: st.SearchStrategy[Fluent] = st.lists(st.text("ab-1_?", min_size=1, max_size=4), min_size=1, max_size=4).map(tuple)
+
+
+@given(FLUENTS)
+def test_a_fluent_that_is_written_is_read(fluent: Fluent) -> None:
+    text = f"({' '.join(fluent)})"
+    assert parse_fluent(text) == fluent
+    assert parse_statement(f"(not {text})") == (fluent, False)
+    assert parse_statement(f"(= {text} 2)") == (fluent, 2.0)
+
+
+@given(FLUENTS, st.one_of(st.booleans(), st.floats(-1e6, 1e6).map(lambda value: round(value, 3)), st.just("hall")))
+def test_a_statement_that_is_written_is_read(fluent: Fluent, value: Value) -> None:
+    assert parse_statement(statement_text(fluent, value)) == (fluent, value)
+
+
+@given(st.text("()=not 1ab", max_size=30))
+def test_any_text_is_a_statement_or_refused(text: str) -> None:
+    try:
+        fluent, _ = parse_statement(text)
+    except InputError:
+        return
+    assert fluent
+    assert all(fluent)

@@ -1,0 +1,230 @@
+"""Plans in YAML, carried out: what the original implementation is known to do with its own examples, and what it gets wrong.
+
+The files are written anew; what happens is what was seen when the original ran.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pytest
+
+from pnm.core.logic.computed_values import Layer
+from pnm.core.machine.requests import Outcome, OutcomeKind, Request
+from pnm.language.plan import HandWrittenPlan, parse_plans
+from tests.support.runs.direct import Answer, Story, outcomes, play, succeed
+from tests.support.runs.paper import PAPER_DOMAIN, PAPER_PLAN
+
+
+def plan_of(text: str) -> HandWrittenPlan:
+    (plan,) = parse_plans(text).values()
+    return plan
+
+
+def run(text: str, answer: Answer = succeed, known: Mapping[str, object] | None = None) -> Story:
+    plan = plan_of(text)
+    return play(plan.graph, answer, bindings=plan.bindings, variables=plan.variables, known=known, on_failure=plan.on_failure)
+
+
+def results(**fields: object) -> Answer:
+    """Answer that all went well, each action with a result of one field: a value, or a function of the goal."""
+
+    def answer(request: Request) -> Outcome:
+        found = fields.get(request.action.name)
+        return Outcome(OutcomeKind.SUCCEEDED, found(request.goal) if callable(found) else {})
+
+    return answer
+
+
+# --- what was seen when the original ran ---------------------------------------------------
+
+
+def test_the_listings_of_the_paper() -> None:
+    text = PAPER_DOMAIN.rstrip(".\n") + "\n" + PAPER_PLAN
+    story = run(text, results(dummy_server=lambda goal: {"time": goal["value"]}))
+    assert story.result.goal, story.result.reason
+    assert [(name, goal.get("value", goal.get("time"))) for name, goal in story.sent] == [
+        ("dummy_server", 3),
+        ("wait", 3),
+        ("wait", 3),
+        ("wait", 5),
+        ("wait", 6),
+    ]
+
+
+COUNTING = """\
+actions:
+  echo:
+    <<: *rpn_action
+    params: [value]
+    preconditions: {and: [{Exists: [LocalQuery: value]}]}
+    effects: {and: {Exists: [LocalQuery: result]}}
+  add_one: {<<: *ros_action, params: [value], preconditions: {and: [{Exists: [LocalQuery: value]}]}}
+  keep: {<<: *kb_action, params: [operation]}
+counting:
+  initial_knowledge: {value: 5}
+  plan:
+    - echo: {}
+    - while:
+        condition: {Comparison: ["ne", [LocalQuery: "value", 10]]}
+        actions:
+          - add_one: {}
+          - keep: {operation: {LocalUpdate: ["value", {LocalQuery: "result"}, ""]}}
+"""
+
+
+def test_a_loop_counts_from_5_to_10() -> None:
+    story = run(COUNTING, results(echo=lambda goal: {"result": goal["value"]}, add_one=lambda goal: {"result": goal["value"] + 1}))
+    assert story.result.goal, story.result.reason
+    assert [goal["value"] for _, goal in story.sent] == [5, 5, 6, 7, 8, 9]
+    assert story.run.knowledge.local.variables() == {"value": 10, "result": 10}
+
+
+ONE = "actions: {a: , b: }\nplan: [a: ]\n"
+FORK = "actions: {a: , b: }\nplan: [concurrent_actions: [a: , b: ]]\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "kinds", "goal"),
+    [
+        (ONE, {"a": ["aborted"]}, False),
+        (ONE, {"a": ["canceled"]}, True),
+        (ONE, {"a": ["succeeded"]}, True),
+        (FORK, {"a": ["aborted"]}, False),
+        (FORK, {"a": ["aborted"], "b": ["aborted"]}, False),
+        (FORK, {"a": ["canceled"]}, True),
+        ("actions: {}\nplan: []\n", {}, True),
+    ],
+)
+def test_how_single_outcomes_end(text: str, kinds: dict[str, list[str]], goal: bool) -> None:
+    """A fork of which one branch fails has failed here; the original says nothing then."""
+    assert run(text, outcomes(**kinds)).result.goal is goal
+
+
+def test_a_precondition_that_is_false_is_a_failure() -> None:
+    story = run("actions: {a: {preconditions: {Exists: [LocalQuery: x]}}}\nplan: [a: ]\n")
+    assert not story.result.goal
+    assert story.sent == []
+
+
+def test_effects_that_hold_already_spare_the_action_even_if_its_precondition_is_false() -> None:
+    text = (
+        "actions: {a: {preconditions: {Exists: [Query: nothing]}, effects: {Query: done}}}\ninitial_knowledge: {done: true}\nplan: [a: ]\n"
+    )
+    story = run(text)
+    assert story.result.goal
+    assert story.sent == []
+
+
+def test_values_that_a_step_gives_are_not_seen_by_preconditions() -> None:
+    assert not run("actions: {a: {params: [x], preconditions: {Exists: [LocalQuery: x]}}}\nplan: [a: {x: 1}]\n").result.goal
+
+
+# --- where the original fails --------------------------------------------------------------
+
+
+def test_effects_that_never_come_are_waited_for_three_times() -> None:
+    story = run("actions: {a: {effects: {Exists: [LocalQuery: result]}}}\nplan: [a: ]\n")
+    assert not story.result.goal
+    assert story.actions == ["a"] * 4
+
+
+def test_a_value_that_nobody_has_is_a_failure_by_name() -> None:
+    story = run("actions: {a: {params: [speed]}}\nplan: [a: ]\n")
+    assert not story.result.goal
+    assert "speed" in story.result.reason
+
+
+def test_queries_in_what_a_step_gives_are_answered() -> None:
+    step = "a: {x: {Operation: [add, [{Query: n}, 1]]}, y: [{LocalQuery: n}]}"
+    ((_, goal),) = run(f"actions: {{a: {{params: [x, y]}}}}\ninitial_knowledge: {{n: 4}}\nplan: [{step}]\n").sent
+    assert (goal["x"], goal["y"]) == (5, [4])
+
+
+def test_operations_in_operations_are_computed() -> None:
+    operation = "{LocalUpdate: [n, {Operation: [add, [{Operation: [add, [{Query: n}, 1]]}, 1]]}]}"
+    text = f"actions: {{k: {{type: kb_action}}}}\ninitial_knowledge: {{n: 1}}\nplan: [k: {{operation: {operation}}}]\n"
+    assert run(text).run.knowledge.local.variable("n") == 3
+
+
+def test_an_operation_on_knowledge_changes_a_list() -> None:
+    operation = "{Operation: [setitem, [{LocalQuery: l}, 0, 9]]}"
+    text = f"actions: {{k: {{type: kb_action}}}}\ninitial_knowledge: {{l: [1, 2]}}\nplan: [k: {{operation: {operation}}}]\n"
+    assert run(text).run.knowledge.local.variable("l") == [9, 2]
+
+
+def test_others_are_asked_and_told() -> None:
+    text = """\
+actions: {k: {type: kb_action}}
+initial_knowledge: {place: coffee}
+plan:
+  - k:
+      operation:
+        LocalUpdate:
+          - place
+          - RemoteQuery:
+              - RemoteQuery: [{LocalQuery: place}, {kind: class}]
+              - {status: which}
+  - k: {operation: {RemoteUpdate: [CONTROLLER, "", {status: end, value: {LocalQuery: place}}]}}
+"""
+    story = run(text, known={"coffee": "shops", "shops": "the one upstairs"})
+    assert story.result.goal, story.result.reason
+    assert [(question.name, question.layer, question.meta) for question in story.asked] == [
+        ("coffee", Layer.GLOBAL, '{"kind": "class"}'),
+        ("shops", Layer.GLOBAL, '{"status": "which"}'),
+    ]
+    ((told, value),) = story.told
+    assert (told.name, value, told.meta) == ("CONTROLLER", "", '{"status": "end", "value": "the one upstairs"}')
+
+
+# --- what the paper promises ---------------------------------------------------------------
+
+NESTED = """\
+actions:
+  a:
+  b:
+  c:
+  k: {type: kb_action}
+initial_knowledge: {n: 0}
+plan:
+  - concurrent_actions:
+      - - a: {i: 1}
+        - while:
+            condition: {Comparison: ["<", [LocalQuery: n, 2]]}
+            actions:
+              - concurrent_actions: [b: , {if: {Comparison: [eq, [{LocalQuery: n}, 0]]}, then: [c: ]}]
+              - k: {operation: {LocalUpdate: [n, {Operation: ["+", [{LocalQuery: n}, 1]]}]}}
+      - sequence: [a: {i: 2}, a: {i: 3}]
+  - a: {i: 4}
+"""
+
+
+def test_blocks_in_blocks() -> None:
+    story = run(NESTED)
+    assert story.result.goal, story.result.reason
+    assert sorted(story.actions) == ["a"] * 4 + ["b"] * 2 + ["c"]
+    numbers = [goal["i"] for name, goal in story.sent if name == "a"]
+    assert numbers.index(2) < numbers.index(3)
+    assert numbers[-1] == 4
+
+
+def test_a_chain_of_recovery_knows_what_the_call_was_given() -> None:
+    text = """\
+actions:
+  move:
+    params: "?r ?speed"
+    recoveries: {during: {aborted: {do: [say: {text: ["?r", "?speed"]}, retry], times: 2}}}
+  say: {params: [text]}
+initial_knowledge: {speed: 7}
+plan: [move: {r: r1}]
+"""
+    story = run(text, outcomes(move=["aborted", "aborted"]))
+    assert story.result.goal, story.result.reason
+    assert story.actions == ["move", "say", "move", "say", "move"]
+    assert story.sent[1][1]["text"] == ["r1", 7]
+
+
+def test_a_step_stores_its_result_where_it_says() -> None:
+    text = "actions: {a: {store: {x: other}}}\nplan: [{a: , store: {x: mine}}, a: ]\n"
+    story = run(text, results(a=lambda goal: {"x": 1}))
+    assert story.run.knowledge.local.variables() == {"mine": 1, "other": 1}

@@ -1,0 +1,599 @@
+"""Plans in YAML: their shapes, what calls are given, recoveries, bounds; and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf
+from pathlib import Path
+from typing import TypeAlias
+
+import pytest
+
+from pnm.core.logic.computed_values import Layer, Literal, Operation, Query, Update
+from pnm.core.logic.conditions import TRUE, Compare, Computed, Holds
+from pnm.core.logic.effects import Set
+from pnm.core.logic.expressions import Constant, ValueOf
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import OnFailure
+from pnm.core.machine.plan_graph import EMPTY, ActionCall, Cause, Choice, Junction, Loop, Moment, Recovery, Then
+from pnm.core.machine.verification.verify import verify
+from pnm.errors import InputError
+from pnm.language import HandWrittenPlan, read_plans
+from pnm.language.to_plan_graph import MAX_NESTING, MAX_STEPS
+from tests.support.runs.paper import PAPER_DOMAIN, PAPER_PLAN
+
+ReadAll: TypeAlias = Callable[[str], dict[str, HandWrittenPlan]]
+Read: TypeAlias = Callable[[str], HandWrittenPlan]
+
+
+@pytest.fixture
+def read_all(tmp_path: Path) -> ReadAll:
+    def read(text: str) -> dict[str, HandWrittenPlan]:
+        path = tmp_path / "plan.yaml"
+        path.write_text(text)
+        return read_plans(path)
+
+    return read
+
+
+@pytest.fixture
+def read(read_all: ReadAll) -> Read:
+    def read(text: str) -> HandWrittenPlan:
+        (plan,) = read_all(text).values()
+        return plan
+
+    return read
+
+
+def q(name: str, layer: Layer = Layer.LOCAL) -> Query:
+    return Query(Literal.of(name), layer)
+
+
+def orderings(plan: HandWrittenPlan) -> set[tuple[int, int]]:
+    return {(one.before.call, one.after.call) for one in plan.graph.orderings}
+
+
+ACTIONS = """\
+actions:
+  go: {params: "?r - robot ?to - place", preconditions: "(free ?r)", effects: ["(at ?r ?to)"]}
+  say: {params: [text]}
+  wait: {params: [time]}
+  any:
+  set: {type: kb_action, params: [operation, value, unused]}
+"""
+
+
+def test_the_listings_of_the_paper_as_they_are_printed(tmp_path: Path) -> None:
+    (tmp_path / "domain.yaml").write_text(PAPER_DOMAIN)
+    (tmp_path / "plan.yaml").write_text(PAPER_PLAN)
+    plan = read_plans(tmp_path / "plan.yaml", tmp_path / "domain.yaml")["plan"]
+    assert [str(call) for call in plan.graph.calls] == [
+        "dummy_server(?value)#0",
+        "wait(?time)#1",
+        "wait(?time)#2",
+        "wait(5)#3",
+        "wait(6)#4",
+    ]
+    assert orderings(plan) == {(0, 1), (0, 2), (0, 3), (0, 4)}
+    assert plan.variables == {"value": 3}
+    assert plan.graph.calls[3].action.given == (("time", Literal.of(5)),)
+    assert len(plan.warnings) == 4
+    assert generate(plan.graph, plan.bindings)
+
+
+ONE_FILE = """\
+actions: {a: }
+plan: [a: ]
+"""
+TWO_DOCUMENTS = "actions: {a: }\n---\ninitial_knowledge: {x: 1}\nplan: [a: {}]\n"
+RECIPES = """\
+actions: {a: , b: {type: kb_action}}
+first:
+  server: {module: actionlib, class: ActionServer}
+  action: {module: rpn_recipe_planner_msgs.msg, class: RosServerAction}
+  initial_knowledge: {value: 5}
+  plan:
+    - a: {}
+    - while:
+        condition: {Comparison: ["ne", [LocalQuery: "value", 10]]}
+        actions:
+          - a:
+          - b: {operation: {LocalUpdate: ["value", {LocalQuery: "result"}, ""]}}
+second:
+  server: {module: any_plugin_server, class: DAPluginServer}
+  plan: []
+"""
+
+
+def test_a_file_has_a_plan_and_a_domain_or_both_as_documents(read: Read) -> None:
+    assert [call.action.name for call in read(ONE_FILE).graph.calls] == ["a"]
+    plan = read(TWO_DOCUMENTS)
+    assert (plan.name, plan.variables) == ("plan", {"x": 1})
+
+
+def test_recipes_have_the_names_of_their_plans(read_all: ReadAll) -> None:
+    plans = read_all(RECIPES)
+    assert list(plans) == ["first", "second"]
+    assert plans["first"].variables == {"value": 5}
+    assert plans["second"].graph.steps == ()
+    _, loop = plans["first"].graph.steps
+    assert isinstance(loop, Loop)
+    assert loop.condition == Computed(Operation("ne", (q("value"), Literal.of(10))))
+    assert loop.limit == 1000
+    assert [str(step) for step in loop.body.steps] == ["a()#1", "b()#2"]
+    assert isinstance(loop.body.steps[1], ActionCall)
+    assert loop.body.steps[1].action.operation == Update(Literal.of("value"), q("result"), meta=Literal.of(""))
+
+
+def test_a_plan_names_the_file_of_its_domain(tmp_path: Path) -> None:
+    (tmp_path / "domains").mkdir()
+    (tmp_path / "domains" / "d.yaml").write_text("actions: {a: }\nignored_plan: {plan: [a: ]}\n")
+    (tmp_path / "plan.yaml").write_text("domain: domains/d.yaml\nname: mine\nplan: [a: ]\n")
+    assert list(read_plans(tmp_path / "plan.yaml")) == ["mine"]
+    (tmp_path / "plan.yaml").write_text("domain: nowhere.yaml\nplan: []\n")
+    with pytest.raises(InputError, match=r"plan.yaml:1:9: there is no file 'nowhere.yaml' beside this one"):
+        read_plans(tmp_path / "plan.yaml")
+
+
+def test_what_a_plan_says_besides_its_steps(read: Read) -> None:
+    plan = read(
+        """\
+name: fetch
+params: [what, "?where - place"]
+results: [found]
+initial_knowledge: {on: true, list: [1, {a: "?x"}], text: (at r1 hall)}
+facts: [(free r1), (= (battery r1) 80)]
+goal: (free r1)
+timeout: 90
+on_failure: cancel
+resources: {arm: 2, floor: }
+actions: {a: {resources: [arm, floor]}}
+types: place - object
+constants: hall - place
+predicates: ['(free ?r)', '(battery ?r)']
+problem: {objects: r1, init: [(= (battery r1) 20), (free hall)], goal: (free hall)}
+plan: []
+"""
+    )
+    assert (plan.parameters, plan.results, plan.timeout, plan.on_failure) == (("what", "where"), ("found",), 90.0, OnFailure.CANCEL)
+    assert plan.variables == {"on": True, "list": [1, {"a": "?x"}], "text": "(at r1 hall)"}
+    assert plan.facts == {("battery", "r1"): 80.0, ("free", "hall"): True, ("free", "r1"): True}
+    assert plan.goal == Holds(("free", "r1"))
+    assert plan.graph.capacities == {"arm": 2, "floor": 1}
+    assert plan.objects["place"] == ("hall",)
+
+
+def test_the_goal_is_that_of_the_problem_if_the_plan_has_none(read: Read) -> None:
+    assert read("actions: {}\nproblem: {goal: (done)}\nplan: []\n").goal == Holds(("done",))
+    assert read("actions: {}\nplan: []\n").goal == TRUE
+
+
+# --- calls ---------------------------------------------------------------------------------
+
+
+def call(plan: HandWrittenPlan, number: int = 0) -> ActionCall:
+    return plan.graph.calls[number]
+
+
+def test_what_is_given_goes_into_conditions_and_effects(read: Read) -> None:
+    action = call(read(f"{ACTIONS}plan: [go: {{r: r1, to: hall}}]\n")).action
+    assert (action.parameters, action.arguments) == (("r", "to"), ("r1", "hall"))
+    assert action.precondition == Holds(("free", "r1"))
+    assert action.end_effects == (Set(("at", "r1", "hall"), Constant(True)),)
+    assert action.given == (("r", Literal.of("r1")), ("to", Literal.of("hall")))
+
+
+def test_what_is_not_given_stays_open(read: Read) -> None:
+    action = call(read(f"{ACTIONS}plan: [go: {{to: {{Query: goal}}}}]\n")).action
+    assert action.arguments == ("?r", "?to")
+    assert action.given == (("to", q("goal", Layer.ALL)),)
+    assert action.precondition == Holds(("free", "?r"))
+
+
+def test_without_declared_parameters_a_step_gives_what_it_likes(read: Read) -> None:
+    action = call(read(f"{ACTIONS}plan: [any: {{x: 1, y: [2], z: {{a: {{Query: b}}}}}}]\n")).action
+    assert (action.parameters, action.arguments) == (("x", "y", "z"), ("1", "?y", "?z"))
+
+
+def test_numbers_are_numbers_in_conditions_and_effects(read: Read) -> None:
+    plan = read(
+        """\
+actions:
+  fill:
+    params: "?t ?by ?unit"
+    preconditions: [{Comparison: ["=", ["(level ?t)", "?by"]]}, {Comparison: [lt, [{Query: x}, "?by"]]}, "(scale ?by ?unit)"]
+    effects:
+      - increase: ["(level ?t)", "?by"]
+      - increase: [(total), {Operation: ["*", ["?by", "(price ?unit)"]]}]
+      - forall: {variables: "?by", effects: "(seen ?by)"}
+    duration: "?by"
+plan: [fill: {t: tank, by: 2.5, unit: litre}]
+"""
+    )
+    action = call(plan).action
+    assert action.arguments == ("tank", "2.5", "litre")
+    assert action.precondition.operands[0] == Compare("=", ValueOf(("level", "tank")), Constant(2.5))  # type: ignore[union-attr]
+    assert str(action.precondition.operands[1]) == "lt(all[x], 2.5)"  # type: ignore[union-attr]
+    assert action.precondition.operands[2] == Holds(("scale", "2.5", "litre"))  # type: ignore[union-attr]
+    assert list(map(str, action.end_effects)) == [
+        "(increase (level tank) 2.5)",
+        "(increase (total) (* 2.5 (price litre)))",
+        "(forall (?by - object) (seen ?by))",
+    ]
+    assert action.duration == 2.5
+
+
+def test_durations_are_known_if_facts_at_the_beginning_tell_them(read: Read) -> None:
+    text = """\
+actions:
+  move: {params: "?a ?b", duration: {Operation: ["/", ["(distance ?a ?b)", 2]]}, effects: {increase: [(time), "?duration"]}}
+  rest: {duration: [{">=": 3}, {"<=": 9}]}
+  nod: {duration: [{"=": 3}]}
+facts: [(= (distance x y) 10)]
+plan: [move: {a: x, b: y}, move: {a: y, b: x}, rest: , nod: ]
+"""
+    plan = read(text)
+    assert [one.action.duration for one in plan.graph.calls] == [5.0, None, None, 3.0]
+    assert call(plan).action.end_effects == (Set(("time",), Constant(5.0), "increase"),)
+
+
+def test_a_text_that_looks_like_a_parameter_is_not_put_into_facts(read: Read) -> None:
+    action = call(read("actions: {a: {params: [x], preconditions: '(p ?x)'}}\nplan: [a: {x: {Literal: '?y'}}]\n")).action
+    assert (action.arguments, action.precondition) == (("?x",), Holds(("p", "?x")))
+
+
+def test_actions_on_knowledge_have_the_parameters_they_use(read: Read) -> None:
+    plan = read(
+        f"{ACTIONS}plan: [set: {{operation: {{LocalUpdate: [a, 1]}}}}, set: {{operation: {{LocalUpdate: [a, '?value']}}, unused: 3}}]\n"
+    )
+    assert [one.action.parameters for one in plan.graph.calls] == [(), ("value", "unused")]
+    assert call(plan).action.given == ()
+    assert [one.recoveries for one in plan.graph.calls] == [(), ()]
+
+
+def test_options_of_a_step(read: Read) -> None:
+    plan = read(
+        """\
+actions: {a: {retries: 4, timeout: 9, resources: [arm]}, timeout: }
+plan:
+  - a:
+    retries: 1
+    timeout: 2.5
+    resources: [arm, floor]
+    store: {result: mine}
+  - a:
+  - timeout: {x: 1}
+"""
+    )
+    first, second, third = plan.graph.calls
+    assert (first.retries, first.timeout, first.action.resources, first.store) == (1, 2.5, ("arm", "floor"), (("result", "mine"),))
+    assert (second.retries, second.timeout, second.action.resources, second.store) == (4, None, ("arm",), ())
+    assert (third.action.name, third.timeout, third.retries) == ("timeout", None, 0)
+    assert plan.bindings.of("a").timeout == 9.0
+
+
+def test_choices_loops_and_sequences(read: Read) -> None:
+    plan = read(
+        """\
+actions: {a: , b: , c: }
+plan:
+  - if: {Query: x}
+    then: [a: , b: ]
+  - if: [{Query: x}, (p)]
+    then: []
+    else: [c: ]
+  - while: {condition: (p), actions: [concurrent_actions: [[a: , b: ], {sequence: [c: ]}]], limit: 7}
+"""
+    )
+    one, two, loop = plan.graph.steps
+    assert isinstance(one, Choice)
+    assert isinstance(two, Choice)
+    assert isinstance(loop, Loop)
+    assert (one.otherwise, two.then, loop.limit) == (EMPTY, EMPTY, 7)
+    assert [str(step) for step in one.then.steps] == ["a()#0", "b()#1"]
+    assert [str(step) for step in loop.body.steps] == ["a()#3", "b()#4", "c()#5"]
+    assert [(o.before.call, o.after.call) for o in loop.body.orderings] == [(3, 4)]
+    assert [step.index for step in plan.graph.steps] == [6, 7, 8]
+
+
+def test_where_several_meet_several_there_is_a_junction(read: Read) -> None:
+    plan = read("actions: {a: , b: }\nplan: [concurrent_actions: [a: , a: ], concurrent_actions: [b: , b: , b: ]]\n")
+    (junction,) = (step for step in plan.graph.steps if isinstance(step, Junction))
+    assert junction.index == 5
+    assert orderings(plan) == {(0, 5), (1, 5), (5, 2), (5, 3), (5, 4)}
+
+
+def test_lists_in_the_order_that_after_says(read: Read) -> None:
+    plan = read(
+        """\
+actions: {a: }
+plan:
+  - a:
+    id: one
+  - a:
+  - a:
+    id: three
+    after: [one]
+  - a:
+    after: []
+  - a:
+  - concurrent_actions: []
+    id: nothing
+    after: [three, one]
+  - a:
+    after: nothing
+"""
+    )
+    assert orderings(plan) == {(0, 1), (0, 2), (3, 4), (2, 6), (0, 6), (6, 5)}
+
+
+def test_starts_ends_and_times_are_waited_for(read: Read) -> None:
+    plan = read(
+        f"""\
+{ACTIONS}plan:
+  - go:
+    id: one
+    end_after: [two, {{start: three}}]
+  - go:
+    id: two
+    after: [{{start: one}}]
+    release: 3
+    deadline: 60
+  - go:
+    id: three
+    after: [{{end: two, delay: 2.5}}]
+"""
+    )
+    start, end = Moment.START, Moment.END
+    told = [((one.before.call, one.before.moment), (one.after.call, one.after.moment), one.delay) for one in plan.graph.orderings]
+    assert told == [
+        ((1, end), (0, end), 0.0),
+        ((2, start), (0, end), 0.0),
+        ((0, start), (1, start), 0.0),
+        ((1, end), (2, start), 2.5),
+    ]
+    assert [(call.release, call.deadline, bool(call.recoveries)) for call in plan.graph.calls] == [
+        (0.0, inf, False),
+        (3.0, 60.0, True),
+        (0.0, inf, False),
+    ]
+    verify(generate(plan.graph, plan.bindings))
+
+
+@pytest.mark.parametrize(
+    ("steps", "message"),
+    [
+        ("{go: , id: a, end_after: [b]}, {go: , id: b, after: [a]}", "steps wait for each other: "),
+        ("{concurrent_actions: [], id: a}, {go: , after: [{start: a}]}", "'a' is no call; only the end of such a step can be waited for"),
+        ("{go: , id: a, after: []}, {go: , end_after: [{end: a, delay: 1}], after: []}", "an end cannot be delayed"),
+        ("{go: , id: a}, {go: , after: [{strat: a}]}", "unknown key 'strat'; did you mean 'start'?"),
+        ("{go: , id: a}, {go: , after: [{delay: 2}]}", "expected either 'start' or 'end' and the id of a step"),
+        ("{go: , id: a, recoveries: {during: {aborted: [retry]}}}, {go: , after: [{start: a}]}", "a step with recoveries cannot have"),
+    ],
+)
+def test_what_cannot_be_waited_for(read: Read, steps: str, message: str) -> None:
+    with pytest.raises(InputError) as raised:
+        read(f"{ACTIONS}plan: [{steps}]\n")
+    assert message in str(raised.value)
+
+
+# --- recoveries ----------------------------------------------------------------------------
+
+USUAL = (
+    Recovery(frozenset({Cause.CANCELED}), Then.CONTINUE, EMPTY),
+    Recovery(frozenset({Cause.EFFECTS_MISSING}), Then.RETRY, EMPTY, 3),
+)
+
+
+def test_what_is_done_when_nobody_says(read: Read) -> None:
+    plan = read(f"{ACTIONS}plan: [go: , say: , set: {{operation: {{Query: a}}}}]\n")
+    assert [one.recoveries for one in plan.graph.calls] == [USUAL[1:], USUAL[:1], ()]
+    assert [one.retries for one in plan.graph.calls] == [0, 0, 0]
+
+
+RECOVERING = """\
+actions:
+  move:
+    params: "?r"
+    recoveries:
+      during:
+        aborted: [{say: {text: [stuck, "?r"]}}, retry]
+        preempted: fail
+  say: {params: [text]}
+  beep:
+restarts: 4
+plan:
+  - move: {r: r1}
+  - move: {r: {Query: robot}}
+  - move:
+  - move:
+    recoveries:
+      before:
+        - {when: {Query: tired}, do: [beep: , skip_action], times: 2}
+        - {do: [restart_plan]}
+      during: {lost: {do: [beep: , say: {text: "?r"}, replan], times: 5}, timed_out: continue}
+      after: [restart_action]
+  - move:
+    recoveries: {}
+"""
+
+
+def test_recoveries(read: Read) -> None:
+    plan = read(RECOVERING)
+    moves = [one for one in plan.graph.calls if one.action.name == "move"]
+    aborted, preempted, *usual = moves[0].recoveries
+    assert (aborted.causes, aborted.then, aborted.times) == ({Cause.ABORTED}, Then.RETRY, 1)
+    assert (preempted.causes, preempted.then, preempted.chain) == ({Cause.CANCELED}, Then.FAIL, EMPTY)
+    assert usual == [USUAL[0]]
+    said = [recovery.chain.steps[0].action.given for move in moves[:3] for recovery in move.recoveries[:1]]  # type: ignore[union-attr]
+    assert [str(given[0][1]) for given in said] == ['["stuck", "r1"]', '["stuck", all[robot]]', '["stuck", all[r]]']
+    tired, other, lost, timed_out, after, _ = moves[3].recoveries
+    assert (tired.causes, tired.when, tired.times, tired.then) == ({Cause.BEFORE}, Computed(q("tired", Layer.ALL)), 2, Then.SKIP)
+    assert (other.causes, other.then, other.times) == ({Cause.PRECONDITION_FALSE, Cause.DATA_MISSING}, Then.RESTART_PLAN, 4)
+    assert (after.causes, after.then) == ({Cause.EFFECTS_MISSING}, Then.RETRY)
+    assert (lost.causes, lost.then, lost.times, len(lost.chain.steps), len(lost.chain.orderings)) == ({Cause.LOST}, Then.REPLAN, 5, 2, 1)
+    assert (timed_out.causes, timed_out.then) == ({Cause.TIMED_OUT}, Then.CONTINUE)
+    assert moves[4].recoveries == USUAL[:1]
+    assert generate(plan.graph, plan.bindings)
+
+
+def test_conditions_of_recoveries_speak_of_the_call(read: Read) -> None:
+    text = "actions: {a: {params: [r], recoveries: {before: {when: '(low ?r)', do: [skip_action]}}}}\nplan: [a: {r: r1}, a: ]\n"
+    assert [one.recoveries[0].when for one in read(text).graph.calls] == [Holds(("low", "r1")), Holds(("low", "?r"))]
+
+
+def test_calls_in_chains_have_recoveries_of_their_own(read: Read) -> None:
+    plan = read(
+        """\
+actions:
+  a: {recoveries: {during: {aborted: [b: , retry]}}}
+  b: {recoveries: {during: {aborted: [c: , retry]}}}
+  c:
+plan: [a: ]
+"""
+    )
+    assert [str(one) for one in plan.graph.calls] == ["a()#0", "b()#1", "c()#2"]
+
+
+# --- plans that call plans -----------------------------------------------------------------
+
+
+def test_plans_call_each_other_like_actions(read_all: ReadAll) -> None:
+    plans = read_all(
+        """\
+actions: {a: }
+outer: {plan: [inner: {x: 1}, free: {whatever: 2}]}
+inner: {params: [x, y], plan: [a: ]}
+free: {plan: [a: ]}
+"""
+    )
+    assert plans["outer"].calls == {"inner", "free"}
+    assert [str(one) for one in plans["outer"].graph.calls] == ["inner(1, ?y)#0", "free(2)#1"]
+    assert plans["outer"].bindings.of("inner").retries == 0
+    assert (plans["inner"].parameters, plans["free"].parameters) == (("x", "y"), None)
+
+
+# --- what is wrong -------------------------------------------------------------------------
+
+WRONG = [
+    ("plan: [sai: ]", "1:8: there is no action 'sai' here; did you mean 'say'?"),
+    ("plan: [go: {rr: x}]", "1:13: there is no parameter of go 'rr' here; did you mean 'r'?"),
+    ("plan: [say: {txt: x}]", "1:14: there is no parameter of say 'txt' here; did you mean 'text'?"),
+    ("plan: [say: 3]", "1:13: expected a mapping (key: value)"),
+    ("plan: [say]", "1:8: expected a step such as '- action: {parameter: value}', found 'say'; write '- say:'"),
+    ("plan: [3]", "1:8: expected a step such as '- action: {parameter: value}', found 3"),
+    ("plan: say", "1:7: expected a list of steps, found 'say'"),
+    ("plan: [{}]", "1:8: the step does nothing; expected an action beside nothing"),
+    ("plan: [{id: x}]", "1:8: the step does nothing; expected an action beside id"),
+    ("plan: [{say: , any: }]", "1:16: a step does one thing; 'any' is a second one"),
+    ("plan: [{say: , retrys: 3}]", "1:16: a step does one thing; 'retrys' is a second one, and none of the options: id, after, recoveries"),
+    ("plan: [say: {text: '?x'}]", "1:20: there is no parameter '?x' here; expected one of: none at all"),
+    ("plan: [go: {to: on}]", "1:17: to of go is the name of an object, not on; write 'on' with quotes"),
+    ("plan: [go: {to: [a]}]", "1:17: to of go is the name of an object, not a list"),
+    ("plan: [set: ]", "1:8: set works on knowledge; expected the key 'operation'"),
+    ("plan: [set: {operation: {Query: '?vlue'}}]", "1:33: there is no parameter '?vlue' here; did you mean '?value'?"),
+    ("plan: [set: {operation: hello}]", "1:25: expected an update, a query or an operation, found 'hello'"),
+    ("plan: [{any: , after: [x]}]", "1:24: there is no step with the id 'x' here; expected one of: none at all"),
+    ("plan: [{any: , id: fist}, {any: , after: first}]", "1:42: there is no step with the id 'first' here; did you mean 'fist'?"),
+    ("plan: [{any: , id: x}, {any: , id: x}]", "1:24: the id 'x' is there twice"),
+    ("plan: [{any: , after: [3]}]", "1:24: expected the id of a step, found 3"),
+    ("plan: [{any: , id: x, after: [y]}, {any: , id: y}]", "1:8: steps wait for each other: "),
+    ("plan: [{any: , id: x, after: [x]}]", "1:8: steps wait for each other: x < x"),
+    ("plan: [{any: , retries: -1}]", "1:25: expected a number of at least 0 under 'retries', found -1"),
+    ("plan: [{while: {condition: (a)}}]", "1:16: the key 'actions' is missing"),
+    ("plan: [{while: {actions: [any: ]}}]", "1:16: the key 'condition' is missing"),
+    ("plan: [{while: {condition: (a), actions: []}}]", "1:42: a loop repeats at least one step"),
+    ("plan: [{while: {condition: (a), actions: [any: ], limit: 0}}]", "1:58: expected a limit from 1 to 1000000, found 0"),
+    ("plan: [{while: {condition: (a), action: [any: ]}}]", "1:33: unknown key 'action'; did you mean 'actions'?"),
+    ("plan: [{while: {condition: (a), actions: [any: ]}, retries: 3}]", "1:52: unknown key 'retries'"),
+    ("plan: [{if: (a)}]", "1:8: the key 'then' is missing"),
+    ("plan: [{if: '(a ?x)', then: []}]", "1:13: there is no parameter '?x' here"),
+    ("plan: [{if: (a), then: [], esle: []}]", "1:28: unknown key 'esle'; did you mean 'else'?"),
+    ("plan: [{any: , recoveries: {durin: }}]", "1:29: unknown key 'durin'; did you mean 'during'?"),
+    ("plan: [{any: , recoveries: {during: {failed: [retry]}}}]", "1:38: unknown key 'failed'"),
+    ("plan: [{any: , recoveries: {after: [any: ]}}]", "1:37: expected a command at the end of the chain: retry, continue, skip_action"),
+    ("plan: [{any: , recoveries: {after: []}}]", "1:36: expected a command at the end of the chain"),
+    ("plan: [{any: , recoveries: {after: [retri]}}]", "1:37: there is no command 'retri' here; did you mean 'retry'?"),
+    ("plan: [{any: , recoveries: {after: [fail, retry]}}]", "1:37: fail ends the chain; nothing may come after it"),
+    ("plan: [{any: , recoveries: {after: [continue]}}]", "1:36: only a call whose request has ended can continue"),
+    ("plan: [{any: , recoveries: {before: continue}}]", "1:37: only a call whose request has ended can continue"),
+    ("plan: [{any: , recoveries: {after: {do: [retry], times: 0}}}]", "1:57: expected a number of times from 1 to 10000, found 0"),
+    ("plan: [{any: , recoveries: {during: {lost: {do: [retry], when: (a)}}}}]", "1:58: unknown key 'when'"),
+    (
+        "plan: [{go: , recoveries: {after: {do: [say: {text: '?x'}, retry]}}}]",
+        "1:53: there is no parameter '?x' here; expected one of: ?r, ?to",
+    ),
+    ("plan: [{go: , recoveries: {after: [say: {text: '(at ?r x)'}, retry]}}]", "1:48: ?r is not known in the plan"),
+    ("initial_knowledge: {}", "1:1: the key 'plan' is missing beside 'initial_knowledge'"),
+    ("other: {initial_knowledge: {}}", "1:8: the key 'plan' is missing"),
+    ("plan: []\nplam: []", "2:1: unknown key 'plam'; did you mean 'plan'?"),
+    ("other: {plan: [], tiemout: 3}", "1:19: unknown key 'tiemout'; did you mean 'timeout'?"),
+    ("plan: []\nname: say", ":1:1: there is an action called 'say' already"),
+    ("plan: []\ninitial_knowledge: {a: .inf}", "2:24: expected finite numbers, found .inf"),
+    ("plan: []\ntimeout: soon", "2:10: expected a number of at least 0 under 'timeout', found 'soon'"),
+    ("plan: []\non_failure: drian", "2:13: there is no way to end 'drian' here; did you mean 'drain'?"),
+    ("plan: []\nresources: {arm: 0}", "2:18: expected how many calls may have arm at the same time, at least 1"),
+    ("plan: [say: {text: hello}, say: {text: hello}]\nresources: {arm: 2}", "2:13: there is no resource 'arm' here"),
+    ("plan: [{say: {text: hello}, resources: [arm]}]\nresources: {amr: 2}", "2:13: there is no resource 'amr' here; did you mean 'arm'?"),
+    ("plan: [Say: {text: hello}]", "1:8: there is no action 'Say' here; did you mean 'say'?"),
+    ("plan: [While: {condition: true, actions: [say: {text: hello}]}]", "1:8: there is no action 'While' here; did you mean 'while'?"),
+    ("plan: [concurrent: [say: {text: hello}]]", "1:8: there is no action 'concurrent' here; did you mean 'concurrent_actions'?"),
+    ("plan: []\ndomain: other.yaml", "2:9: the file has a domain itself; it cannot name another"),
+    ("plan: []\nparams: [on]", "2:10: expected names and types such as"),
+    ("other: {plan: [], server: {module: os, class: system}}", "1:27: there is no kind of server 'system' here"),
+    ("other: {plan: [], action: {module: os, class: system}}", "1:27: 'os' has no messages; expected a module such as"),
+    ("x: {plan: [y: ]}\ny: {plan: [z: ]}\nz: {plan: [x: ]}", "the plan would never end: "),
+    ("x: {plan: [x: ]}", "1:4: the plan would never end: x is called by x"),
+    ("x: {plan: [y: {a: 1}]}\ny: {params: [b], plan: []}", "1:16: there is no parameter of y 'a' here; expected one of: b"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), WRONG, ids=[text for text, _ in WRONG])
+def test_what_is_wrong_with_a_plan(read_all: ReadAll, text: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_all(f"{text}\n{ACTIONS}")
+    assert message in str(caught.value), str(caught.value)
+    assert caught.value.position is not None
+
+
+def test_objects_are_checked_against_their_types(read: Read) -> None:
+    head = "types: robot place - object\nconstants: [r1 - robot, on hall - place]\n"
+    assert read(f"{head}{ACTIONS}plan: [go: {{r: r1, to: 'on'}}]\n")
+    for given, message in (
+        ("{to: on}", "to of go is the name of an object, not on; write 'on' with quotes"),
+        ("{to: r1}", r"there is no object for to of go \(one of type place\) 'r1' here; expected one of: hall, on"),
+        ("{r: r2}", r"there is no object for r of go \(one of type robot\) 'r2' here; expected one of: r1"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read(f"{head}{ACTIONS}plan: [go: {given}]\n")
+
+
+def test_recovering_that_would_need_itself_is_refused(read: Read) -> None:
+    text = "actions: {a: {recoveries: {during: {lost: [b: , fail]}}}, b: {recoveries: {during: {lost: [a: , fail]}}}}\nplan: [a: ]\n"
+    with pytest.raises(InputError, match="to recover would never end: a, which uses b, which uses a; give this step recoveries of its own"):
+        read(text)
+    read(text.replace("[a: , fail]", "[{a: , recoveries: {}}, fail]"))
+
+
+def test_what_is_wrong_with_recoveries_of_actions_is_told_even_if_they_are_not_called(read: Read) -> None:
+    with pytest.raises(InputError, match=r":1:44: there is no action 'b' here"):
+        read("actions: {a: {recoveries: {during: {lost: [b: , fail]}}}}\nplan: []\n")
+
+
+def test_the_number_of_steps_is_bounded(read: Read) -> None:
+    levels = 14
+    actions = "".join(f"  a{n}: {{recoveries: {{during: {{lost: [a{n + 1}: , a{n + 1}: , fail]}}}}}}\n" for n in range(levels))
+    with pytest.raises(InputError, match=f"the plan has more than {MAX_STEPS} steps, those of recoveries included"):
+        read(f"actions:\n{actions}  a{levels}:\nplan: [a0: ]\n")
+
+
+def test_the_depth_of_recoveries_is_bounded(read: Read) -> None:
+    levels = MAX_NESTING + 1
+    actions = "".join(f"  a{n}: {{recoveries: {{during: {{lost: [a{n + 1}: , fail]}}}}}}\n" for n in range(levels))
+    with pytest.raises(InputError, match=f"steps are nested deeper than {MAX_NESTING}"):
+        read(f"actions:\n{actions}  a{levels}:\nplan: [a0: ]\n")
+
+
+def test_a_file_without_plans_is_refused(read: Read) -> None:
+    with pytest.raises(InputError, match=r":1:1: there is no plan in the file; expected the key 'plan'"):
+        read("actions: {}\n")

@@ -1,0 +1,211 @@
+"""The JSON Schema for editors knows every key that the readers know, and no other; and it accepts what they accept."""
+
+from __future__ import annotations
+
+import ast
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+from click.testing import CliRunner
+from hypothesis import HealthCheck, given, settings
+
+from planner_bridge.cli.commands import app
+from planner_bridge.yaml import sections
+from planner_bridge.yaml.convert import exported
+from pnm.core.logic.operators import OPERATORS
+from pnm.core.machine.machine import OnFailure
+from pnm.errors import InputError
+from pnm.language import actions, domain, files, plan_tree, steps
+from pnm.language.files import SCHEMA
+from pnm.language.formulas import effects, words
+from pnm.language.plan import read_plans
+from tests.support.files import ROOT
+from tests.support.runs.yaml_programs import programs
+
+TEXT = SCHEMA.read_text(encoding="utf-8")
+KNOWN = json.loads(TEXT)
+PARTS = KNOWN["definitions"]
+CHECK = jsonschema.Draft7Validator(KNOWN)
+EXAMPLES = sorted(path for folder in ("domains", "problems") for path in (ROOT / folder).rglob("*.yaml") if "plans" in path.parts)
+
+
+def problems(text: str) -> list[str]:
+    """Return what the schema has against the documents of a text."""
+    documents, _ = files.parse_documents(text, "F")
+    plain = [{key: node.plain() for key, _, node in document.entries()} for document in documents]
+    return [f"{list(error.path)}: {error.message}" for one in plain for error in CHECK.iter_errors(one)]
+
+
+def keys(part: dict[str, Any]) -> set[str]:
+    return set(part["properties"])
+
+
+def everything(part: Any) -> Iterator[dict[str, Any]]:
+    """Yield every mapping in the schema."""
+    if isinstance(part, dict):
+        yield part
+    for inner in part.values() if isinstance(part, dict) else part if isinstance(part, list) else ():
+        yield from everything(inner)
+
+
+def test_it_is_a_schema() -> None:
+    jsonschema.Draft7Validator.check_schema(KNOWN)
+
+
+@pytest.mark.parametrize(
+    ("part", "known"),
+    [
+        (KNOWN, {*domain.DOMAIN_KEYS, *files.PLAN_KEYS, "plans"}),
+        (PARTS["recipe"], set(files.RECIPE_KEYS)),
+        (PARTS["action"], set(actions.ACTION_KEYS)),
+        (PARTS["problem"], set(domain._PROBLEM_KEYS)),
+        (PARTS["step"], {*actions.RESERVED, *steps.OPTIONS}),
+        (PARTS["recoveries"]["properties"]["during"], set(plan_tree._DURING)),
+        (PARTS["constraint"], {*sections._OPERATORS, "forall"}),
+    ],
+)
+def test_the_keys_are_those_of_the_readers(part: dict[str, Any], known: set[str]) -> None:
+    assert keys(part) == known
+
+
+def test_the_words_are_those_of_the_readers() -> None:
+    def spelled(*found: str) -> set[str]:
+        return {words._spelled(word) for word in found if "-" not in word}
+
+    tests = spelled(*words.TESTS)
+    assert keys(PARTS["condition"]) == tests
+    assert keys(PARTS["preconditions"]) == tests | set(effects.MOMENTS)
+    assert keys(PARTS["effects"]) == spelled(*effects._WORDS)
+    assert keys(PARTS["timedEffects"]) == spelled(*effects._WORDS) | {"at_start", "at_end"}
+    assert keys(PARTS["operation"]) == spelled(*words.UPDATES, *words.QUERIES, "operation")
+    assert keys(PARTS["duration"]) == {*effects._BOUNDS, "Value", "Operation"}
+    assert set(PARTS["command"]["enum"]) == set(plan_tree.COMMANDS)
+    assert set(PARTS["operator"]["enum"]) == OPERATORS.keys() | words._NAMES.keys()
+    assert set(KNOWN["properties"]["on_failure"]["enum"]) == {one.value for one in OnFailure} | {None}
+    kinds = KNOWN["definitions"]["action"]["properties"]["type"]["then"]["enum"]
+    assert set(kinds) == {kind.value for kind in actions.CLASSES.values()}
+
+
+def test_words_may_be_spelled_as_the_readers_allow() -> None:
+    for word in (*words.LOGIC[:3], *words.SYNONYMS, "comparison", "holds", *words.QUERIES):
+        for spelled in (word, word[0].upper() + word[1:]):
+            argument = {"comparison": "[eq, [1, 2]]", "holds": "(a)"}.get(word, "{Query: v}" if "uery" not in word else "v")
+            assert not problems(f"goal: {{{spelled}: {argument}}}\nplan: []"), spelled
+
+
+def test_whatever_else_a_reader_looks_for_by_name_is_a_key_of_the_schema_and_the_other_way_round() -> None:
+    folder = Path(files.__file__).parent
+    called = [
+        node
+        for path in folder.glob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and (getattr(node.func, "attr", "") == "only" or getattr(node.func, "id", "") == "needed")
+    ]
+    looked_for = {one.value for call in called for one in ast.walk(call) if isinstance(one, ast.Constant) and isinstance(one.value, str)}
+    listed = {key for part in everything(KNOWN) if isinstance(part.get("properties"), dict) for key in part["properties"]}
+    assert len(looked_for) > 20
+    assert looked_for <= listed
+    named = {*domain.DOMAIN_KEYS, *files.PLAN_KEYS, *files.RECIPE_KEYS, *actions.ACTION_KEYS, *domain._PROBLEM_KEYS, *steps.OPTIONS}
+    spoken = {words._spelled(word) for word in (*words.VALUES, *words.UPDATES, *effects._WORDS)}
+    planners = {*sections._OPERATORS, "minimize", "maximize", "constraint", "moment", "variables", "effects"}
+    assert listed <= looked_for | named | spoken | planners | {
+        *effects.MOMENTS,
+        *effects._BOUNDS,
+        *plan_tree._DURING,
+        actions.OPERATION,
+        "plans",
+    }
+
+
+def test_every_key_is_described_in_a_sentence() -> None:
+    for part in everything(KNOWN):
+        if isinstance(part.get("properties"), dict):
+            for key, value in part["properties"].items():
+                assert value["description"].endswith("."), key
+                assert ". " not in value["description"], key
+
+
+# --- what is accepted, and what is not -----------------------------------------------------
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_the_examples_are_valid_and_name_the_schema(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert problems(text) == []
+    modeline, _, _ = text.partition("\n")
+    start, _, target = modeline.partition("$schema=")
+    assert start == "# yaml-language-server: "
+    assert (path.parent / target).resolve() == SCHEMA.resolve()
+
+
+@pytest.mark.parametrize("name", ["delivery", "mall_guide", "patrol"])
+def test_exported_domains_are_valid(name: str) -> None:
+    found = exported(ROOT / "domains" / name / "domain.pddl", ROOT / "problems" / name / "p01.pddl", with_plan=True)
+    assert problems(found.text) == []
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+@given(programs())
+def test_any_program_is_valid(text: str) -> None:
+    assert problems(text) == []
+
+
+WRONG = {
+    "unknown key": "plan: []\ngaol: (a)",
+    "unknown key of an action": "actions: {a: {precondition: (a)}}\nplan: []",
+    "unknown kind": "actions: {a: {type: ros}}\nplan: []",
+    "unknown key of a problem": "actions: {a: }\nproblem: {start: [(a)]}\nplan: []",
+    "unknown word": "actions: {a: }\nplan: []\ngoal: {Comparisn: [eq, [1, 2]]}",
+    "unknown operator": "actions: {a: }\nplan: []\ngoal: {Comparison: [equals, [1, 2]]}",
+    "two forms at once": "actions: {a: }\nplan: []\ngoal: {and: [(a)], or: [(b)]}",
+    "three sides": "actions: {a: }\nplan: []\ngoal: {Comparison: [eq, [1, 2, 3]]}",
+    "no fact": "actions: {a: }\nplan: []\ngoal: kitchen",
+    "no list of steps": "actions: {a: }\nplan: {a: {}}",
+    "no step": "actions: {a: }\nplan: [a]",
+    "arguments without names": "actions: {a: }\nplan: [{a: [1]}]",
+    "loop without condition": "actions: {a: }\nplan: [{while: {actions: [{a: }]}}]",
+    "loop without limit": "actions: {a: }\nplan: [{while: {condition: (a), actions: [{a: }], limit: 0}}]",
+    "misspelt loop": "actions: {a: }\nplan: [{while: {condition: (a), action: [{a: }]}}]",
+    "choice without then": "actions: {a: }\nplan: [{if: (a), else: [{a: }]}]",
+    "then without if": "actions: {a: }\nplan: [{then: [{a: }]}]",
+    "unknown moment": "actions: {a: {duration: 1, preconditions: {at_begin: (a)}}}\nplan: []",
+    "unknown effect": "actions: {a: {effects: [{incraese: [(a), 1]}]}}\nplan: []",
+    "unknown outcome": "actions: {a: {recoveries: {during: {abort: retry}}}}\nplan: []",
+    "unknown command": "actions: {a: {recoveries: {before: rety}}}\nplan: []",
+    "too often": "actions: {a: {recoveries: {after: {do: retry, times: 0}}}}\nplan: []",
+    "nothing to do": "actions: {a: {recoveries: {after: {when: (a), times: 1}}}}\nplan: []",
+    "negative time": "actions: {a: {timeout: -1}}\nplan: []",
+    "half a retry": "actions: {a: {retries: 0.5}}\nplan: []",
+    "resources without list": "actions: {a: {resources: arm}}\nplan: []",
+    "no capacity": "actions: {a: }\nresources: {arm: 0}\nplan: []",
+    "unknown end": "actions: {a: }\non_failure: stop\nplan: []",
+    "unknown bound": "actions: {a: {duration: [{'<': 3}]}}\nplan: []",
+    "recipe without plan": "actions: {a: }\nother: {initial_knowledge: {}}",
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_refused_by_reader_and_schema(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "wrong.yaml"
+    path.write_text(WRONG[name], encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        read_plans(path)
+    assert caught.value.position
+    assert problems(WRONG[name])
+
+
+def test_worlds_are_valid() -> None:
+    assert not problems("domain: d.yaml\nplans: [a.yaml, b.yaml]")
+    assert not problems("one: {domain: d.yaml, recipes: [a.yaml]}\ntwo: {domain: e.yaml, recipes: [b.yaml]}")
+    assert problems("one: {domain: d.yaml, recipes: [a.yaml], plan: []}")
+
+
+def test_the_command_writes_it(tmp_path: Path) -> None:
+    assert CliRunner().invoke(app, ["schema"]).output == TEXT
+    done = CliRunner().invoke(app, ["schema", "-o", str(tmp_path / "pnm.json")])
+    assert (done.exit_code, done.output) == (0, "")
+    assert (tmp_path / "pnm.json").read_text(encoding="utf-8") == TEXT

@@ -1,0 +1,69 @@
+"""What is concluded from who is in the graph, on a clock that only tests move."""
+
+from __future__ import annotations
+
+import pytest
+
+from pnm.ros.action_client.liveness import AGAIN, ASKS, GRACE, Liveness, Verdict
+
+OLD, NEW = b"old", b"new"
+
+
+def looks(watch, present, *, over=False, start=0.0, end=60.0):
+    """Look four times a second until something other than FINE is seen; return it and when."""
+    now = start
+    while now < end:
+        verdict = watch.check(frozenset(present), over, now)
+        if verdict is not Verdict.FINE:
+            return verdict, now
+        now += 0.25
+    return Verdict.FINE, now
+
+
+def test_a_server_that_is_there_may_be_silent_for_ever():
+    assert looks(Liveness(frozenset({OLD})), {OLD}, end=100_000.0)[0] is Verdict.FINE
+
+
+def test_a_server_that_is_gone_is_lost_after_the_grace():
+    assert looks(Liveness(frozenset({OLD})), set()) == (Verdict.LOST, GRACE)
+
+
+def test_a_server_that_comes_back_is_asked_for_the_result():
+    watch = Liveness(frozenset({OLD}))
+    assert watch.check(frozenset(), False, 0.0) is Verdict.FINE
+    assert watch.check(frozenset({OLD}), False, GRACE - 0.5) is Verdict.ASK
+    assert looks(watch, {OLD}, start=GRACE)[0] is Verdict.FINE
+
+
+@pytest.mark.parametrize("present", [{OLD, NEW}, {NEW}])
+def test_a_new_process_is_asked_at_once_and_again_but_not_for_ever(present):
+    watch = Liveness(frozenset({OLD}))
+    assert looks(watch, present) == (Verdict.ASK, 0.0)
+    assert looks(watch, present, start=0.25) == (Verdict.ASK, AGAIN)
+    now, asks = AGAIN, 2
+    while (found := looks(watch, present, start=now + 0.25))[0] is Verdict.ASK:
+        now, asks = found[1], asks + 1
+    assert asks <= ASKS
+    assert found[0] is (Verdict.FINE if OLD in present else Verdict.LOST)
+
+
+def test_the_remains_of_an_older_process_may_leave_the_graph():
+    watch = Liveness(frozenset({OLD, NEW}))
+    assert looks(watch, {NEW})[0] is Verdict.FINE
+
+
+def test_a_publisher_that_was_not_discovered_yet_is_taken_on():
+    watch = Liveness(frozenset())
+    assert watch.check(frozenset(), False, 0.0) is Verdict.FINE
+    assert looks(watch, {OLD}, start=0.25)[0] is Verdict.ASK
+    assert looks(watch, {OLD}, start=0.5)[0] is Verdict.FINE
+    assert looks(watch, set(), start=5.0) == (Verdict.LOST, 5.0 + GRACE)
+
+
+def test_a_result_that_does_not_come_is_asked_for_and_given_up():
+    watch = Liveness(frozenset({OLD}))
+    assert looks(watch, {OLD}, over=True) == (Verdict.ASK, AGAIN)
+    asks, now = 1, AGAIN
+    while (found := looks(watch, {OLD}, over=True, start=now + 0.25))[0] is Verdict.ASK:
+        asks, now = asks + 1, found[1]
+    assert (asks, found) == (ASKS, (Verdict.SILENT, AGAIN * (ASKS + 1)))

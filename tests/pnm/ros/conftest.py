@@ -1,0 +1,172 @@
+"""Servers in processes of their own, and a client whose reports can be awaited.
+
+Everything runs in a ROS domain that belongs to this test process. A killed server stays in its graph for
+20 s, so servers never share a name.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import select
+import subprocess
+import sys
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from itertools import count
+from typing import Any
+from uuid import UUID, uuid4
+
+import pytest
+
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import Accepted, Ended, Outcome, Report, Request
+from pnm.ros.action_client.client import Ros2ActionClient
+from pnm.ros.node.ros_thread import RosThread
+from tests.support.files import ROOT
+from tests.support.ros.domains import ros_domain
+from tests.support.ros.scripts import Script
+
+# Before the first ROS context of this process, and inherited by all of its servers. Killed processes leave
+# shared memory behind, so everything goes over UDP.
+_own = ExitStack()  # until this process ends
+os.environ["ROS_DOMAIN_ID"] = str(_own.enter_context(ros_domain()))
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
+
+
+class Server:
+    """An action server in another process."""
+
+    def __init__(self, *arguments: str) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "tests.support.ros.server", *arguments], cwd=ROOT, stdout=subprocess.PIPE, text=True
+        )
+        assert self.process.stdout is not None
+        ready, _, _ = select.select([self.process.stdout], [], [], 30.0)
+        assert ready, "the server did not start"
+        assert self.process.stdout.readline() == "ready\n"
+
+    def kill(self) -> None:
+        """End the process at once, as a crash would."""
+        self.process.kill()
+        self.process.communicate(timeout=10.0)
+
+    def stop(self) -> None:
+        """End the process in order."""
+        self.process.terminate()
+        self.process.communicate(timeout=10.0)
+
+
+@dataclass
+class Sent:
+    """A request that was sent, and the reports about it."""
+
+    request: Request
+    reports: asyncio.Queue[Report] = field(default_factory=asyncio.Queue)
+
+    @property
+    def id(self) -> UUID:
+        return self.request.id
+
+    async def accepted(self, limit: float = 10.0) -> None:
+        report = await asyncio.wait_for(self.reports.get(), limit)
+        assert report == Accepted(self.id)
+
+    async def ended(self, limit: float = 10.0) -> Outcome:
+        """Return the outcome; there must not be a second one."""
+        async with asyncio.timeout(limit):
+            while True:
+                report = await self.reports.get()
+                if isinstance(report, Ended):
+                    assert report.request == self.id
+                    assert self.reports.empty()
+                    return report.outcome
+
+
+class Client:
+    """A client with one binding per action name, and the requests sent through it."""
+
+    def __init__(self, ros: RosThread, **bindings: Binding) -> None:
+        self.ros2 = Ros2ActionClient(ros, Bindings(bindings), asyncio.get_running_loop())
+
+    def send(self, name: str, /, **goal: object) -> Sent:
+        sent = Sent(Request(uuid4(), GroundAction(name), goal))
+        self.ros2.send(sent.request, sent.reports.put_nowait)
+        return sent
+
+    def cancel(self, sent: Sent) -> None:
+        self.ros2.cancel(sent.id)
+
+
+@pytest.fixture(scope="session")
+def ros() -> Iterator[RosThread]:
+    thread = RosThread("test")
+    yield thread
+    assert thread.close()
+
+
+@pytest.fixture(scope="session")
+def names() -> Callable[[], str]:
+    """Return new names for servers."""
+    numbers = count()
+    return lambda: f"server{next(numbers)}"
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., Server]]:
+    """Start servers that end with the test."""
+    servers: list[Server] = []
+
+    def begin(*arguments: str) -> Server:
+        servers.append(Server(*arguments))
+        return servers[-1]
+
+    yield begin
+    for server in servers:
+        server.kill()
+
+
+@pytest.fixture
+def begin() -> Iterator[Callable[..., Script]]:
+    """Start scripts of this folder that end with the test."""
+    scripts: list[Script] = []
+
+    def start_script(*arguments: str) -> Script:
+        scripts.append(Script(*arguments))
+        return scripts[-1]
+
+    yield start_script
+    for script in scripts:
+        script.kill()
+
+
+@pytest.fixture(scope="session")
+def shared(names: Callable[[], str]) -> Iterator[str]:
+    """Return the name of a server for all tests that do it no harm."""
+    name = names()
+    server = Server(name)
+    yield name
+    server.kill()
+
+
+Scenario = Callable[[Client], Coroutine[Any, Any, None]]
+
+
+@pytest.fixture
+def play(ros: RosThread) -> Callable[..., None]:
+    """Run a test's coroutine with a client that has the given bindings."""
+
+    def run(scenario: Scenario, limit: float = 30.0, **bindings: Binding) -> None:
+        async def whole() -> None:
+            client = Client(ros, **bindings)
+            try:
+                await asyncio.wait_for(scenario(client), limit)
+            finally:
+                client.ros2.close()
+
+        asyncio.run(whole())
+
+    return run

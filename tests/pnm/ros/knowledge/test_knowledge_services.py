@@ -1,0 +1,473 @@
+"""What action servers in other processes ask while they carry out a goal, and what they are told."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable, Iterator
+from uuid import UUID, uuid4
+
+import pytest
+from pnm_interfaces.srv import QueryKnowledge, UpdateKnowledge
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.task import Future
+
+from pnm.core.logic.computed_values import MISSING, Layer, Question
+from pnm.core.machine.requests import OutcomeKind
+from pnm.knowledge.sources import Asker, SourceError, Sources
+from pnm.knowledge.sources.memory import MemoryKnowledge
+from pnm.ros.knowledge.goal_ids import may_be_ours, service_prefix
+from pnm.ros.knowledge.knowledge_services import KnowledgeServices
+from pnm.ros.knowledge.knowledge_source import uuid_field
+from pnm.ros.node.service_client import ServiceClient, until_true
+from tests.support.ros.executive import Executive, executive
+from tests.support.ros.scripts import Script, run
+
+
+@pytest.fixture(scope="module")
+def server(names: Callable[[], str]) -> Iterator[str]:
+    """A server whose callback is a function and whose executor has one thread."""
+    name = names()
+    process = Script("knowing", name)
+    yield name
+    process.kill()
+
+
+OURS = "/pnm/ros/"
+"""Stands in every traceback of what is tested; rclpy itself may fail with one while its context ends."""
+
+
+class Person:
+    """Answers when it is told to; `asked` has a question for every moment at which somebody asks."""
+
+    def __init__(self) -> None:
+        self.asked: asyncio.Queue[str] = asyncio.Queue()
+        self.withdrawn: asyncio.Queue[str] = asyncio.Queue()
+        self.answers: dict[str, asyncio.Future[object]] = {}
+
+    async def query(self, question: Question, asker: Asker, /) -> object:
+        assert asker.plan == "tour"
+        self.answers[question.name] = asyncio.get_running_loop().create_future()
+        self.asked.put_nowait(question.name)
+        try:
+            return await self.answers[question.name]
+        except asyncio.CancelledError:
+            self.withdrawn.put_nowait(question.name)
+            raise
+
+    async def update(self, question: Question, value: object, asker: Asker, /) -> None:
+        self.asked.put_nowait(f"{question.name}: {value} {question.meta}")
+
+    async def close(self) -> None:
+        pass
+
+
+# --- from the server's side ----------------------------------------------------------------
+
+
+def test_local_and_global_and_both(ros, server):
+    async def main():
+        async with executive(ros) as one:
+            assert await one.said(server, "query", "all", "spam") == []
+            assert await one.said(server, "update", "local", "spam", {"eggs": [1, 2.5, None, "ü"]}) == [None]
+            assert one.local.variable("spam") == {"eggs": [1, 2.5, None, "ü"]}
+            assert await one.said(server, "query", "local", "spam") == [{"eggs": [1, 2.5, None, "ü"]}]
+            assert await one.said(server, "query", "global", "spam") == []
+            assert await one.said(server, "update", "global", "spam", False) == [None]
+            assert await one.said(server, "query", "all", "spam") == [{"eggs": [1, 2.5, None, "ü"]}]
+            assert await one.said(server, "query", "global", "spam") == [False]
+            assert await one.said(server, "update", "all", "both", 0) == [None]
+            assert [await one.said(server, "query", layer, "both") for layer in ("local", "global")] == [[0], [0]]
+
+    run(main())
+
+
+@pytest.mark.parametrize(
+    "options", [["--threads", "8"], ["--kind", "coroutine"], ["--kind", "coroutine", "--threads", "4"], ["--kind", "simple"]]
+)
+def test_every_kind_of_server_may_ask(ros, names, begin, options):
+    name = names()
+
+    async def main():
+        await asyncio.to_thread(begin, "knowing", name, *options)
+        async with executive(ros) as one:
+            ended = [one.send(name, "update", "all", f"v{number}", number) for number in range(20)]
+            assert {outcome.message for outcome in await asyncio.gather(*ended)} == {"[null]"}
+            assert one.local.variables() == {f"v{number}": number for number in range(20)}
+            assert await one.said(name, "query", "all", "v7") == [7]
+
+    run(main())
+
+
+def test_the_example_of_the_documentation(ros, begin):
+    async def main():
+        await asyncio.to_thread(begin, "guide")
+        async with executive(ros) as one:
+            await one.sources.update(Question("shop", Layer.GLOBAL, "null"), "bakery", Asker(one.run))
+            assert (await one.send("guide", "lead")).kind is OutcomeKind.SUCCEEDED
+            assert one.local.variables() == {"seen": ["bakery"]}
+
+    run(main())
+
+
+def test_waiting_on_the_thread_that_spins_is_refused_at_once(ros, names, begin):
+    name = names()
+
+    async def main():
+        await asyncio.to_thread(begin, "knowing", name, "--kind", "wrong")
+        async with executive(ros) as one:
+            assert "in a coroutine, await the ..._async method" in await one.said(name, "query", "all", "a")
+            assert "in a coroutine, await the ..._async method" in await one.said(name, "update", "all", "a", 1)
+
+    run(main())
+
+
+def test_a_goal_of_somebody_else_is_carried_out_and_has_no_knowledge(ros, server):
+    async def main():
+        async with executive(ros) as one:
+            outcome = await one.send(server, "query", "all", "spam", id=uuid4())
+            assert outcome.kind is OutcomeKind.SUCCEEDED
+            assert "the goal does not come from a plan executive" in outcome.message
+
+    run(main())
+
+
+def test_an_executive_without_services_is_missed_by_name(ros, server):
+    async def main():
+        one = Executive(ros, Sources())
+        for action, rest in (("query", []), ("update", [1])):
+            said = await one.said(server, action, "all", "spam", *rest, None, 0.5)
+            assert said == f"there is no service {one.name}/{action}; the executive that has sent the goal is gone"
+        await one.close()
+
+    run(main())
+
+
+def test_an_executive_is_asked_again_until_it_has_answered_once_but_told_once(ros, server):
+    def deaf(heard):
+        async def answer(request, response):
+            heard.append(request.name)
+            if len(heard) == 1:
+                await Future()
+            response.success = True
+            return response
+
+        return answer
+
+    async def main():
+        one = Executive(ros, Sources())
+        heard = {kind: [] for kind in (QueryKnowledge, UpdateKnowledge)}
+        names = {QueryKnowledge: f"{one.name}/query", UpdateKnowledge: f"{one.name}/update"}
+
+        def offer():
+            group = ReentrantCallbackGroup()
+            return [ros.node.create_service(kind, names[kind], deaf(heard[kind]), callback_group=group) for kind in heard]
+
+        services = await ros.ask(offer)
+        assert await one.said(server, "query", "all", "spam", None, 20.0) == []
+        assert await one.said(server, "update", "person", "spam", 1, None, 1.5) == f"{one.name}/update did not answer within 1.5 s"
+        assert len(heard[QueryKnowledge]) >= 2
+        assert len(heard[UpdateKnowledge]) == 1
+        await ros.ask(lambda: [ros.node.destroy_service(service) for service in services])
+        await one.close()
+
+    run(main())
+
+
+def test_an_executive_that_is_killed_is_not_waited_for(names, begin):
+    name = names()
+    server = begin("knowing", name)
+    killed = begin("executive", name)
+    assert killed.line() == "asked"
+    killed.kill()
+    said = json.loads(server.line())
+    assert said.startswith("/pnm_")
+    assert said.endswith("/query did not answer within 3 s")
+    assert OURS not in server.stop()
+
+
+def test_a_global_source_that_never_answers_is_said_to_the_server(ros, server):
+    class Never(MemoryKnowledge):
+        async def query(self, question, asker, /):
+            return await asyncio.get_running_loop().create_future()
+
+    async def main():
+        async with executive(ros, [Never()]) as one:
+            assert await one.said(server, "query", "all", "spam", None, 0.5) == "there was no answer within 0.5 s"
+
+    run(main())
+
+
+def test_what_a_source_refuses_is_said_to_the_server_and_changes_nothing(ros, server):
+    class Full(MemoryKnowledge):
+        async def update(self, question, value, asker, /):
+            raise SourceError("the disk\nis full")
+
+    async def main():
+        async with executive(ros, [Full()]) as one:
+            assert await one.said(server, "update", "all", "spam", 1) == "the disk is full"
+            assert one.local.variable("spam") is MISSING
+
+    run(main())
+
+
+def test_a_person_is_asked_while_others_go_on(ros, server):
+    async def main():
+        person = Person()
+        async with executive(ros, person=person) as one:
+            first = one.send(server, "query", "person", "shop", "Which shop?", 30.0)
+            second = one.send(server, "query", "global", "USER", None, 30.0)
+            assert {await person.asked.get(), await person.asked.get()} == {"shop", "USER"}
+            assert await one.said(server, "update", "local", "spam", 1) == [None], "a question that is open holds up no other request"
+            person.answers["USER"].set_result("later")
+            assert json.loads((await second).message) == ["later"]
+            assert not first.done()
+            person.answers["shop"].set_result("bakery")
+            assert json.loads((await first).message) == ["bakery"]
+            assert await one.said(server, "update", "person", "shop", "thanks", {"mood": 1}) == [None]
+            assert await person.asked.get() == 'shop: thanks {"mood": 1}'
+
+    run(main())
+
+
+@pytest.mark.parametrize("kind", ["function", "coroutine", "simple"])
+def test_cancelling_a_goal_that_asks_ends_it_and_withdraws_the_question(ros, names, begin, kind):
+    name = names()
+
+    async def main():
+        server = await asyncio.to_thread(begin, "knowing", name, "--kind", kind)
+        person = Person()
+        async with executive(ros, person=person) as one:
+            await one.meet(name)
+            goal = one.new_id()
+            ended = one.send(name, "query", "person", "shop", None, 300.0, id=goal)
+            await person.asked.get()
+            one.client(name).cancel(goal)
+            outcome = await ended
+            assert (outcome.kind, outcome.message) == (OutcomeKind.CANCELED, '"the goal is being cancelled"')
+            assert await person.withdrawn.get() == "shop"
+        assert OURS not in await asyncio.to_thread(server.stop)
+
+    run(main())
+
+
+def test_a_simple_server_carries_out_one_goal_at_a_time_and_none_that_was_cancelled_before(ros, names, begin):
+    name = names()
+
+    async def main():
+        await asyncio.to_thread(begin, "knowing", name, "--kind", "simple")
+        person = Person()
+        async with executive(ros, person=person) as one:
+            await one.meet(name)
+            first = one.send(name, "query", "person", "a", None, 30.0)
+            await person.asked.get()
+            goal = one.new_id()
+            second = one.send(name, "query", "person", "b", None, 30.0, id=goal)
+            third = one.send(name, "query", "person", "c", None, 30.0)
+            client = one.client(name)
+            client.cancel(goal)
+            await until_true(ros, lambda: client._goals[goal][0].cancel_answered)
+            person.answers["a"].set_result(1)
+            assert (await first).message == "[1]"
+            assert (await second).kind is OutcomeKind.CANCELED
+            assert await person.asked.get() == "c"
+            person.answers["c"].set_result(3)
+            assert (await third).message == "[3]"
+
+    run(main())
+
+
+def test_two_executives_have_services_of_their_own(ros, server):
+    async def main():
+        async with executive(ros) as one, executive(ros) as two:
+            await one.said(server, "update", "all", "spam", 1)
+            await two.said(server, "update", "all", "spam", 2)
+            assert (one.local.variables(), two.local.variables()) == ({"spam": 1}, {"spam": 2})
+
+    run(main())
+
+
+@pytest.mark.parametrize("action", ["raise", "return"])
+def test_a_callback_that_fails_aborts_its_goal_and_nothing_more(ros, server, action):
+    async def main():
+        async with executive(ros) as one:
+            assert (await one.send(server, action)).kind is OutcomeKind.ABORTED
+            assert await one.said(server, "query", "all", "spam") == []
+
+    run(main())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("query", 2, "spam"), "2 is not one of Layer.LOCAL, Layer.GLOBAL, Layer.ALL, Layer.PERSON"),
+        (("query", "local", ""), "the request names no variable"),
+        (("update", "local", "spam", float("nan")), "JSON cannot say nan: Out of range float values are not JSON compliant"),
+        (("query", "local", "spam", [float("inf")]), "JSON cannot say [inf]"),
+    ],
+)
+def test_a_server_that_asks_nonsense_is_told_so(ros, server, arguments, said):
+    async def main():
+        async with executive(ros) as one:
+            assert said in await one.said(server, *arguments)
+
+    run(main())
+
+
+def test_a_server_that_ends_while_it_asks_leaves_no_traceback_of_ours(ros, names, begin):
+    name = names()
+
+    async def main():
+        server = await asyncio.to_thread(begin, "knowing", name)
+        person = Person()
+        async with executive(ros, person=person) as one:
+            await one.meet(name)
+            ended = one.send(name, "query", "person", "a", None, 30.0)
+            await person.asked.get()
+            assert OURS not in await asyncio.to_thread(server.stop)
+            assert (await ended).kind in (OutcomeKind.LOST, OutcomeKind.UNAVAILABLE)
+
+    run(main())
+
+
+# --- from the side of servers in other languages ---------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"goal_id": uuid_field(UUID(int=5))}, "no goal 00000000-0000-0000-0000-000000000005 is being carried out for this executive"),
+        ({"layer": 9}, "there is no layer 9; expected one of {0: 'local', 1: 'global', 2: 'all', 3: 'person'}"),
+        ({"name": ""}, "the request names no variable"),
+        ({"meta": "{"}, "'{' is not JSON"),
+        ({"name": "odd"}, "JSON cannot say nan"),
+        ({"name": "bug", "layer": 1}, "KeyError: 'bug'"),
+        ({"layer": 3}, "there is nobody who could be asked"),
+    ],
+    ids=lambda value: str(value)[:40],
+)
+def test_a_query_that_cannot_be_answered_is_refused(ros, fields, said):
+    class Buggy(MemoryKnowledge):
+        async def query(self, question, asker, /):
+            raise KeyError(question.name)
+
+    async def main():
+        async with executive(ros, [Buggy()]) as one:
+            one.local.store({"odd": float("nan")})
+            goal = one.new_id()
+            one.goals[goal] = None
+            client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{one.name}/query")
+            answer = await client.call({"goal_id": uuid_field(goal), "layer": 0, "name": "spam", **fields}, 20.0)
+            assert (answer.success, answer.found, answer.value) == (False, False, "")
+            assert said in answer.message
+            answer = await client.call({"goal_id": uuid_field(goal), "layer": 0, "name": "spam"}, 20.0)
+            assert (answer.success, answer.found, answer.value, answer.message) == (True, False, "", "")
+            await client.close()
+
+    run(main())
+
+
+def test_who_repeats_a_question_to_a_person_gets_the_same_answer(ros):
+    async def main():
+        person = Person()
+        async with executive(ros, person=person) as one:
+            goals = [one.new_id() for _ in range(2)]
+            one.goals |= dict.fromkeys(goals)
+            client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{one.name}/query")
+
+            def ask(goal, layer, name):
+                return asyncio.ensure_future(client.call({"goal_id": uuid_field(goal), "layer": layer, "name": name}, 20.0))
+
+            await ask(goals[0], 0, "spam")
+            same = [ask(goals[0], 3, "shop") for _ in range(2)]
+            others = [ask(goals[1], 3, "shop"), ask(goals[0], 3, "stop")]
+            questions = [await person.asked.get() for _ in range(3)]
+            await ask(goals[0], 0, "spam")  # whatever was sent before has come
+            assert sorted(questions) == ["shop", "shop", "stop"]
+            assert person.asked.empty()
+            one.services.end(goals[1])
+            assert (await others[0]).message == "the goal is over, or the executive ends"
+            del one.goals[goals[1]]
+            person.answers["stop"].set_result(1)
+            assert (await others[1]).value == "1"
+            first = ask(goals[0], 3, "again")
+            await person.asked.get()
+            person.answers["again"].set_result(1)
+            assert (await first).value == "1"
+            second = ask(goals[0], 3, "again")
+            await person.asked.get()
+            person.answers["again"].set_result(2)
+            assert (await second).value == "2", "what was answered is asked anew"
+            one.services.end(goals[0])
+            assert {answer.message for answer in await asyncio.gather(*same)} == {"the goal is over, or the executive ends"}
+            await client.close()
+
+    run(main())
+
+
+@pytest.mark.parametrize("value", ["", "kitchen", "NaN"])
+def test_an_update_with_what_is_no_json_is_refused(ros, value):
+    async def main():
+        async with executive(ros) as one:
+            goal = one.new_id()
+            one.goals[goal] = None
+            client = ServiceClient(ros, "pnm_interfaces/srv/UpdateKnowledge", f"{one.name}/update")
+            answer = await client.call({"goal_id": uuid_field(goal), "layer": 2, "name": "spam", "value": value}, 20.0)
+            assert not answer.success
+            assert "is not JSON" in answer.message
+            assert one.local.variables() == {}
+            await client.close()
+
+    run(main())
+
+
+def test_closing_refuses_what_is_still_being_asked(ros):
+    async def main():
+        person = Person()
+        async with executive(ros, person=person) as one:
+            goal = one.new_id()
+            one.goals[goal] = None
+            client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{one.name}/query")
+            asking = asyncio.ensure_future(client.call({"goal_id": uuid_field(goal), "layer": 3, "name": "spam"}, 20.0))
+            await person.asked.get()
+        answer = await asking
+        assert (answer.success, answer.message) == (False, "the goal is over, or the executive ends")
+        assert person.withdrawn.get_nowait() == "spam"
+        await client.close()
+
+    run(main())
+
+
+def test_an_executive_whose_loop_has_ended_refuses(ros, names):
+    loop = asyncio.new_event_loop()
+    loop.close()
+    name = names()
+
+    async def main():
+        services = KnowledgeServices(ros, loop, name, lambda goal: None, Sources())
+        await services.open()
+        client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{name}/query")
+        answer = await client.call({"name": "spam"}, 20.0)
+        assert (answer.success, answer.message) == (False, "the executive has ended")
+        await services.close()
+        await client.close()
+
+    run(main())
+
+
+# --- ids -----------------------------------------------------------------------------------
+
+
+def test_ids_say_where_to_ask():
+    goal = UUID("0123abcd-0000-5000-8000-000000000000")
+    assert service_prefix(goal.bytes) == "/pnm_0123abcd"
+    assert may_be_ours(goal.bytes)
+    assert not may_be_ours(uuid4().bytes)
+    assert not may_be_ours(bytes(16))
+
+
+def test_the_layers_of_the_interfaces_are_those_of_queries():
+    from pnm.ros.knowledge.knowledge_services import LAYERS
+
+    for kind in (QueryKnowledge.Request, UpdateKnowledge.Request):
+        assert [LAYERS[getattr(kind, layer.name)] for layer in Layer] == list(Layer)

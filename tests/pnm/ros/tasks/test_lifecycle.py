@@ -1,0 +1,264 @@
+"""A managed node as the services of its life cycle see it, and its parameters."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import count
+from typing import Any
+
+import pytest
+
+from pnm.errors import InputError, RosError
+from pnm.ros.node import service_server as request_services
+from pnm.ros.node.lifecycle import Lifecycle
+from pnm.ros.node.parameters import NodeParameter, declare
+from pnm.ros.node.ros_thread import RosThread
+from tests.support.ros.scripts import run
+from tests.support.ros.task_client import TaskClient
+
+NUMBERS = count()
+
+
+@dataclass
+class Work:
+    """Notes what it is told to do; waits in a transition that is in `slow` until it is let go, fails in one that is in `wrong`."""
+
+    done: list[str] = field(default_factory=list)
+    wrong: dict[str, Exception] = field(default_factory=dict)
+    slow: dict[str, asyncio.Event] = field(default_factory=dict)
+    begun: asyncio.Event = field(default_factory=asyncio.Event)
+
+    async def configure(self) -> None:
+        await self._do("configure")
+
+    async def activate(self) -> None:
+        await self._do("activate")
+
+    async def deactivate(self) -> None:
+        await self._do("deactivate")
+
+    async def cleanup(self) -> None:
+        await self._do("cleanup")
+
+    async def _do(self, what: str) -> None:
+        self.done.append(what)
+        self.begun.set()
+        if what in self.slow:
+            await self.slow[what].wait()
+        if what in self.wrong:
+            raise self.wrong.pop(what)
+
+
+@dataclass
+class Scene:
+    ros: RosThread
+    work: Work
+    lifecycle: Lifecycle
+    client: TaskClient
+
+    async def ask(self, label: str) -> bool:
+        answer = await self.client.call("pnm/change_state", "lifecycle_msgs/srv/ChangeState", transition={"label": label})
+        return bool(answer["success"])
+
+    async def ask_number(self, number: int) -> bool:
+        answer = await self.client.call("pnm/change_state", "lifecycle_msgs/srv/ChangeState", transition={"id": number})
+        return bool(answer["success"])
+
+    async def state(self) -> str:
+        return str((await self.client.call("pnm/get_state", "lifecycle_msgs/srv/GetState"))["current_state"]["label"])
+
+
+@asynccontextmanager
+async def scene() -> AsyncIterator[Scene]:
+    namespace = f"managed{next(NUMBERS)}"
+    ros, other = RosThread("pnm", namespace=namespace, managed=True), RosThread("client", namespace=namespace)
+    work = Work()
+    one = Scene(ros, work, Lifecycle(ros, work), TaskClient(other))
+    try:
+        await one.lifecycle.open()
+        await one.state()  # the first answer may get lost, so a transition is not the first that is asked for
+        yield one
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(request_services, "ARRIVAL", 0.0)  # nobody waits for an answer any more
+            await one.lifecycle.close()
+    finally:
+        await one.client.close()
+        for thread in (ros, other):
+            assert await asyncio.to_thread(thread.close)
+
+
+def test_a_node_goes_through_its_states_and_ends():
+    async def main():
+        async with scene() as one:
+            states = [await one.state()]
+            for label in ("configure", "activate", "deactivate", "activate", "deactivate", "cleanup", "configure", "shutdown"):
+                assert await one.ask(label), label
+                states.append(await one.state())
+            assert states == [
+                "unconfigured", "inactive", "active", "inactive", "active", "inactive", "unconfigured", "inactive", "finalized",
+            ]  # fmt: skip
+            await asyncio.wait_for(one.lifecycle.finalized.wait(), 5.0)
+            assert one.work.done[-3:] == ["cleanup", "configure", "cleanup"]
+
+    run(main())
+
+
+def test_transitions_are_known_by_their_numbers_too():
+    async def main():
+        async with scene() as one:
+            for number, state in ((1, "inactive"), (3, "active"), (7, "finalized")):
+                assert await one.ask_number(number)
+                assert await one.state() == state
+
+    run(main())
+
+
+@pytest.mark.parametrize("label", ["activate", "deactivate", "cleanup", "on_configure_success", "transition_success", "spam", ""])
+def test_what_cannot_be_done_in_a_state_is_refused(label, caplog):
+    async def main():
+        async with scene() as one:
+            assert not await one.ask(label)
+            assert await one.state() == "unconfigured"
+            assert one.work.done == []
+
+    run(main())
+    assert "cannot be made: the node is unconfigured; expected one of configure, shutdown" in caplog.text
+
+
+def test_a_transition_that_fails_says_why_and_leaves_the_state(caplog):
+    async def main():
+        async with scene() as one:
+            one.work.wrong["configure"] = InputError("problem.pddl:1:1: expected (define")
+            assert not await one.ask("configure")
+            assert await one.state() == "unconfigured"
+            assert await one.ask("configure")
+            one.work.wrong["activate"] = RosError("not now")
+            assert not await one.ask("activate")
+            assert await one.state() == "inactive"
+
+    run(main())
+    assert "the transition configure has failed: problem.pddl:1:1: expected (define" in caplog.text
+    assert "the transition activate has failed: not now" in caplog.text
+
+
+def test_an_error_of_ours_cleans_up(caplog):
+    async def main():
+        async with scene() as one:
+            assert await one.ask("configure")
+            one.work.wrong["activate"] = ZeroDivisionError("a bug")
+            assert not await one.ask("activate")
+            assert await one.state() == "unconfigured"
+            assert one.work.done == ["configure", "activate", "cleanup"]
+            assert await one.ask("configure")
+
+    run(main())
+    assert "a bug" in caplog.text
+
+
+def test_one_transition_at_a_time_and_the_node_goes_on_answering():
+    async def main():
+        async with scene() as one:
+            go_on = one.work.slow["configure"] = asyncio.Event()
+            asked = asyncio.ensure_future(one.ask("configure"))
+            await one.work.begun.wait()
+            assert await one.state() == "configuring"
+            for label in ("configure", "shutdown", "transition_success"):
+                assert not await one.ask(label)
+            with pytest.raises(RosError, match="the node is configuring; wait until that is over"):
+                await one.lifecycle.change("activate")
+            go_on.set()
+            assert await asked
+            assert await one.state() == "inactive"
+
+    run(main())
+
+
+def test_closing_in_the_middle_of_a_transition_cleans_up():
+    async def main():
+        async with scene() as one:
+            one.work.slow["configure"] = asyncio.Event()
+            asked = asyncio.ensure_future(one.ask("configure"))
+            await one.work.begun.wait()
+            await one.lifecycle.close()
+            assert not await asked
+            assert one.work.done[-1] == "cleanup"
+
+    run(main())
+
+
+def test_the_node_is_finalized_when_it_is_closed():
+    async def main():
+        async with scene() as one:
+            assert await one.ask("configure")
+            await one.lifecycle.close()
+            assert await one.state() == "finalized"
+
+    run(main())
+
+
+# --- parameters ------------------------------------------------------------------------------
+
+PARAMETERS = (
+    NodeParameter("planner", "kairos", "who looks for plans"),
+    NodeParameter("limit", 2.5, "seconds", least=0.5),
+    NodeParameter("tasks", 8, "so many", least=1),
+    NodeParameter("on_failure", "drain", "what is done", choices=("drain", "cancel")),
+    NodeParameter("autostart", True, "whether"),
+)
+
+
+def declared(given: dict[str, Any], *overrides: str) -> tuple[dict[str, Any], dict[str, Any], Any]:
+    """Return the values, and what the parameter services say about some."""
+
+    async def main():
+        namespace = f"managed{next(NUMBERS)}"
+        arguments = ["--ros-args", *(part for one in overrides for part in ("-p", one))]
+        ros, other = RosThread("pnm", namespace=namespace, args=arguments), RosThread("client", namespace=namespace)
+        client = TaskClient(other)
+        try:
+            values = await ros.ask(partial(declare, ros.node, PARAMETERS, given))
+            found = await client.call("pnm/describe_parameters", "rcl_interfaces/srv/DescribeParameters", names=["limit", "on_failure"])
+            change = {"name": "limit", "value": {"type": 3, "double_value": 9.0}}
+            answer = await client.call("pnm/set_parameters", "rcl_interfaces/srv/SetParameters", parameters=[change])
+            return values, found, answer["results"][0]
+        finally:
+            await client.close()
+            for thread in (ros, other):
+                await asyncio.to_thread(thread.close)
+
+    return run(main())
+
+
+def test_what_ros_says_comes_before_options_and_these_before_defaults():
+    values, described, changed = declared({"planner": "aries", "tasks": 2}, "planner:=race", "limit:=0.5")
+    assert values == {"planner": "race", "limit": 0.5, "tasks": 2, "on_failure": "drain", "autostart": True}
+    limit, on_failure = described["descriptors"]
+    assert (limit["description"], limit["read_only"], limit["floating_point_range"][0]["from_value"]) == ("seconds", True, 0.5)
+    assert on_failure["additional_constraints"] == "one of drain, cancel"
+    assert not changed["successful"], "it is read when the node starts"
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("limit:=5", "the parameter limit is wrong: Trying to set parameter 'limit' to '5' of type 'INTEGER', expecting type 'DOUBLE'"),
+        ("limit:=5", "; expected a number such as 10.0"),
+        ("limit:=0.1", "the parameter limit is wrong: "),
+        ("tasks:=0", "the parameter tasks is wrong: "),
+        ("tasks:=many", "the parameter tasks is wrong: "),
+        ("on_failure:=canzel", "the parameter on_failure is 'canzel'; expected one of drain, cancel; did you mean 'cancel'?"),
+    ],
+)
+def test_a_parameter_that_is_wrong_is_named(override, said):
+    with pytest.raises(InputError) as error:
+        declared({}, override)
+    assert said in str(error.value)
+
+
+def test_arguments_that_ros_does_not_understand():
+    with pytest.raises(RosError, match=r"the ROS 2 node 'pnm' cannot be made: .*spam"):
+        RosThread("pnm", args=["--ros-args", "--spam"])

@@ -1,0 +1,100 @@
+"""A world of plans that one process serves, action servers in others, and clients in yet others."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tests.support.e2e.processes import Program
+from tests.support.e2e.scene import Place, written
+
+SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
+
+
+class Serving(Program):
+    """`pnm serve`."""
+
+    def ready(self) -> Serving:
+        """Wait until its servers are up."""
+        self.until(lambda: any(line.startswith("ready") for line in self.out))
+        return self
+
+    def stop(self, number: int = signal.SIGTERM) -> None:
+        """End it in order."""
+        self.process.send_signal(number)
+        assert self.ended() == 0, str(self)
+
+
+class Workers(Program):
+    """Action servers that say what they do, a JSON object per line."""
+
+    def ready(self) -> Workers:
+        """Wait until they are up."""
+        self.until(lambda: "ready" in self.out)
+        return self
+
+    def starts(self, server: str) -> list[Any]:
+        """Return the values of the goals that a server has begun with, in order."""
+        return [one["value"] for one in self.objects() if (one["event"], one["server"]) == ("start", server)]
+
+    def happens(self, event: str, server: str, value: Any = None) -> None:
+        """Wait until a goal has started, ended or was cancelled."""
+        self.until(
+            lambda: any((one["event"], one["server"]) == (event, server) and value in (None, one["value"]) for one in self.objects())
+        )
+
+
+class Client(Program):
+    """A client of a plan's action server; prints what it hears, a JSON object per line."""
+
+    def hears(self, event: str, **fields: Any) -> dict[str, Any]:
+        """Wait for an event with these fields, and return it."""
+
+        def found() -> dict[str, Any] | None:
+            return next((one for one in self.objects() if one["event"] == event and fields.items() <= one.items()), None)
+
+        return self.until(found) or {}
+
+    def results(self) -> list[dict[str, Any]]:
+        """Wait for its end, and return the results of its goals in the order in which these were sent."""
+        assert self.ended() == 0, str(self)
+        return sorted((one for one in self.objects() if one["event"] == "result"), key=lambda one: int(one["goal"]))
+
+    def result(self) -> dict[str, Any]:
+        """Return the only result."""
+        (found,) = self.results()
+        return found
+
+
+class PlanScene(Place):
+    """Files with plans, who carries them out and who wants that; global knowledge is in a file of the scene."""
+
+    def __init__(self, folder: Path, ros_domain: int) -> None:
+        super().__init__(folder, ros_domain, quick=True)
+        self.knowledge = folder / "knowledge.sqlite"
+
+    def write(self, files: Mapping[str, str]) -> None:
+        """Write files with domains, plans and worlds."""
+        for name, text in files.items():
+            written(self.folder / name, text)
+
+    def serve(self, *options: str, world: str = "world.yaml") -> Serving:
+        """Start to serve a world."""
+        files = ["--world", str(self.folder / world), "--knowledge", str(self.knowledge)]
+        return self.start(Serving(["-m", "planner_bridge", "serve", *files, *options], self.environment))
+
+    def workers(self, *servers: str, script: str = "workers") -> Workers:
+        """Start action servers."""
+        return self.start(Workers(["-m", f"tests.support.e2e.{script}", *servers], self.environment))
+
+    def client(self, plan: str, *parameters: Mapping[str, Any] | str, cancel_on: str = "") -> Client:
+        """Start a client that sends a goal for each of the parameters."""
+        texts = [one if isinstance(one, str) else json.dumps(one) for one in parameters or ("",)]
+        return self.start(Client(["-m", "tests.support.e2e.plan_client", plan, cancel_on, *texts], self.environment))
+
+    def cancel_all(self, server: str) -> None:
+        """Have somebody cancel all goals of an action server."""
+        assert self.start(Program(["-m", "tests.support.e2e.plan_client", "--cancel-all", server], self.environment)).ended() == 0

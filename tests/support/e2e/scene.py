@@ -1,0 +1,204 @@
+"""A simulated world in one process, runs in others, and what was true in the world in the end."""
+
+from __future__ import annotations
+
+import signal
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+from planner_bridge.loading import load
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.problem import Problem
+from pnm.core.knowledge_base import KnowledgeBase, parse_statement
+from pnm.core.logic.evaluation import evaluate
+from tests.support.e2e.processes import LIMIT, ROOT, Program
+
+QUICK = """<?xml version="1.0" encoding="UTF-8"?>
+<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+  <participant profile_name="quick" is_default_profile="true">
+    <rtps><builtin><discovery_config>
+      <leaseAnnouncement><sec>0</sec><nanosec>200000000</nanosec></leaseAnnouncement>
+    </discovery_config></builtin></rtps>
+  </participant>
+</profiles>
+"""
+
+
+P = TypeVar("P", bound=Program)
+
+
+@dataclass(frozen=True)
+class Story:
+    """A run that has ended, and the world after it."""
+
+    status: int
+    result: dict[str, Any]
+    events: list[dict[str, Any]]
+    truth: KnowledgeBase
+
+    def attempts(self, action: str) -> list[int]:
+        """Return how often each call of the action was tried, of those that were."""
+        return [call["attempts"] for call in self.result["calls"] if call["action"] == action and call["attempts"]]
+
+    def causes(self, action: str) -> set[str]:
+        """Return why calls of the action failed."""
+        return {failure["cause"] for failure in self.result["failures"] if failure["call"].startswith(f"{action}(")}
+
+    def outcomes(self, action: str) -> list[str]:
+        """Return how the requests of the action truly ended, in order."""
+        return [event["outcome"] for event in self.events if event["event"] == "end" and event["action"].startswith(f"{action}(")]
+
+
+class Simulation(Program):
+    """`pnm simulate`, which logs what truly happens to its standard output."""
+
+    def ready(self) -> Simulation:
+        """Wait until its servers are up."""
+        self.until(lambda: any(line.startswith("ready") for line in self.out))
+        return self
+
+    def kill(self) -> None:
+        """End it as a crash would."""
+        self.process.kill()
+        self.process.wait(LIMIT)
+
+    def stop(self) -> None:
+        """End it in order."""
+        self.process.send_signal(signal.SIGTERM)
+        assert self.ended() == 0, str(self)
+
+    def happens(self, event: str, action: str, times: int = 1) -> None:
+        """Wait until an action of this name has started or ended so often."""
+        self.until(lambda: [one for one in self.objects() if one["event"] == event and one["action"].startswith(f"{action}(")][times - 1 :])
+
+
+class Run(Program):
+    """`pnm run --json`."""
+
+    def result(self, limit: float = LIMIT) -> tuple[int, dict[str, Any]]:
+        """Wait for its end; return its exit status and the JSON object of its last line."""
+        status = self.ended(limit)
+        assert self.out, str(self)
+        assert self.objects()[-1:] == self.objects(), f"more than one line: {self}"
+        return status, self.objects()[-1]
+
+
+class Place:
+    """A ROS domain of its own, and the processes in it.
+
+    Args:
+        folder: for the files of the scene.
+        ros_domain: its number.
+        quick: have processes look out for each other more often than every 3 s, which is the default.
+    """
+
+    def __init__(self, folder: Path, ros_domain: int, *, quick: bool = False) -> None:
+        self.folder = folder
+        self.environment = {
+            "ROS_DOMAIN_ID": str(ros_domain),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",  # killed processes would leave shared memory behind
+        }
+        if quick:
+            self.environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = written(folder / "dds.xml", QUICK)
+        self._programs: list[Program] = []
+
+    def start(self, program: P) -> P:
+        """Have a program end with the scene."""
+        self._programs.append(program)
+        return program
+
+    def close(self) -> None:
+        """End all processes."""
+        for program in self._programs:
+            program.close()
+
+
+class Scene(Place):
+    """A problem that is played in a ROS domain of its own.
+
+    Args:
+        name: one of the project's own problems, such as ``delivery/p01``.
+        folder: for the files of the scene.
+        ros_domain: its number.
+        faults: text of a faults file; by default nothing goes wrong.
+        bindings: text of a bindings file; by default the domain's own.
+        speed: how many times faster than real time the robots are.
+        quick: have processes look out for each other more often than every 3 s, which is the default.
+        texts: of a domain and a problem, in place of the project's own.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        folder: Path,
+        ros_domain: int,
+        *,
+        faults: str = "",
+        bindings: str = "",
+        speed: str = "20",
+        quick: bool = False,
+        texts: tuple[str, str] | None = None,
+    ) -> None:
+        super().__init__(folder, ros_domain, quick=quick)
+        if texts:
+            self.files = [written(folder / "domain.pddl", texts[0]), written(folder / "problem.pddl", texts[1])]
+        else:
+            domain, number = name.split("/")
+            self.files = [str(ROOT / "domains" / domain / "domain.pddl"), str(ROOT / "problems" / domain / f"{number}.pddl")]
+        self._faults = ["--faults", written(folder / "faults.yaml", faults)] if faults else []
+        self._bindings = ["--bindings", written(folder / "bindings.yaml", bindings)] if bindings else []
+        self._speed = ["--speed", speed]
+
+    @cached_property
+    def problem(self) -> Problem:
+        """The problem as it is at first."""
+        return load(Path(self.files[0]), Path(self.files[1]))
+
+    def simulate(self) -> Simulation:
+        """Start the robots."""
+        options = [*self._bindings, *self._faults, *self._speed, "--log", "/dev/stdout"]
+        return self.start(Simulation(["-m", "planner_bridge", "simulate", *self.files, *options], self.environment))
+
+    def run(self, *options: str) -> Run:
+        """Start a run."""
+        options = ("--actions", "ros2", "--json", *self._bindings, *options)
+        return self.start(Run(["-m", "planner_bridge", "run", *self.files, *options], self.environment))
+
+    def play(self, *options: str) -> Story:
+        """Start the robots and a run, wait for its end, and judge it."""
+        simulation = self.simulate().ready()
+        return self.judge(self.run(*options), simulation)
+
+    def judge(self, run: Run, simulation: Simulation, limit: float = LIMIT) -> Story:
+        """Wait for the end of the run and stop the robots; the verdict must be what is true in their world."""
+        status, result = run.result(limit)
+        simulation.stop()
+        truth = self.truth(simulation)
+        assert result["goal_reached"] is (evaluate(self.problem.goal, truth) is True), f"{run}\n{simulation}"
+        assert status == (0 if result["goal_reached"] else 1)
+        return Story(status, result, simulation.objects(), truth)
+
+    def truth(self, simulation: Simulation) -> KnowledgeBase:
+        """Return the world that is left: the initial state and all changes in the log."""
+        world = initial_knowledge(self.problem)
+        for event in simulation.objects():
+            if event["event"] == "change":
+                world.update(dict(map(parse_statement, event["facts"])))
+            elif event["event"] == "state":
+                assert dict(map(parse_statement, event["facts"])) == world.facts()
+        return world
+
+
+def play_together(*scenes: Scene) -> list[Story]:
+    """Play several scenes at the same time."""
+    simulations = [scene.simulate() for scene in scenes]
+    runs = [scene.run() for scene, simulation in zip(scenes, simulations, strict=True) if simulation.ready()]
+    return [scene.judge(run, simulation) for scene, run, simulation in zip(scenes, runs, simulations, strict=True)]
+
+
+def written(path: Path, text: str) -> str:
+    path.write_text(text, encoding="utf-8")
+    return str(path)

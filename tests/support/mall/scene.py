@@ -1,0 +1,55 @@
+"""The robot of the mall, the node and the visitors, each in a process of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Final
+
+from tests.support.e2e.plans import Serving, Workers
+from tests.support.e2e.processes import ROOT, Program
+from tests.support.e2e.scene import Place, written
+from tests.support.mall.judge import Verdict, judge
+from tests.support.mall.scripts import file_of, script
+
+DOMAIN: Final = ROOT / "domains" / "mall"
+SPEED: Final = "80"
+"""How many times faster than real time the robot is: it speaks for 25 ms."""
+PATIENCE: Final = 1.2
+"""Seconds that the node waits for an answer: more than a machine under load needs to deliver one that is late, or it is asked again."""
+EACH: Final = 30.0
+"""Seconds for a script, at most; most take about one."""
+
+
+class Mall(Place):
+    """A ROS domain with a robot and a node."""
+
+    def play(self, numbers: Iterable[int]) -> Verdict:
+        """Play scripts one after the other, and judge them."""
+        numbers = list(numbers)
+        robot = self.start(Workers([str(DOMAIN / "robot.py"), SPEED], self.environment))
+        node = self.start(Serving(["-m", "planner_bridge", "serve", *self._files()], self.environment))
+        robot.until(lambda: any(line.startswith("ready") for line in robot.out))
+        node.ready()
+        scripts = written(self.folder / "scripts.json", file_of(numbers))
+        visitor = self.start(Program([str(DOMAIN / "visitor.py"), scripts], self.environment))
+        assert visitor.ended(60.0 + EACH * len(numbers)) == 0, str(visitor)
+        node.stop()
+        return judge([script(number) for number in numbers], robot.objects(), visitor.objects())
+
+    def keep(self, folder: Path) -> None:
+        """Write down what the processes have printed."""
+        folder.mkdir(parents=True, exist_ok=True)
+        for number, program in enumerate(self._programs):
+            (folder / f"{number}.out").write_text("\n".join((*program.out, "")), encoding="utf-8")
+            (folder / f"{number}.err").write_text("\n".join((*program.err, "")), encoding="utf-8")
+
+    def _files(self) -> list[str]:
+        """Return the arguments of the node, whose people are to answer soon."""
+        plans = DOMAIN / "plans"
+        domain = (plans / "domain.yaml").read_text(encoding="utf-8")
+        assert "topics]" in domain
+        written(self.folder / "domain.yaml", domain.replace("topics]", f"{{topics: {{limit: {PATIENCE}}}}}]"))
+        written(self.folder / "small_talk.yaml", (plans / "small_talk.yaml").read_text(encoding="utf-8"))
+        world = written(self.folder / "world.yaml", (plans / "world.yaml").read_text(encoding="utf-8"))
+        return [str(DOMAIN / "domain.pddl"), str(ROOT / "problems" / "mall" / "p01.pddl"), "--world", world]

@@ -1,0 +1,54 @@
+"""The scripts of this folder as processes whose lines are read one by one."""
+
+from __future__ import annotations
+
+import asyncio
+import select
+import subprocess
+import sys
+from collections.abc import Coroutine
+from typing import Any
+
+from tests.support.files import ROOT
+
+
+class Script:
+    """One of the scripts, once it is ready; `said` is for tests to note what they have heard last."""
+
+    def __init__(self, name: str, *arguments: str) -> None:
+        command = [sys.executable, "-m", f"tests.support.ros.{name}", *arguments]
+        self.process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        self._read = b""
+        self.said = ""
+        assert self.line() == "ready"
+
+    def line(self, limit: float = 40.0) -> str:
+        """Wait for the next line of its standard output."""
+        assert self.process.stdout is not None
+        while b"\n" not in self._read:
+            ready, _, _ = select.select([self.process.stdout], [], [], limit)
+            assert ready, "it says nothing"
+            read = self.process.stdout.read1(65536)
+            assert read, self.process.communicate()[1].decode()
+            self._read += read
+        line, _, self._read = self._read.partition(b"\n")
+        return line.decode()
+
+    def kill(self) -> None:
+        """End it as a crash would."""
+        self.process.kill()
+        self.process.communicate(timeout=10.0)
+
+    def stop(self) -> str:
+        """End it in order and return what it has said on the standard error."""
+        self.process.terminate()
+        return self.process.communicate(timeout=20.0)[1].decode()
+
+
+def run(main: Coroutine[Any, Any, Any], limit: float = 60.0) -> Any:
+    """Run a test's coroutine, which may not hang."""
+
+    async def bounded() -> Any:
+        return await asyncio.wait_for(main, limit)
+
+    return asyncio.run(bounded())

@@ -1,0 +1,122 @@
+"""Runs of small plans on simulated robots, under virtual time, judged by the world's own truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from uuid import UUID
+
+from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
+from pnm.actions.simulated_robots import SimulatedRobots, sense
+from pnm.actions.simulated_world import SimulatedWorld
+from pnm.clock import run_async
+from pnm.core.execution.call_results import RunResult
+from pnm.core.execution.events import Observer
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.conditions import Holds
+from pnm.core.logic.effects import Set
+from pnm.core.logic.expressions import Constant, Fluent, Value
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import OnFailure, Rule
+from pnm.core.machine.plan_graph import GroundAction, PlanGraph
+from pnm.core.machine.verification.verify import verify
+from pnm.executor import Executor
+
+RUN = UUID(int=7)
+
+
+def move(robot: str, here: str, there: str, duration: float = 4.0) -> GroundAction:
+    """A robot goes from one place to another; on the way it is nowhere."""
+    return GroundAction(
+        "move",
+        (robot, here, there),
+        ("robot", "from", "to"),
+        precondition=Holds(("at", robot, here)),
+        start_effects=(Set(("at", robot, here), Constant(False)),),
+        end_effects=(Set(("at", robot, there), Constant(True)),),
+        duration=duration,
+    )
+
+
+def fault(what: str, kind: FaultKind, **options: object) -> Faults:
+    """One fault."""
+    return Faults((Fault(what, kind, **options),))  # type: ignore[arg-type]
+
+
+def hidden(changes: dict[Fluent, Value], **when: object) -> Faults:
+    """One change behind the robots' backs."""
+    return Faults(changes=(HiddenChange(changes, **when),))  # type: ignore[arg-type]
+
+
+@dataclass
+class Log(Observer):
+    """Writes down what fired, and when."""
+
+    fired_at: list[tuple[float, str]] = field(default_factory=list)
+    orphans: list[object] = field(default_factory=list)
+
+    def fired(self, transition: str, rule: Rule, now: float) -> None:
+        self.fired_at.append((now, transition))
+
+    def orphaned(self, report: object, now: float) -> None:
+        self.orphans.append(report)
+
+    def times(self, name: str) -> list[float]:
+        return [time for time, transition in self.fired_at if transition.endswith(name)]
+
+
+@dataclass
+class Simulation:
+    """A finished run, the world it was in, and what the robots believed."""
+
+    result: RunResult
+    truth: KnowledgeBase
+    beliefs: KnowledgeBase
+    run: Run
+    log: Log
+
+    def outcomes(self) -> list[str]:
+        return [call.outcome for call in self.result.calls]
+
+    def attempts(self) -> list[int]:
+        return [call.attempts for call in self.result.calls]
+
+    def causes(self) -> list[str]:
+        return [failure.cause for failure in self.result.failures]
+
+
+def simulate(
+    plan: PlanGraph,
+    init: dict[Fluent, Value],
+    faults: Faults = NO_FAULTS,
+    *,
+    bindings: Bindings | None = None,
+    on_failure: OnFailure = OnFailure.DRAIN,
+    believed: dict[Fluent, Value] | None = None,
+    watched: bool = True,
+    stop_at: float | None = None,
+) -> Simulation:
+    """Run a plan to its end. Unless `watched`, nothing reports what the world is like."""
+    chosen = bindings or Bindings()
+    truth = KnowledgeBase(init)
+    world = SimulatedWorld(truth, {fluent[0] for fluent in init} | {"at"})
+    beliefs = KnowledgeBase(init if believed is None else believed)
+    robots = SimulatedRobots(world, faults, chosen)
+    log = Log()
+    machine = generate(plan, chosen, on_failure=on_failure)
+    verify(machine)
+    run = Run(machine, Layered(beliefs), id=RUN, bindings=chosen, goal_fields=robots.goal_fields, observer=log)
+
+    async def main() -> RunResult:
+        import asyncio
+
+        if watched:
+            sense(world, beliefs)
+        robots.begin()
+        executor = Executor(run, robots)
+        if stop_at is not None:
+            asyncio.get_running_loop().call_later(stop_at, executor.stop)
+        return await executor.execute()
+
+    return Simulation(run_async(main(), virtual=True), truth, beliefs, run, log)

@@ -1,0 +1,214 @@
+"""Many tasks in one simulated world under the virtual clock: what is wanted, what has come of it, and what went against the rules."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import logging
+from collections.abc import Awaitable, Callable, Mapping
+from uuid import UUID, uuid4
+
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.model.problem import Problem
+from planner_bridge.pddl import parse_problem
+from planner_bridge.simulation import simulated_backend
+from planner_bridge.tasks.scheduling.task_manager import Room, TaskMaster
+from planner_bridge.tasks.settings import Settings
+from pnm.actions.faults import NO_FAULTS, Faults
+from pnm.clock import run_async
+from pnm.core.logic.conditions import Condition
+from pnm.core.logic.evaluation import evaluate
+from pnm.errors import InputError
+from pnm.knowledge.sources.source import Source
+from pnm.language.runner import Performer, Program
+from pnm.tasks import Code, Moment, TaskEnding, TaskListener, TaskState, Wanted
+from tests.support.problems import fleet
+
+LIMIT = 20000.0
+"""Virtual seconds within which everything must be over."""
+
+
+class Stage(TaskListener):
+    """A master of tasks over simulated robots; what is wanted of it and what has come of that."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        faults: Faults,
+        chosen: Settings,
+        room: Room,
+        programs: Mapping[str, Program] | None = None,
+        source: Source | None = None,
+    ) -> None:
+        self.problem = problem
+        self.site = simulated_backend(problem, chosen.bindings, faults)
+        self.knowledge = initial_knowledge(problem)
+        self.performer = None if programs is None else Performer(programs, self.site, self.knowledge, source)
+        self.master = TaskMaster(problem, self.knowledge, self.site, chosen, self.read, source=source, room=room, performer=self.performer)
+        self.master.listen(self)
+        self.goals: dict[UUID, str] = {}
+        self.moments: list[Moment] = []
+        self.endings: dict[UUID, TaskEnding] = {}
+        self.wrong: list[str] = []
+        """What is against the rules."""
+        self._news = asyncio.Event()
+
+    def read(self, text: str) -> Condition:
+        if not text.startswith("("):
+            raise InputError(f"not a goal: {text!r}")
+        whole = f"(define (problem q) (:domain {self.problem.domain.name}) {_objects(self.problem)} (:init) (:goal {text}))"
+        return parse_problem(whole, self.problem.domain).goal
+
+    # --- what is told ---------------------------------------------------------------------------
+
+    def changed(self, task: UUID) -> None:
+        self._is_not_over(task, "changed")
+
+    def planned(self, task: UUID) -> None:
+        self._is_not_over(task, "planned")
+
+    def moved(self, task: UUID) -> None:
+        self._is_not_over(task, "moved")
+
+    def happened(self, moment: Moment) -> None:
+        self._is_not_over(moment.task, str(moment))
+        if moment.kind != "fired":
+            self.moments.append(moment)
+        self._stir()
+
+    def ended(self, task: UUID, ending: TaskEnding) -> None:
+        self._is_not_over(task, "ended")
+        self.endings[task] = ending
+        if self.state(task) is not TaskState.OVER:
+            self.wrong.append(f"the status of {self.goals[task]} does not say that it is over")
+        text = self.goals[task]
+        is_goal = text.startswith("(") and not any(text.startswith(f"({name}") for name in self.problem.domain.actions)
+        if is_goal and ending.code is Code.GOAL_REACHED:
+            for state in (self.knowledge, self.site.robots.world.truth):
+                if evaluate(self.read(text), state) is not True:
+                    self.wrong.append(f"{text} is said to be reached, and is not")
+        self.wrong += [f"{one} belongs to no task" for one in self.orphans()]
+        self._stir()
+
+    def _is_not_over(self, task: UUID, what: str) -> None:
+        if task in self.endings:
+            self.wrong.append(f"{what} of {self.goals.get(task, task)} after its end")
+
+    def orphans(self) -> list[str]:
+        """Return what robots do for no task."""
+        runs = [one.doing.run for one in self.master._tasks.values() if one.doing and one.doing.run]
+        runs += [one.executor.run for one in self.performer.going_on] if self.performer else []
+        wanted = {request for run in runs for request in run.open_requests}
+        jobs = self.site.robots._jobs
+        return [str(job.request.action) for id, job in jobs.items() if id not in wanted and not (job.fault and job.fault.ignores_cancel)]
+
+    def _stir(self) -> None:
+        self._news.set()
+        self._news = asyncio.Event()
+
+    # --- what scenes do and wait for --------------------------------------------------------------
+
+    def want(self, text: str, **how: object) -> UUID:
+        wanted = Wanted(uuid4(), text, **how)  # type: ignore[arg-type]
+        self.goals[wanted.id] = text
+        self.master.begin(wanted)
+        return wanted.id
+
+    async def begun(self, text: str, **how: object) -> UUID:
+        """Want a task, and wait until its first call is sent."""
+        task = self.want(text, **how)
+        await self.sees(task, "sent")
+        return task
+
+    async def until(self, happens: Callable[[], object]) -> None:
+        async with asyncio.timeout(LIMIT):
+            while not happens():
+                await self._news.wait()
+
+    async def ended_with(self, *tasks: UUID) -> list[Code]:
+        await self.until(lambda: all(task in self.endings for task in tasks))
+        return [self.endings[task].code for task in tasks]
+
+    async def reaches(self, *tasks: UUID) -> None:
+        """See that these tasks reach their goals."""
+        codes = await self.ended_with(*tasks)
+        assert set(codes) == {Code.GOAL_REACHED}, [(self.goals[task], self.endings[task].message) for task in tasks]
+
+    async def sees(self, task: UUID, kind: str, subject: str = "", times: int = 1) -> None:
+        await self.until(lambda: len(self.seen(task, kind, subject)) >= times)
+
+    def seen(self, task: UUID, kind: str, subject: str = "") -> list[Moment]:
+        return [one for one in self.moments if one.task == task and one.kind == kind and subject in one.subject + one.text]
+
+    def state(self, task: UUID) -> TaskState:
+        return next(one.state for one in self.master.status() if one.id == task)
+
+    def sent(self, task: UUID) -> list[str]:
+        return [one.subject for one in self.seen(task, "sent")]
+
+    def sent_at(self, task: UUID) -> float:
+        return self.seen(task, "sent")[0].time
+
+    def ended_at(self, task: UUID) -> float:
+        return self.endings[task].trace[-1].time
+
+    def holds(self, text: str) -> bool:
+        return self.site.robots.world.holds(self.read(text))
+
+
+def _objects(problem: Problem) -> str:
+    return f"(:objects {' '.join(f'{name} - {kinds[0]}' for name, kinds in problem.own_objects.items())})"
+
+
+class _Errors(logging.Handler):
+    """Keeps what is logged as an error."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.ERROR)
+        self.found: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.found.append(self.format(record))
+
+
+def play(
+    scene: Callable[[Stage], Awaitable[None]],
+    problem: Problem | None = None,
+    *,
+    faults: Faults = NO_FAULTS,
+    chosen: Settings,
+    room: Room | None = None,
+    programs: Mapping[str, Program] | None = None,
+    source: Source | None = None,
+) -> None:
+    """Play a scene, close the master, and see that nothing was against the rules."""
+    errors = _Errors()
+
+    async def whole() -> None:
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(lambda _, context: errors.found.append(str(context)))
+        stage = Stage(problem or fleet(), faults, chosen, room or Room(), programs, source)
+        await stage.site.open(stage.knowledge)
+        try:
+            await scene(stage)
+        finally:
+            await asyncio.wait_for(stage.master.close(), LIMIT)
+            left = stage.orphans()
+            await stage.site.close()
+        assert stage.goals.keys() == stage.endings.keys(), "every task has an end"
+        await asyncio.sleep(0)
+        gc.collect()
+        await asyncio.sleep(0)
+        others = [one for one in asyncio.all_tasks() if one is not asyncio.current_task()]
+        assert not stage.wrong, stage.wrong
+        assert not left, f"{left} go on after the end"
+        assert not others, others
+        clashes = stage.site.robots.clashes
+        assert not clashes, clashes
+
+    logging.getLogger().addHandler(errors)
+    try:
+        run_async(whole(), virtual=True)
+    finally:
+        logging.getLogger().removeHandler(errors)
+    assert not errors.found, errors.found
