@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from uuid import UUID, uuid4
 
-from planner_bridge.model.forbidden_actions import ForbiddenCall, users
+from planner_bridge.model.forbidden_actions import ForbiddenCall, calls_acquiring
 from planner_bridge.model.problem import Problem
-from planner_bridge.ordering.interference import Footprint
+from planner_bridge.ordering.interference import ReadWriteSets
 from planner_bridge.tasks.replanning import History
 from planner_bridge.tasks.result import Stopwatch
 from planner_bridge.tasks.settings import Settings, TaskObserver
@@ -37,7 +37,7 @@ class Conflict:
 
     task: UUID
     name: str
-    footprint: Footprint
+    footprint: ReadWriteSets
     why: str
     yields: bool = False
 
@@ -68,11 +68,11 @@ class Begun:
 class Neighbours:
     """Those of a task that is alone: nobody."""
 
-    def conflicts(self, footprint: Callable[[], Footprint], /) -> tuple[Conflict, ...]:
+    def conflicts(self, footprint: Callable[[], ReadWriteSets], /) -> tuple[Conflict, ...]:
         """Return the tasks that are going on and beside which a plan cannot be carried out whose footprint is worked out if need be."""
         return ()
 
-    def newcomers(self, footprint: Callable[[], Footprint], /) -> tuple[Conflict, ...]:
+    def newcomers(self, footprint: Callable[[], ReadWriteSets], /) -> tuple[Conflict, ...]:
         """Return those of the conflicts in which it is not said already who makes way."""
         return ()
 
@@ -143,7 +143,7 @@ class Mission:
     def kept(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls that need what was waited for in vain, as far as that is still withheld."""
         names = self.circumstances.resources.withheld_from(history.lacking)
-        return users(self.problem.domain, self.settings.bindings, names.keys())
+        return calls_acquiring(self.problem.domain, self.settings.bindings, names.keys())
 
     def forbidden(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls that no plan may use as things are."""

@@ -13,7 +13,7 @@ from typing import cast
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.plan import Plan
-from planner_bridge.ordering.interference import Footprint
+from planner_bridge.ordering.interference import ReadWriteSets
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.tasks.constraint_monitor import Supervision
 from planner_bridge.tasks.context import Mission
@@ -96,7 +96,7 @@ class Pursuit:
         return self._relay is not None and self._relay.run.awaits_answers
 
     @property
-    def footprint(self) -> Footprint | None:
+    def footprint(self) -> ReadWriteSets | None:
         """What the rest of the plan needs and changes; None while there is no plan."""
         if self._relay is None:
             return self._finding.reserved

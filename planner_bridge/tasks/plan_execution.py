@@ -16,7 +16,7 @@ from enum import Enum, auto
 from typing import assert_never
 
 from planner_bridge.model.plan_simulation import NotProjectable
-from planner_bridge.ordering.interference import Footprint, footprint
+from planner_bridge.ordering.interference import ReadWriteSets, read_write_sets
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.tasks.constraint_monitor import Supervision
 from planner_bridge.tasks.context import Mission
@@ -197,10 +197,10 @@ class Relay:
         return Progress(self.run.machine.plan, calls, frozenset(one.call.index for one in calls if one.is_under_way))
 
     @property
-    def footprint(self) -> Footprint:
+    def footprint(self) -> ReadWriteSets:
         """What the rest of the current plan needs and changes."""
         progress = self.progress
-        return footprint(progress.rest, progress.plan.goal, self._mission.world)
+        return read_write_sets(progress.rest, progress.plan.goal, self._mission.world)
 
     async def carry_out(self) -> tuple[RunResult, Way | None]:
         """Go on until a run has come to its end; return how it ended, and what was decided to follow it if that is known."""

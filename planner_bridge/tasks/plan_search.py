@@ -18,8 +18,8 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus
 from planner_bridge.model.plan_simulation import projected_state
 from planner_bridge.model.problem import Problem
-from planner_bridge.ordering.interference import Footprint, around, footprint, optimistic_state
-from planner_bridge.ordering.plan_to_graph import calls_of, one_by_one
+from planner_bridge.ordering.interference import ReadWriteSets, avoid_interference, optimistic_state, read_write_sets
+from planner_bridge.ordering.plan_to_graph import calls_of, total_order
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.constraint_monitor import Supervision
 from planner_bridge.tasks.context import Begun, Circumstances, Conflict, Mission
@@ -55,7 +55,7 @@ class Search:
     observer: TaskObserver
     seconds: Stopwatch
     circumstances: Circumstances
-    reserved: Callable[[], Footprint] | None = None
+    reserved: Callable[[], ReadWriteSets] | None = None
     """Works out what the plan found last needs and changes: neighbours, if there are any, respect that from the moment it was found."""
     _has_found: bool = False
     _is_stopped: threading.Event = field(default_factory=threading.Event)
@@ -103,8 +103,8 @@ class Search:
         other = await self._solve(hopeful, limit)
         if other.plan is None:
             return ()
-        needed, world = footprint(calls_of(hopeful, other.plan), now.goal, initial_knowledge(hopeful)), initial_knowledge(now)
-        conflicts = [Conflict(one.task, one.name, footprint(one.calls, TRUE, world), str(one), one.yields) for one in begun]
+        needed, world = read_write_sets(calls_of(hopeful, other.plan), now.goal, initial_knowledge(hopeful)), initial_knowledge(now)
+        conflicts = [Conflict(one.task, one.name, read_write_sets(one.calls, TRUE, world), str(one), one.yields) for one in begun]
         return tuple(one for one in conflicts if needed.disturbed_by(one.footprint)) or tuple(conflicts)
 
     async def _around(
@@ -114,7 +114,7 @@ class Search:
         respected: dict[UUID, Conflict] = {}
         while new := {one.task: one for one in conflicts if one.task not in respected and not one.yields}:
             respected |= new
-            other = await self._solve(around(now, [one.footprint for one in respected.values()]), limit)
+            other = await self._solve(avoid_interference(now, [one.footprint for one in respected.values()]), limit)
             if other.plan is None:
                 return found, tuple(respected.values())
             conflicts = self._reserve(now, other.plan, under_way)
@@ -123,7 +123,7 @@ class Search:
         return found, conflicts
 
     def _reserve(self, now: Problem, plan: Plan, under_way: list[ActionCall]) -> tuple[Conflict, ...]:
-        self.reserved = cache(lambda: footprint((*under_way, *calls_of(now, plan)), now.goal, initial_knowledge(now)))
+        self.reserved = cache(lambda: read_write_sets((*under_way, *calls_of(now, plan)), now.goal, initial_knowledge(now)))
         return self.circumstances.neighbours.conflicts(self.reserved)
 
     async def _solve(self, problem: Problem, limit: float) -> PlanningResult:
@@ -155,7 +155,7 @@ def lean(problem: Problem, plan: Plan) -> Plan:
     """
     if plan.temporal or len(plan.steps) > LEAN or _wants_more(problem):
         return plan
-    progress, world = Progress.beginning(one_by_one(problem, plan)), initial_knowledge(problem)
+    progress, world = Progress.beginning(total_order(problem, plan)), initial_knowledge(problem)
     if why_not(progress, world):
         return plan
     kept = {call.index for call in shortened(progress, world).rest}
@@ -199,7 +199,7 @@ class Finding:
         """When the search for the current plan began: what its times count from."""
 
     @property
-    def reserved(self) -> Footprint | None:
+    def reserved(self) -> ReadWriteSets | None:
         """What the plan found last needs and changes."""
         return self._search.reserved() if self._search.reserved else None
 
@@ -235,7 +235,7 @@ class Finding:
         """
 
         async def compare() -> tuple[PlanGraph | None, tuple[Conflict, ...]]:
-            needed = cache(partial(footprint, rest.calls, rest.goal, self._mission.world))
+            needed = cache(partial(read_write_sets, rest.calls, rest.goal, self._mission.world))
             conflicts = self._mission.circumstances.neighbours.newcomers(needed)
             self._search.reserved = None if conflicts else needed
             return (None, conflicts) if conflicts else (rest, ())

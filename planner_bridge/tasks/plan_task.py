@@ -17,7 +17,7 @@ from pathlib import Path
 from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
-from planner_bridge.ordering.interference import Footprint, footprint
+from planner_bridge.ordering.interference import ReadWriteSets, read_write_sets
 from planner_bridge.pipeline import Where, pursue_on
 from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.control import Over, Standing
@@ -88,14 +88,14 @@ class Recital:
         return self._performance.running
 
     @property
-    def footprint(self) -> Footprint:
+    def footprint(self) -> ReadWriteSets:
         """What the plan needs and changes: all that it may still reach."""
         plan = self._performance.program.plan.graph
         over = (
             {one.call.index for one in self.run.told().calls if one.ended is not None} if len(plan.every_step) == len(plan.calls) else set()
         )
         calls = [call for call in plan.calls if call.index not in over]
-        return footprint(calls, plan.goal, self._performer.world)
+        return read_write_sets(calls, plan.goal, self._performer.world)
 
     @property
     def is_paused(self) -> bool:

@@ -13,7 +13,7 @@ from typing import Final
 from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, observed_instead, snapshot
 from planner_bridge.model.problem import Problem
-from planner_bridge.ordering.plan_to_graph import in_causal_order
+from planner_bridge.ordering.plan_to_graph import deordered
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.evaluation import evaluate
@@ -209,7 +209,7 @@ def rest_of(now: Problem, progress: Progress) -> PlanGraph:
     renumbered = tuple(replace(call, index=number[call.index], under_way=call.index in progress.under_way) for call in progress.rest)
     begun = [PlanEvent(number[one], Moment.START) for one in sorted(progress.under_way)]
     order = [*begun, *(PlanEvent(number[event.call], event.moment) for event in progress.events)]
-    return in_causal_order(now, renumbered, order)
+    return deordered(now, renumbered, order)
 
 
 def why_not(

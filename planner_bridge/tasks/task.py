@@ -10,7 +10,7 @@ from typing import Final, Protocol, TypeAlias, assert_never
 from uuid import UUID
 
 from planner_bridge.model.plan import Plan, PlanningResult
-from planner_bridge.ordering.interference import Footprint
+from planner_bridge.ordering.interference import ReadWriteSets
 from planner_bridge.tasks.replanning import PlanAgain, Resume
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.core.execution.call_results import Failure, RunResult
@@ -51,7 +51,7 @@ class Doing(Protocol):
         """The run that goes on, or that went on last."""
 
     @property
-    def footprint(self) -> Footprint | None:
+    def footprint(self) -> ReadWriteSets | None:
         """What is still needed and changed; None when that is not known yet."""
 
     @property

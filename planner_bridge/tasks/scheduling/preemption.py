@@ -11,7 +11,7 @@ import asyncio
 from collections.abc import Callable, Mapping
 from uuid import UUID
 
-from planner_bridge.ordering.interference import Footprint, conflict
+from planner_bridge.ordering.interference import ReadWriteSets, interference
 from planner_bridge.tasks.context import Begun, Conflict, Neighbours
 from planner_bridge.tasks.scheduling.planning_queue import Turnstile
 from planner_bridge.tasks.task import Task
@@ -110,7 +110,7 @@ class Neighbourhood(Neighbours):
         self._precedence = precedence
         self._turnstile = turnstile
 
-    def conflicts(self, footprint: Callable[[], Footprint], /) -> tuple[Conflict, ...]:
+    def conflicts(self, footprint: Callable[[], ReadWriteSets], /) -> tuple[Conflict, ...]:
         """Return the tasks that are active and beside which a plan with this footprint cannot be carried out."""
         others = self._others
         if not others:
@@ -118,11 +118,11 @@ class Neighbourhood(Neighbours):
         found, mine = list[Conflict](), footprint()
         for other in others:
             its = other.doing.footprint if other.doing else None
-            if its is not None and (why := conflict(mine, its)):
+            if its is not None and (why := interference(mine, its)):
                 found.append(Conflict(other.id, other.name, its, why, other.wanted.priority < self._task.wanted.priority))
         return tuple(found)
 
-    def newcomers(self, footprint: Callable[[], Footprint], /) -> tuple[Conflict, ...]:
+    def newcomers(self, footprint: Callable[[], ReadWriteSets], /) -> tuple[Conflict, ...]:
         """Return those of the conflicts in which it is not said already who makes way."""
         settled = self._task.preempted_by | {one.id for one in self._others if self._task.id in one.preempted_by}
         return tuple(one for one in self.conflicts(footprint) if one.task not in settled)
