@@ -1,4 +1,4 @@
-"""Problems from wherever they come: PDDL files, our own model, or unified-planning."""
+"""Loading of problems from PDDL files, our own model, or unified-planning; warnings as text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from planner_bridge.pddl import read_domain, read_problem
 from pnm.errors import Tolerated
 
 _SHOWN: Final = 20
-"""So many warnings about a file at most are told."""
+"""Warnings about a file that are shown, at most."""
 
 
 def load(domain: Path | str | Domain | None, problem: Path | str | Problem | Any) -> Problem:
@@ -33,10 +33,10 @@ def load(domain: Path | str | Domain | None, problem: Path | str | Problem | Any
     return read_problem(Path(problem), domain if isinstance(domain, Domain) else read_domain(Path(domain)))
 
 
-def told(warnings: Iterable[Tolerated]) -> Iterator[str]:
+def warning_lines(warnings: Iterable[Tolerated]) -> Iterator[str]:
     """Yield a line for each warning, and for each file with many of them how many more there are."""
     for file, group in groupby(warnings, key=lambda warning: warning.position.file):
-        found = list(group)
-        yield from map(str, found[:_SHOWN])
-        if len(found) > _SHOWN:
-            yield f"{file}: {len(found) - _SHOWN} more warnings"
+        of_file = list(group)
+        yield from map(str, of_file[:_SHOWN])
+        if len(of_file) > _SHOWN:
+            yield f"{file}: {len(of_file) - _SHOWN} more warnings"

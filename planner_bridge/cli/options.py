@@ -17,7 +17,7 @@ from typing import Any, ParamSpec
 
 import click
 
-from planner_bridge.loading import load, told
+from planner_bridge.loading import load, warning_lines
 from planner_bridge.model.problem import Problem
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import NO_FAULTS, Faults, read_faults
@@ -146,7 +146,7 @@ def write(path: Path | None, text: str) -> None:
 
 def tell(warnings: Iterable[Tolerated]) -> None:
     """Say on stderr what in files was not as it should be."""
-    for line in told(warnings):
+    for line in warning_lines(warnings):
         print(line, file=sys.stderr)
 
 
