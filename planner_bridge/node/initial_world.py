@@ -32,7 +32,7 @@ def world_of_plans(plans: Iterable[HandWrittenPlan]) -> Problem:
     objects: dict[str, tuple[str, ...]] = {}
     for plan in plans:
         spoken.declare(plan)
-        types |= plan.declared.types
+        types |= plan.declared.domain.types
         objects |= plan.declared.objects
     for fluent, value in (use for plan in plans for use in _uses(plan)):
         spoken.use(fluent, value)
@@ -66,9 +66,8 @@ class _Spoken:
     objects: dict[str, None] = field(default_factory=dict)
 
     def declare(self, plan: HandWrittenPlan) -> None:
-        for name, parameters in plan.declared.fluents.items():
-            is_fact = name in plan.declared.predicates
-            (self.predicates if is_fact else self.functions)[name] = Declaration(name, parameters, plan.declared.values.get(name, ()))
+        self.predicates |= plan.declared.domain.predicates
+        self.functions |= plan.declared.domain.functions
 
     def use(self, fluent: Fluent, value: Value | None) -> None:
         name, *arguments = fluent

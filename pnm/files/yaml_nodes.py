@@ -6,6 +6,7 @@ and what is merged first before what is merged later.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -216,6 +217,18 @@ class Node:
     def position(self) -> Position:
         """Where the value stands."""
         return position(self.raw, self.file)
+
+    def position_of(self, word: str) -> Position:
+        """Return where a word stands in the value, or where the value does if the file spells it in another way."""
+        start, end = self.raw.start_mark, self.raw.end_mark
+        written = (start.buffer or "")[start.pointer : start.pointer + end.index - start.index]
+        found = re.search(rf"(?<![^\s()\[\]{{}},'\"]){re.escape(word)}(?![^\s()\[\]{{}},:'\"])", written)
+        if found is None or word == self.text:
+            return self.position
+        before = written[: found.start()]
+        lines = before.count("\n")
+        column = len(before) - before.rfind("\n") if lines else start.column + len(before) + 1
+        return Position(self.file, start.line + 1 + lines, column)
 
     @property
     def is_null(self) -> bool:

@@ -1,96 +1,107 @@
-"""Domains: which actions there are, and what else executing plans needs to know. What only planners need is left alone.
-
-What a domain declares as PDDL does, and the facts of a problem: from YAML.
-
-Types, constants and objects are PDDL's text (``r1 r2 - robot``) or lists of such texts, predicates and functions lists
-of texts such as ``(at ?r - robot ?p - place)`` and ``(location ?r - robot) - place``.
-"""
+"""Domains: the model that people and planners share, and how its actions are executed."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from pnm.core.logic.conditions import TRUE, Condition
-from pnm.core.logic.effects import TimedChange
-from pnm.core.logic.expressions import Fluent, Value
+from pnm.core.logic.domain import ProblemModel
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.errors import Tolerated
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.knowledge.sources.registry import Choice, check_source
-from pnm.language.actions import ACTION_KEYS, LanguageAction, read_action, read_class
-from pnm.language.declarations import NOTHING_DECLARED, Declared, read_declared, read_derived, read_initial
+from pnm.language.actions import ACTION_KEYS, LanguageAction, read_action, read_class, read_schema
+from pnm.language.declarations import read_declarations, read_derived, read_initial
 from pnm.language.formulas.conditions import read_condition
-from pnm.language.formulas.scope import shown
+from pnm.language.formulas.scope import NOTHING_DECLARED, Scope, shown
 
 DOMAIN_KEYS: Final = (
     *("name", "instances", "external_knowledge_base", "knowledge", "action_types", "actions"),
     *("requirements", "types", "constants", "predicates", "functions", "derived", "constraints", "preferences", "hierarchy", "problem"),
 )
-_PROBLEM_KEYS: Final = (*("name", "objects", "init", "goal", "metric", "constraints", "preferences", "requirements", "network"),)
+PROBLEM_KEYS: Final = ("name", "objects", "init", "goal", "metric", "constraints", "preferences", "requirements", "network")
 
 
 @dataclass(frozen=True)
 class LanguageDomain:
-    """The actions of a domain by name, what it declares, and what is so at the beginning."""
+    """A domain and its problem, and how the actions are executed, by name."""
 
-    name: str = ""
+    model: ProblemModel = NOTHING_DECLARED
+    """With the section ``problem``, if there is one."""
     actions: Mapping[str, LanguageAction] = field(default_factory=dict)
-    declared: Declared = NOTHING_DECLARED
     rules: Rules = NO_RULES
-    """What derives facts."""
-    facts: Mapping[Fluent, Value] = field(default_factory=dict)
-    """What is so at the beginning, as the section ``problem`` says."""
-    timed: tuple[TimedChange, ...] = ()
-    """What changes by itself later."""
-    goal: Condition = TRUE
-    """The goal of the section ``problem``."""
+    """Those of the model, stratified."""
     sources: tuple[Choice, ...] = ()
     """The sources of knowledge that the file chose."""
     warnings: tuple[Tolerated, ...] = ()
-    """What in the file was not as it should be."""
+    """What in the file was tolerated though it is not as it should be."""
     file: str = ""
     """Where it was read from."""
 
 
 def domain_from(top: Mapped, warnings: tuple[Tolerated, ...] = ()) -> LanguageDomain:
-    """Read a domain from a document that may say other things as well.
+    """Read a domain from a document that may have other keys as well.
 
     Raises:
         InputError: something is malformed, or has names that are not there.
     """
-    problem_node = top.node("problem")
-    problem = None if problem_node is None or problem_node.is_null else problem_node.mapped()
-    if problem is not None:
-        problem.only(*_PROBLEM_KEYS)
-    declared = read_declared(top, problem)
-    _check_action_types(top)
-    facts, timed = ({}, ()) if problem is None else read_initial(problem, declared.scope(()))
+    for entry in top.mapping("action_types").values():
+        entry.only(*ACTION_KEYS)  # only anchors are made there; their contents are read where they are used
+    model, rules = read_model(top)
+    entries = top.mapping("actions")
     return LanguageDomain(
-        name=top.string("name") or "",
-        actions={name: read_action(name, entry, declared) for name, entry in top.mapping("actions").items()},
-        declared=declared,
-        rules=read_derived(top, declared),
-        facts=facts,
-        timed=timed,
-        goal=TRUE if problem is None else read_goal(problem, declared),
+        model,
+        {name: read_action(schema, entries[name], Scope(model)) for name, schema in model.domain.actions.items()},
+        rules,
         sources=(*_external(top), *_chosen(top)),
         warnings=warnings,
         file=top.file,
     )
 
 
-def read_goal(entry: Mapped, declared: Declared) -> Condition:
+def read_model(top: Mapped, *, strict: bool = False) -> tuple[ProblemModel, Rules]:
+    """Read the domain of a document and its problem, and the rules in their strata.
+
+    Args:
+        top: the document.
+        strict: whether planners are to understand it; see `pnm.language.formulas.scope.Scope`.
+
+    Raises:
+        InputError: something is malformed, or has names that are not there.
+    """
+    section = problem_section(top)
+    declared = read_declarations(top, section, strict=strict)
+    scope = Scope(declared, {}, strict, borrows=section is None)
+    rules = read_derived(top, scope)
+    domain = replace(declared.domain, rules=rules.rules)
+    scope = replace(scope, declared=replace(declared, domain=domain))
+    domain = replace(domain, actions={name: read_schema(name, entry, scope) for name, entry in top.mapping("actions").items()})
+    if section is None:
+        return replace(declared, domain=domain), rules
+    facts, timed = read_initial(section, scope)
+    return replace(declared, domain=domain, init=facts, timed=timed, goal=read_goal(section, scope)), rules
+
+
+def problem_section(top: Mapped) -> Mapped | None:
+    """Return the section ``problem``, None without one.
+
+    Raises:
+        InputError: it has an unknown key.
+    """
+    node = top.node("problem")
+    if node is None or node.is_null:
+        return None
+    section = node.mapped()
+    section.only(*PROBLEM_KEYS)
+    return section
+
+
+def read_goal(entry: Mapped, scope: Scope) -> Condition:
     """Read the key ``goal``; true when it is not there."""
     node = entry.node("goal")
-    return TRUE if node is None or node.is_null else read_condition(node, declared.scope(()))
-
-
-def _check_action_types(top: Mapped) -> None:
-    """Only anchors are made there; what they mean is read where they are used."""
-    for entry in top.mapping("action_types").values():
-        entry.only(*ACTION_KEYS)
+    return TRUE if node is None or node.is_null else read_condition(node, scope)
 
 
 def _external(top: Mapped) -> tuple[Choice, ...]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.expressions import Variable
 from pnm.core.machine.bindings import Binding
 from pnm.errors import InputError, Position, Tolerated, suggestion
@@ -120,7 +121,8 @@ class Draft:
     @property
     def action(self) -> LanguageAction:
         """The plan as an action that others call."""
-        return LanguageAction(self.name, ActionKind.PLAN, self.entry.start, self.parameters, binding=_CALLED)
+        schema = ActionSchema(self.name, self.parameters or ())
+        return LanguageAction(schema, ActionKind.PLAN, self.entry.start, self.parameters is None, binding=_CALLED)
 
 
 def read_domain(path: Path) -> LanguageDomain:
@@ -132,10 +134,10 @@ def read_domain(path: Path) -> LanguageDomain:
     documents, warnings = read_documents(path)
     for document in documents:
         _entries(document)
-    found = _domain_in(documents, warnings)
-    if found is None:
+    top = domain_document(documents)
+    if top is None:
         raise InputError("there is no domain in the file; expected the key 'actions'", Position(str(path), 1, 1))
-    return found
+    return domain_from(top, warnings)
 
 
 def drafts(path: Path, domain: LanguageDomain | None = None) -> list[Draft]:
@@ -149,7 +151,8 @@ def drafts(path: Path, domain: LanguageDomain | None = None) -> list[Draft]:
 
 def drafts_in(documents: tuple[Mapped, ...], warnings: tuple[Tolerated, ...], domain: LanguageDomain | None) -> list[Draft]:
     """Read the heads of all plans of a file's documents; see `drafts`."""
-    own = _domain_in(documents, warnings)
+    top = domain_document(documents)
+    own = None if top is None else domain_from(top, warnings)
     found: list[Draft] = []
     for document in documents:
         for name, entry in _entries(document):
@@ -188,15 +191,16 @@ def _entries(document: Mapped) -> list[tuple[str, Mapped]]:
     return found
 
 
-def _domain_in(documents: Iterable[Mapped], warnings: tuple[Tolerated, ...] = ()) -> LanguageDomain | None:
-    found: LanguageDomain | None = None
-    for document in documents:
-        if not document.nodes.keys() & _ONLY_DOMAINS:
-            continue
-        if found is not None:
-            raise InputError("there is a domain in this file already", document.start)
-        found = domain_from(document, warnings)
-    return found
+def domain_document(documents: Iterable[Mapped]) -> Mapped | None:
+    """Return the document that has a domain; None if none has.
+
+    Raises:
+        InputError: several have.
+    """
+    found = [document for document in documents if document.nodes.keys() & _ONLY_DOMAINS]
+    if len(found) > 1:
+        raise InputError("there is a domain in this file already", found[1].start)
+    return found[0] if found else None
 
 
 def _domain_of(entry: Mapped, own: LanguageDomain | None, given: LanguageDomain | None) -> LanguageDomain:

@@ -97,7 +97,7 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tu
     Raises:
         InputError: a fact is computed from a parameter that is not known in the plan.
     """
-    action = step.action
+    action, schema = step.action, step.action.schema
     given = {name: filled_data(one.data, outer) for name, one in step.given.items()}
     for name, data in given.items():
         if left := _unfilled(data):
@@ -113,13 +113,13 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tu
             action.name,
             tuple(own.argument(name) for name in names),
             names,
-            precondition=own.condition(action.precondition),
-            invariant=own.condition(action.invariant),
-            end_condition=own.condition(action.end_condition),
-            start_effects=own.effects(action.start_effects, duration),
-            end_effects=own.effects(action.end_effects, duration),
+            precondition=own.condition(schema.precondition),
+            invariant=own.condition(schema.invariant),
+            end_condition=own.condition(schema.end_condition),
+            start_effects=own.effects(schema.start_effects, duration),
+            end_effects=own.effects(schema.end_effects, duration),
             duration=duration,
-            expected=own.condition(action.expected),
+            expected=own.condition(schema.expected),
             given=tuple(given.items()),
             operation=operation,
             resources=tuple(dict.fromkeys((*action.resources, *step.resources))),
@@ -131,7 +131,7 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tu
 
 def outer_values(action: LanguageAction, own: Substitution) -> dict[str, Data]:
     """Return what parameters stand for in the chains of a call: what it is given, or what it will find."""
-    names = (variable.name for variable in action.parameters or ())
+    names = (variable.name for variable in action.schema.parameters)
     found: dict[str, Data] = {name: Query(Literal.of(name[1:]), Layer.ALL) for name in names}
     return {**found, **own.values}
 
@@ -142,9 +142,9 @@ def _unfilled(data: Data) -> frozenset[str]:
 
 def _parameters(step: CallStep, operation: KnowledgeOperation | None) -> tuple[str, ...]:
     """Return the names of the parameters: of an action on knowledge, those that are used or given."""
-    if step.action.parameters is None:
+    if step.action.is_open:
         return tuple(step.given)
-    names = tuple(variable.name[1:] for variable in step.action.parameters)
+    names = tuple(variable.name[1:] for variable in step.action.schema.parameters)
     if operation is None:
         return names
     used = step.action.mentioned | _mentioned(operation)
@@ -158,16 +158,16 @@ def _mentioned(operation: KnowledgeOperation) -> frozenset[str]:
 
 
 def _operation(step: CallStep, outer: Mapping[str, Data]) -> KnowledgeOperation | None:
-    own = {variable.name for variable in step.action.parameters or ()}
+    own = {variable.name for variable in step.action.schema.parameters}
     values = {name: data for name, data in outer.items() if name not in own}
     return None if step.operation is None else filled_operation(step.operation, values)
 
 
 def _duration(action: LanguageAction, own: Substitution, facts: Facts) -> float | None:
     """Return how long the call takes, if the domain fixes it by numbers that do not change or hold at the beginning."""
-    for operation, bound in action.duration or ():
-        if operation == "=":
-            seconds = value_of(bound, facts, own.env)
+    for constraint in action.schema.duration or ():
+        if constraint.operation == "=":
+            seconds = value_of(constraint.bound, facts, own.env)
             return float(seconds) if is_number(seconds) else None
     return None
 
@@ -179,8 +179,10 @@ def usual_recoveries(action: LanguageAction) -> tuple[Recovery, ...]:
     effects are missing is repeated.
     """
     found: list[Recovery] = []
-    if action.kind is not ActionKind.KB and not (action.start_effects or action.end_effects):
+    schema = action.schema
+    has_effects = bool(schema.start_effects or schema.end_effects)
+    if action.kind is not ActionKind.KB and not has_effects:
         found.append(Recovery(frozenset({Cause.CANCELED}), Then.CONTINUE, EMPTY))
-    if action.expected != TRUE or action.end_condition != TRUE or action.start_effects or action.end_effects:
+    if schema.expected != TRUE or schema.end_condition != TRUE or has_effects:
         found.append(Recovery(frozenset({Cause.EFFECTS_MISSING}), Then.RETRY, EMPTY, EFFECT_RETRIES))
     return tuple(found)

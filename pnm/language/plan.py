@@ -11,6 +11,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 from pnm.core.logic.conditions import TRUE, Condition
+from pnm.core.logic.domain import ProblemModel
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.logic.rules import Rules
@@ -21,10 +22,10 @@ from pnm.errors import InputError, Tolerated
 from pnm.files.yaml_nodes import Mapped
 from pnm.knowledge.sources.registry import Choice
 from pnm.language.actions import LanguageAction
-from pnm.language.declarations import NOTHING_DECLARED, Declared, read_facts
+from pnm.language.declarations import listed, read_facts
 from pnm.language.domain import LanguageDomain, read_goal
 from pnm.language.files import Draft, beside, drafts, drafts_in, parse_documents, read_documents, read_domain
-from pnm.language.formulas.scope import unknown
+from pnm.language.formulas.scope import NOTHING_DECLARED, Scope, unknown
 from pnm.language.formulas.values import read_literal
 from pnm.language.ground_calls import Facts
 from pnm.language.plan_tree import WrittenRecovery
@@ -60,8 +61,8 @@ class HandWrittenPlan:
     """The other plans it calls."""
     warnings: tuple[Tolerated, ...] = ()
     """What in the files was not as it should be."""
-    declared: Declared = NOTHING_DECLARED
-    """The names that its domain declares."""
+    declared: ProblemModel = NOTHING_DECLARED
+    """The model of its domain."""
     domain_file: str = ""
     """Where its domain was read from; empty if it has none."""
 
@@ -125,15 +126,16 @@ def finished(found: Sequence[Draft]) -> dict[str, HandWrittenPlan]:
 def _plan(draft: Draft, others: Mapping[str, Draft]) -> HandWrittenPlan:
     entry, domain = draft.entry, draft.domain
     actions = {**domain.actions, **{name: other.action for name, other in others.items()}}
-    reader = StepReader(actions, domain.declared)
+    reader = StepReader(actions, domain.model)
     steps = reader.steps(entry.needed("plan"))
-    facts = {**domain.facts, **read_facts(entry, "facts", domain.declared.scope(()))}
+    scope = Scope(domain.model, {})
+    facts = {**domain.model.init, **read_facts(listed(entry.node("facts")), scope)}
     recoveries: dict[str, tuple[WrittenRecovery, ...]] = {
         name: reader.recoveries(action, action.recoveries) for name, action in actions.items() if action.recoveries is not None
     }
     lowering = Lowering(lambda action: recoveries.get(action.name, ()), Facts(facts), max(1, entry.whole("restarts", 1)))
-    goal = read_goal(entry, domain.declared)
-    graph = lowering.graph(steps, domain.goal if goal == TRUE else goal, domain.rules, _capacities(entry))
+    goal = read_goal(entry, scope)
+    graph = lowering.graph(steps, domain.model.goal if goal == TRUE else goal, domain.rules, _capacities(entry))
     _check_capacities(entry, graph, actions)
     return HandWrittenPlan(
         draft.name,
@@ -143,14 +145,14 @@ def _plan(draft: Draft, others: Mapping[str, Draft]) -> HandWrittenPlan:
         results=tuple(entry.strings("results")),
         variables=_variables(entry),
         facts=facts,
-        timed=domain.timed,
-        objects=domain.declared.objects_by_type,
+        timed=domain.model.timed,
+        objects=domain.model.objects_by_type,
         timeout=entry.number("timeout", None),
         on_failure=_on_failure(entry),
         sources=domain.sources,
         calls=frozenset(call.action.name for call in graph.calls) & others.keys(),
         warnings=draft.warnings,
-        declared=domain.declared,
+        declared=domain.model,
         domain_file=domain.file,
     )
 

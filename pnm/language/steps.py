@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from math import inf
 from typing import Final
 
 from pnm.actions.bindings_file import read_texts
 from pnm.core.logic.computed_values import KnowledgeOperation
+from pnm.core.logic.domain import ProblemModel
 from pnm.core.machine.plan_graph import Moment
 from pnm.errors import InputError, Position
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language.actions import OPERATION, RESERVED, ActionKind, LanguageAction
-from pnm.language.declarations import Declared
 from pnm.language.formulas.conditions import read_condition
 from pnm.language.formulas.scope import Scope, shown, unknown
 from pnm.language.formulas.values import read_data, read_operation
@@ -46,14 +46,14 @@ class StepReader:
     """Reads steps where these actions and names are known."""
 
     actions: Mapping[str, LanguageAction]
-    declared: Declared
+    declared: ProblemModel
     variables: frozenset[str] = frozenset()
     """In a chain of recovery, the parameters of the call that recovers."""
 
     @cached_property
     def scope(self) -> Scope:
         """What values and conditions may use."""
-        return replace(self.declared.scope(), variables=self.variables)
+        return Scope(self.declared, dict.fromkeys(self.variables, ("object",)))
 
     def steps(self, node: Node) -> SequenceStep:
         """Read a list of steps.
@@ -162,14 +162,13 @@ class StepReader:
 
     def recoveries(self, action: LanguageAction, node: Node) -> tuple[WrittenRecovery, ...]:
         """Read what is done when calls of the action fail."""
-        parameters = frozenset(variable.name for variable in action.parameters or ())
-        return read_recoveries(
-            node, replace(self.scope, variables=parameters), StepReader(self.actions, self.declared, parameters).sequence
-        )
+        inner = StepReader(self.actions, self.declared, frozenset(variable.name for variable in action.schema.parameters))
+        return read_recoveries(node, inner.scope, inner.sequence)
 
     def _given(self, action: LanguageAction, key: str, where: Position, node: Node) -> Given:
-        if action.parameters is not None and f"?{key}" not in {variable.name for variable in action.parameters}:
-            raise unknown(f"parameter of {action.name}", key, [variable.name[1:] for variable in action.parameters], where)
+        parameters = [variable.name[1:] for variable in action.schema.parameters]
+        if not action.is_open and key not in parameters:
+            raise unknown(f"parameter of {action.name}", key, parameters, where)
         data = read_data(node, self.scope)
         if f"?{key}" in action.objects:
             _check_object(action, key, node, self.declared)
@@ -179,15 +178,14 @@ class StepReader:
         node = told.node(OPERATION)
         if node is None:
             raise InputError(f"{action.name} works on knowledge; expected the key {OPERATION!r}", told.start)
-        own = frozenset(variable.name for variable in action.parameters or ())
-        return read_operation(node, replace(self.scope, variables=self.variables | own))
+        return read_operation(node, self.scope.inside(action.schema.parameters))
 
 
 def _is_operation(action: LanguageAction, key: str) -> bool:
     return action.kind is ActionKind.KB and key == OPERATION
 
 
-def _check_object(action: LanguageAction, key: str, node: Node, declared: Declared) -> None:
+def _check_object(action: LanguageAction, key: str, node: Node, declared: ProblemModel) -> None:
     """Refuse what cannot be the name of an object, such as an ``on`` without quotes, and objects that are not there."""
     if node.is_mapping:
         return
@@ -198,9 +196,8 @@ def _check_object(action: LanguageAction, key: str, node: Node, declared: Declar
     name = node.written
     if name.startswith(("?", "(")) or not declared.objects:
         return
-    types = next(variable.types for variable in action.parameters or () if variable.name == f"?{key}")
-    kinds = {one for kind in declared.objects.get(name, ()) for one in declared.supertypes(kind)}
-    if kinds.isdisjoint(types):
+    types = next(variable.types for variable in action.schema.parameters if variable.name == f"?{key}")
+    if declared.all_types(declared.objects.get(name, ())).isdisjoint(types):
         fitting = {one for kind in types for one in declared.objects_by_type.get(kind, ())}
         raise unknown(f"object for {key} of {action.name} (one of type {' or '.join(types)})", name, fitting, node.position)
 

@@ -31,7 +31,7 @@ def comments(text: str, kind: Literal["domain", "problem"]) -> Table:
             ends[opened.pop()] = offset + 1
         elif token[0] == ";":
             found.append(Comment(token.rstrip(), offset))
-    anchors = find_anchors(define(text, "", kind, _SECTIONS[kind]), kind, ends)
+    anchors = [*_AnchorFinder(ends).definition(define(text, "", kind, _SECTIONS[kind]), (kind,))]
     verbatim = [(anchor.start, anchor.end) for anchor in anchors if anchor.opaque]
     free = [comment for comment in found if not any(start < comment.offset < end for start, end in verbatim)]
     return attach(free, anchors, LineIndex.of(text), _ListEnds(anchors).owner_above)
@@ -68,20 +68,12 @@ class _ListEnds:
 # --- anchors -------------------------------------------------------------------------------
 
 
-def find_anchors(definition: Definition, root: str, ends: Mapping[int, int]) -> list[Anchor]:
-    """Return the things in a definition that comments can be about.
-
-    Args:
-        definition: a file cut into its sections.
-        root: the first key of its path: ``domain`` or ``problem``.
-        ends: for the offset of every list, the offset behind it, where that matters.
-    """
-    return list(_AnchorFinder(ends).definition(definition, (root,)))
-
-
 @dataclass(frozen=True, slots=True)
 class _AnchorFinder:
+    """Finds the things in a definition that comments can be about."""
+
     ends: Mapping[int, int]
+    """For the offset of every list, the offset behind it."""
 
     def definition(self, definition: Definition, path: AnchorPath) -> Iterator[Anchor]:
         yield self.anchor(definition.whole, path)

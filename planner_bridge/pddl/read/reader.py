@@ -52,7 +52,7 @@ def read_domain(path: Path) -> Domain:
         InputError: the file cannot be read, is not a domain, or uses PDDL that is not supported.
     """
     text, warnings = read_any_text(path, MAX_BYTES)
-    return domain_from(define(text, str(path), "domain", DOMAIN_SECTIONS), warnings)
+    return _domain(define(text, str(path), "domain", DOMAIN_SECTIONS), warnings)
 
 
 def read_problem(path: Path, domain: Domain) -> Problem:
@@ -62,7 +62,7 @@ def read_problem(path: Path, domain: Domain) -> Problem:
         InputError: the file cannot be read, is not a problem for this domain, or uses PDDL that is not supported.
     """
     text, warnings = read_any_text(path, MAX_BYTES)
-    return problem_from(define(text, str(path), "problem", PROBLEM_SECTIONS), domain, warnings)
+    return _problem(define(text, str(path), "problem", PROBLEM_SECTIONS), domain, warnings)
 
 
 def parse_domain(text: str, file: str = "domain.pddl") -> Domain:
@@ -74,7 +74,7 @@ def parse_domain(text: str, file: str = "domain.pddl") -> Domain:
     Raises:
         InputError: the text is not a domain, or uses PDDL that is not supported.
     """
-    return domain_from(define(text, file, "domain", DOMAIN_SECTIONS))
+    return _domain(define(text, file, "domain", DOMAIN_SECTIONS))
 
 
 def parse_problem(text: str, domain: Domain, file: str = "problem.pddl") -> Problem:
@@ -83,18 +83,14 @@ def parse_problem(text: str, domain: Domain, file: str = "problem.pddl") -> Prob
     Raises:
         InputError: the text is not a problem for this domain, or uses PDDL that is not supported.
     """
-    return problem_from(define(text, file, "problem", PROBLEM_SECTIONS), domain)
+    return _problem(define(text, file, "problem", PROBLEM_SECTIONS), domain)
 
 
 # --- domains -------------------------------------------------------------------------------
 
 
-def domain_from(definition: Definition, warnings: tuple[Tolerated, ...] = ()) -> Domain:
-    """Interpret the sections of a domain; `warnings` are those about the file that were given before.
-
-    Raises:
-        InputError: they use PDDL that is not supported, or names that are not declared.
-    """
+def _domain(definition: Definition, warnings: tuple[Tolerated, ...] = ()) -> Domain:
+    """Interpret the sections of a domain; `warnings` are those about the characters of the file."""
     words = requirements(definition.parts(":requirements"))
     needed = Requirements(words)
     domain = Domain(definition.name, declarations.types(definition.lists(":types"), needed), requirements=words)
@@ -131,18 +127,14 @@ def _verbatim_sections(definition: Definition, keys: tuple[str, ...], needed: Re
     sections = definition.every(*keys)
     for section in sections:
         needed.need(section, ":hierarchy", ":htn")
-    return tuple([definition.texts.get(section.offset) or text_of(section) for section in sections])
+    return tuple(map(text_of, sections))
 
 
 # --- problems ------------------------------------------------------------------------------
 
 
-def problem_from(definition: Definition, domain: Domain, warnings: tuple[Tolerated, ...] = ()) -> Problem:
-    """Interpret the sections of a problem; `warnings` are those about the file that were given before.
-
-    Raises:
-        InputError: they use PDDL that is not supported, or names that are not declared.
-    """
+def _problem(definition: Definition, domain: Domain, warnings: tuple[Tolerated, ...] = ()) -> Problem:
+    """Interpret the sections of a problem; `warnings` are those about the characters of the file."""
     _check_domain_name(definition, domain)
     if (length := definition.one(":length")) is not None:
         Leniency.LENGTH.note(length)

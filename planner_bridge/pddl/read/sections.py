@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Final, Literal
 
@@ -23,8 +23,6 @@ class Definition:
     name: str
     whole: Group
     sections: tuple[Group, ...]
-    texts: Mapping[int, str] = field(default_factory=dict)
-    """For offsets of sections that are kept as they stand, their texts, where these are not those of the source."""
 
     def every(self, *keys: str) -> list[Group]:
         """Return the sections of these names in the order of the file."""

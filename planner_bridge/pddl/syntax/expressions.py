@@ -7,7 +7,6 @@ A part holds its offset in the text; line and column are computed when they are 
 from __future__ import annotations
 
 import re
-import sys
 from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -44,10 +43,6 @@ class Source:
         """Return the line and column of an offset."""
         line = bisect_right(self._line_starts, offset)
         return Position(self.file, line, offset - self._line_starts[line - 1] + 1)
-
-    def offset(self, position: Position) -> int:
-        """Return the offset of a line and column."""
-        return self._line_starts[position.line - 1] + position.column - 1
 
     @cached_property
     def _line_starts(self) -> list[int]:
@@ -156,33 +151,11 @@ def parse(text: str, file: str) -> tuple[Node, ...]:
     return _Parser(Source(file, text)).parse()
 
 
-def parse_part(text: str, source: Source, start: int | None, near: int) -> tuple[Node, ...]:
-    """Return the parts of a text that stands somewhere in a file of another format.
-
-    Args:
-        text: the text, in which lists are closed.
-        source: the file.
-        start: the offset of the text in the file; None if the file does not have it in this form.
-        near: the offset for errors in that case.
-    """
-    if start is not None:
-        return _Parser(source, start, start + len(text)).parse()
-    return tuple([_moved(part, source, near) for part in _Parser(Source(source.file, text)).parse()])
-
-
-def _moved(part: Node, source: Source, offset: int) -> Node:
-    if isinstance(part, Atom):
-        return Atom(part.text, offset, source)
-    return Group(tuple([_moved(item, source, offset) for item in part.items]), offset, source)
-
-
 @dataclass(slots=True)
 class _Parser:
     """A parser with a stack of its own. The mutable state is the lists that are open."""
 
     source: Source
-    start: int = 0
-    end: int = sys.maxsize
     items: list[Node] = field(default_factory=list)
     """The parts so far of the innermost open list."""
     stack: list[tuple[int, list[Node]]] = field(default_factory=list)
@@ -191,8 +164,8 @@ class _Parser:
     """A section that was still open where another one, by its keyword, began."""
 
     def parse(self) -> tuple[Node, ...]:
-        add = self._add_word if _LONELY.search(self.source.text, self.start, self.end) is None else self._add_word_or_rest
-        for match in _TOKEN.finditer(self.source.text, self.start, self.end):
+        add = self._add_word if _LONELY.search(self.source.text) is None else self._add_word_or_rest
+        for match in _TOKEN.finditer(self.source.text):
             token, offset = match.group(), match.start()
             if token == "(":
                 if len(self.stack) == MAX_DEPTH:
@@ -204,7 +177,7 @@ class _Parser:
                     start, outer = self.stack.pop()
                     outer.append(Group(tuple(self.items), start, self.source))
                     self.items = outer
-                elif self.items and _CLOSING.fullmatch(self.source.text, offset, self.end):
+                elif self.items and _CLOSING.fullmatch(self.source.text, offset):
                     self.source.found.setdefault((offset, "this ')' closes nothing"))
                     break
                 else:

@@ -103,6 +103,11 @@ class DomainModel:
     rules: tuple[Rule, ...] = ()
     """How derived predicates follow from others."""
 
+    @cached_property
+    def fluents(self) -> dict[str, Declaration]:
+        """Predicates and functions; of two with the same name, the function."""
+        return {**self.predicates, **self.functions}
+
     @property
     def parameters(self) -> dict[str, tuple[str, ...]]:
         """For every action, the names of its parameters, without ``?``."""

@@ -13,6 +13,7 @@ from typing import Final
 from pnm.core.logic.computed_values import Parameter
 from pnm.core.logic.conditions import TRUE, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, ValueOf, Variable
+from pnm.errors import InputError
 from pnm.files.yaml_nodes import Node
 from pnm.language.formulas.scope import ANYTHING, Scope, fluent_in, is_variable, read_fluent, read_typed, shown
 from pnm.language.formulas.values import comparison_parts, operation_parts, read_form
@@ -35,14 +36,14 @@ def read_condition(node: Node, scope: Scope = ANYTHING) -> Condition:
         return conjunction(read_condition(item, scope) for item in node.items)
     if node.is_mapping:
         return TRUE if not node.mapped().nodes else _condition(needed_form(node, TESTS, "a condition"), scope)
-    if node.text is not None and is_variable(node.text):
-        scope.check_variable(node.text, node.position)
+    if node.text is not None and is_variable(node.text) and not scope.strict:
+        scope.check_variable(node.text, node)
         return Computed(Parameter(node.text))
     if node.text is None and isinstance(node.plain(), bool):
         return TRUE if node.plain() else FALSE
     if node.text is None or fluent_in(node.text) is None:
         raise node.wrong(f"expected a condition, such as (at ?r kitchen) or {{Exists: [Query: name]}}, found {shown(node)}")
-    return Holds(read_fluent(node, scope))
+    return Holds(read_fluent(node, scope, "predicate"))
 
 
 def _condition(found: Form, scope: Scope) -> Condition:
@@ -57,7 +58,7 @@ def _condition(found: Form, scope: Scope) -> Condition:
             left, right = found.items(2)
             return Implies(read_condition(left, scope), read_condition(right, scope))
         case "holds":
-            return Holds(read_fluent(found.items(1)[0], scope))
+            return Holds(read_fluent(found.items(1)[0], scope, "predicate"))
         case "forall":
             variables, body = read_quantified(found, "condition", scope)
             return ForAll(variables, read_condition(body, scope.inside(variables)))
@@ -69,6 +70,8 @@ def _condition(found: Form, scope: Scope) -> Condition:
         case "operation" if len(operation_parts(found)[1]) == 2:
             operator, (left, right) = operation_parts(found)
             return _comparison(found, operator, left, right, scope)
+        case _ if scope.strict:
+            raise InputError(f"PDDL has no {found.written!r}: it knows facts and functions, not variables", found.position)
         case _:
             return Computed(read_form(found, scope))
 
@@ -86,6 +89,8 @@ def read_quantified(found: Form, inner: str, scope: Scope) -> tuple[tuple[Variab
 def _comparison(found: Form, operator: Node, left: Node, right: Node, scope: Scope) -> Condition:
     """Compare numbers or objects as PDDL does if both sides are of its kinds, and any values else."""
     name = read_operator(operator)
+    if scope.strict:
+        return _typed_comparison(operator, name, left, right, scope)
     first, second = _expression(left), _expression(right)
     if isinstance(first, ValueOf) or isinstance(second, ValueOf):
         _check_truth(left)
@@ -94,7 +99,23 @@ def _comparison(found: Form, operator: Node, left: Node, right: Node, scope: Sco
         return Computed(read_form(found, scope))
     for side, expression in ((left, first), (right, second)):
         _check(side, expression, scope, objects=isinstance(first, ValueOf) or isinstance(second, ValueOf))
-    return Not(Compare("=", first, second)) if name == "ne" else Compare(COMPARISONS[name], first, second)
+    return _compared(name, first, second)
+
+
+def _compared(name: str, left: Expression, right: Expression) -> Condition:
+    return Not(Compare("=", left, right)) if name == "ne" else Compare(COMPARISONS[name], left, right)
+
+
+def _typed_comparison(operator: Node, name: str, left: Node, right: Node, scope: Scope) -> Condition:
+    """Compare two numbers, or two objects for equality, as planners do."""
+    if name not in COMPARISONS:
+        raise operator.wrong(f"PDDL does not compare with {shown(operator)}; expected one of {', '.join(COMPARISONS.values())}")
+    first, second = read_expression(left, scope), read_expression(right, scope)
+    if scope.is_object(first) != scope.is_object(second):
+        raise right.wrong(f"a number and an object cannot be compared: {first}, {second}")
+    if scope.is_object(first) and name not in ("eq", "ne"):
+        raise operator.wrong(f"objects are equal or they are not; expected = or !=, found {shown(operator)}")
+    return _compared(name, first, second)
 
 
 def _check_truth(node: Node) -> None:
@@ -124,13 +145,17 @@ def _counts_with_names(expression: Expression) -> bool:
 def _check(node: Node, expression: Expression, scope: Scope, *, objects: bool = True) -> None:
     """Refuse names that are not there."""
     match expression:
-        case ValueOf(fluent) if fluent != DURATION:
-            scope.check_fluent(fluent, node.position)
+        case ValueOf(fluent) if fluent == DURATION:
+            scope.check_variable(DURATION[0], node)
+        case ValueOf(fluent):
+            scope.check_fluent(fluent, node, "function")
         case Constant(str() as name) if objects or name.startswith("?"):
-            scope.check_object(name, node.position)
+            scope.check_object(name, node)
         case Arithmetic(_, operands):
             for operand in operands:
                 _check(node, operand, scope)
+                if scope.strict:
+                    scope.check_value(operand, (), node)
         case _:
             pass
 

@@ -6,13 +6,15 @@ once the action is done.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 from pnm.core.logic.computed_values import Layer, Query, parts
 from pnm.core.logic.conditions import TRUE, Condition, conjunction, data_in
+from pnm.core.logic.domain import DurationConstraint
 from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, Set, When
-from pnm.core.logic.expressions import Constant, Expression
+from pnm.core.logic.expressions import Constant, Expression, ValueOf
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Node
 from pnm.language.formulas.conditions import read_condition, read_expression, read_quantified
@@ -21,6 +23,8 @@ from pnm.language.formulas.words import TESTS, Form, form, needed_form
 
 _CHANGES: Final = dict(zip((*OPERATIONS, "scale_up", "scale_down"), (*OPERATIONS, *OPERATIONS[-2:]), strict=True))
 _WORDS: Final = (*TESTS, *_CHANGES, "when")
+_PLANNED: Final = ("and", "holds", "not", "forall", *_CHANGES, "when")
+"""The words of effects that planners know: they have no tests."""
 MOMENTS: Final = ("at_start", "over_all", "at_end")
 
 
@@ -51,7 +55,7 @@ def _parts(node: Node, scope: Scope) -> tuple[Effect | Condition, ...]:
         return ()
     if not node.is_mapping:
         return (_becomes(node, True, scope),)
-    found = needed_form(node, _WORDS, "an effect")
+    found = needed_form(node, _PLANNED if scope.strict else _WORDS, "an effect")
     match found.word:
         case "and":
             return tuple(part for item in found.operands() for part in _parts(item, scope))
@@ -68,6 +72,8 @@ def _parts(node: Node, scope: Scope) -> tuple[Effect | Condition, ...]:
             return (ForEach(variables, _only_effects(body, scope.inside(variables))),)
         case word if word in _CHANGES:
             return (_change(found, scope),)
+        case _ if scope.strict:
+            raise node.wrong("expected an effect, such as (at ?r kitchen), or not of a fact")
         case _:
             return (read_condition(node, scope),)
 
@@ -76,7 +82,9 @@ def _becomes(node: Node, truth: bool, scope: Scope) -> Set:
     if node.text is None:
         hint = f"; write {node.written!r} with quotes" if node.written else ""
         raise node.wrong(f"expected an effect, such as (at ?r kitchen), found {shown(node)}{hint}")
-    return Set(read_fluent(node, scope), Constant(truth))
+    effect = Set(read_fluent(node), Constant(truth))
+    scope.check_change(effect.fluent, node, effect.value)
+    return effect
 
 
 def _is_fact(node: Node) -> bool:
@@ -85,7 +93,11 @@ def _is_fact(node: Node) -> bool:
 
 def _change(found: Form, scope: Scope) -> Set:
     target, value = found.items(2)
-    return Set(read_fluent(target, scope), read_expression(value, scope), _CHANGES[found.word])
+    effect = Set(read_fluent(target), read_expression(value, scope), _CHANGES[found.word])
+    scope.check_change(effect.fluent, target, effect.value)
+    if scope.strict and effect.operation != "assign" and scope.is_object(ValueOf(effect.fluent)):
+        raise target.wrong(f"the values of {effect.fluent[0]!r} are objects; expected assign, found {found.written}")
+    return effect
 
 
 def _when(found: Form, scope: Scope) -> When:
@@ -160,16 +172,23 @@ def _has_moments(node: Node) -> bool:
     return node.is_mapping and not node.mapped().nodes.keys().isdisjoint(MOMENTS)
 
 
-_BOUNDS: Final = ("=", "<=", ">=")
+_BOUNDS: Final[Mapping[str, Literal["=", "<=", ">="]]] = {"=": "=", "<=": "<=", ">=": ">="}
 
 
-def read_duration(node: Node, scope: Scope = ANYTHING) -> tuple[tuple[str, Expression], ...]:
+def read_duration(node: Node, scope: Scope = ANYTHING) -> tuple[DurationConstraint, ...]:
     """Read a duration: an expression, or a list of bounds ``{"<=": expression}``; an empty list for any duration.
 
     Raises:
         InputError: it is something else, malformed, or has names that are not there.
     """
     if node.items is None and form(node, _BOUNDS) is None:
-        return (("=", read_expression(node, scope)),)
-    found = [needed_form(one, _BOUNDS, "a bound") for one in ((node,) if node.items is None else node.items)]
-    return tuple((one.word, read_expression(one.argument, scope)) for one in found)
+        return (DurationConstraint("=", _bound(node, scope)),)
+    found = [needed_form(item, _BOUNDS, "a bound") for item in ((node,) if node.items is None else node.items)]
+    return tuple([DurationConstraint(_BOUNDS[form.word], _bound(form.argument, scope)) for form in found])
+
+
+def _bound(node: Node, scope: Scope) -> Expression:
+    bound = read_expression(node, scope)
+    if scope.strict:
+        scope.check_value(bound, (), node)
+    return bound

@@ -46,12 +46,12 @@ def _scalar(node: Node, scope: Scope) -> Data:
     if text is None:
         return read_literal(node)
     if is_variable(text):
-        scope.check_variable(text, node.position)
+        scope.check_variable(text, node)
         return Parameter(text)
     fluent = fluent_in(text)
     if fluent is not None:
-        scope.check_fluent(fluent, node.position)
-        return _truth(ValueOf(fluent)) if fluent[0] in scope.predicates else ValueOf(fluent)
+        scope.check_fluent(fluent, node)
+        return _truth(ValueOf(fluent)) if fluent[0] in scope.declared.domain.predicates else ValueOf(fluent)
     return Literal.of(text)
 
 

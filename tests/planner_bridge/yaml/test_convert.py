@@ -361,10 +361,20 @@ def test_other_ways_to_write_it_are_read() -> None:
         " :effect (and (at ?r ?to) (not (at ?r ?from)) (decrease (battery ?r) 1))))"
     )
     assert found == replace(expected, requirements=())
-    assert [str(one) for one in found.warnings][:2] == [
-        "x.yaml:3:8: warning: :typing is needed here but not among the :requirements",
+    assert [str(one) for one in found.warnings] == [
         "x.yaml:9:5: warning: 'type' of go is left out: PDDL has nothing like it",
+        "x.yaml:10:5: warning: 'server' of go is left out: PDDL has nothing like it",
     ]
+
+
+def test_requirements_that_are_missing_are_told_of_the_pddl_that_is_written(tmp_path: Path) -> None:
+    file = tmp_path / "x.yaml"
+    file.write_text(WRITTEN, encoding="utf-8")
+    found = imported(file)
+    missing = [warning for warning in found.warnings if warning.message == ":typing is needed here but not among the :requirements"]
+    assert [warning.position.file for warning in missing] == ["domain.pddl"]
+    file.write_text(f"requirements: [typing, adl, fluents]\n{WRITTEN}", encoding="utf-8")
+    assert not any("needed" in str(warning) for warning in imported(file).warnings)
 
 
 def test_every_text_of_a_list_says_its_own_types() -> None:
@@ -384,8 +394,11 @@ HEAD = "name: d\npredicates: [(p), (q)]\n"
         ("plan: []\n", "x.yaml:1:1: there is no domain in the file; expected the key 'actions'"),
         (f"{HEAD}predicate: []\n", "x.yaml:3:1: unknown key 'predicate'; did you mean 'predicates'?"),
         (f"{HEAD}actions: {{a: {{precondition: (p)}}}}\n", "x.yaml:3:15: unknown key 'precondition'; did you mean 'preconditions'?"),
-        (f"{HEAD}actions:\n  a:\n    preconditions: (x)\n    effects: (pp)\n", "x.yaml:6:15: unknown predicate 'pp'; did you mean 'p'?"),
-        (f"{HEAD}actions:\n  a:\n    effects:\n      - (q)\n      - (p kitchen)\n", "x.yaml:7:9: (p) takes 0 arguments, found 1"),
+        (
+            f"{HEAD}actions:\n  a:\n    params:\n    effects: (pp)\n",
+            "x.yaml:6:15: there is no predicate 'pp' here; did you mean 'p'?",
+        ),
+        (f"{HEAD}actions:\n  a:\n    effects:\n      - (q)\n      - (p kitchen)\n", "x.yaml:7:9: p takes 0 arguments, found 1"),
         (f"{HEAD}actions:\n  a:\n    preconditions:\n      orr: [(p)]\n", "x.yaml:6:7: unknown word 'orr'; did you mean 'or'?"),
         (
             f"{HEAD}actions:\n  a:\n    preconditions:\n      Exists: {{Query: v}}\n",
@@ -396,16 +409,16 @@ HEAD = "name: d\npredicates: [(p), (q)]\n"
             "x.yaml:5:34: PDDL does not compare with 'contains'; expected one of =, !=, <, <=, >, >=",
         ),
         (f"{HEAD}actions: {{a: {{effects: [{{increse: [(p), 1]}}]}}}}\n", "x.yaml:3:26: unknown word 'increse'; did you mean 'increase'?"),
-        (f"{HEAD}actions: {{a: {{effects: [[(p)]]}}}}\n", "x.yaml:3:25: expected an effect such as (at ?r kitchen), found a list"),
-        (f"{HEAD}problem: {{goal: (r), objects: []}}\n", "x.yaml:3:18: unknown predicate 'r'; expected one of p, q"),
+        (f"{HEAD}actions: {{a: {{effects: [7]}}}}\n", "x.yaml:3:25: expected an effect, such as (at ?r kitchen), found 7"),
+        (f"{HEAD}problem: {{goal: (r), objects: []}}\n", "x.yaml:3:18: there is no predicate 'r' here; expected one of: p, q"),
         (f"{HEAD}problem: {{gaol: (p)}}\n", "x.yaml:3:11: unknown key 'gaol'; did you mean 'goal'?"),
         (
             f"{HEAD}problem:\n  init:\n    - (p)\n    - (p\n",
-            "x.yaml:6:7: this '(' is never closed; expected ')' before the end of the file",
+            "x.yaml:6:7: expected a fact such as (at r1 kitchen) or (= (battery r1) 80), found '(p'",
         ),
         (
             f"{HEAD}problem: {{init: [{{at: soon, facts: [(p)]}}]}}\n",
-            "x.yaml:3:37: unknown predicate 'at'; expected one of p, q",
+            "x.yaml:3:23: expected a number of at least 0 under 'at', found 'soon'",
         ),
         (f"{HEAD}problem: {{metric: {{minimise: 1}}}}\n", "x.yaml:3:20: unknown word 'minimise'; did you mean 'minimize'?"),
         (f"{HEAD}preferences: [{{name: p1, condition: (p)}}]\n", "x.yaml:3:15: the key 'constraints' is missing"),
@@ -416,8 +429,8 @@ HEAD = "name: d\npredicates: [(p), (q)]\n"
         ),
         (f"{HEAD}derived: [{{fact: (p)}}]\n", "x.yaml:3:11: the key 'condition' is missing"),
         (f"{HEAD}hierarchy: [(:tusk t)]\n", "x.yaml:3:13: expected the text of :task or :method"),
-        ("name: d\ntypes: [[a]]\n", "x.yaml:2:9: expected a text, found a list"),
-        ("name: [d]\nactions: {}\n", "x.yaml:1:7: expected a name, found a list"),
+        ("name: d\ntypes: [[a]]\n", "x.yaml:2:9: expected names and types such as '?r - robot ?to - place', found a list"),
+        ("name: [d]\nactions: {}\n", "x.yaml:1:7: expected a text under 'name', found ['d']"),
     ],
 )
 def test_what_is_wrong_is_said_where_it_is(text: str, message: str) -> None:

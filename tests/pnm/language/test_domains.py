@@ -90,13 +90,13 @@ def test_the_shapes_of_the_original(read: Read) -> None:
         "store": ActionKind.KB,
         "store_if_running": ActionKind.KB,
     }
-    assert domain.actions["count"].precondition == exists("value")
-    assert domain.actions["count_and_talk"].expected == exists("result")
-    assert domain.actions["count_and_talk"].end_effects == ()
-    assert domain.actions["load"].parameters == ()
-    assert domain.actions["store"].parameters == (Variable("?operation"), Variable("?result"))
+    assert domain.actions["count"].schema.precondition == exists("value")
+    assert domain.actions["count_and_talk"].schema.expected == exists("result")
+    assert domain.actions["count_and_talk"].schema.end_effects == ()
+    assert domain.actions["load"].schema.parameters == ()
+    assert domain.actions["store"].schema.parameters == (Variable("?operation"), Variable("?result"))
     running = Operation("eq", (Query(Literal.of("running"), Layer.LOCAL), Literal.of(True)))
-    assert domain.actions["store_if_running"].precondition == Computed(running)
+    assert domain.actions["store_if_running"].schema.precondition == Computed(running)
     assert [choice.name for choice in domain.sources] == ["RPKnowledgeBase"]
     assert domain.warnings == ()
 
@@ -104,7 +104,7 @@ def test_the_shapes_of_the_original(read: Read) -> None:
 def test_kinds_may_be_named_or_left_out(read: Read) -> None:
     domain = read("actions:\n  a:\n  b: {type: rpn_action}\n  c: {<<: *kb_action}\n  d: {type: }\n")
     assert [action.kind.value for action in domain.actions.values()] == ["ros_action", "rpn_action", "kb_action", "ros_action"]
-    assert domain.actions["a"].parameters is None
+    assert domain.actions["a"].is_open
     assert domain.actions["a"].binding.retries == 0
 
 
@@ -170,13 +170,13 @@ def test_what_pddl_has(read: Read) -> None:
     text = text.replace("at_start: {not: (at ?t ?from)}", 'at_start: {not: "(at ?t ?from)"}').replace("How fast?", '"How fast?"')
     domain = read(text)
     move = domain.actions["move"]
-    assert move.parameters == (Variable("?t", ("thing",)), Variable("?from", ("place",)), Variable("?to", ("place",)))
-    assert move.precondition == All((Holds(("at", "?t", "?from")), Not(Holds(("home", "?t")))))
-    assert move.invariant == Compare(">", ValueOf(("battery", "?t")), Constant(0.0))
-    assert move.end_condition == Holds(("free", "?t"))
-    assert move.start_effects == (Set(("at", "?t", "?from"), Constant(False)),)
-    assert move.end_effects == (Set(("at", "?t", "?to"), Constant(True)), Set(("battery", "?t"), ValueOf(DURATION), "decrease"))
-    assert move.expected == exists("distance", Layer.ALL)
+    assert move.schema.parameters == (Variable("?t", ("thing",)), Variable("?from", ("place",)), Variable("?to", ("place",)))
+    assert move.schema.precondition == All((Holds(("at", "?t", "?from")), Not(Holds(("home", "?t")))))
+    assert move.schema.invariant == Compare(">", ValueOf(("battery", "?t")), Constant(0.0))
+    assert move.schema.end_condition == Holds(("free", "?t"))
+    assert move.schema.start_effects == (Set(("at", "?t", "?from"), Constant(False)),)
+    assert move.schema.end_effects == (Set(("at", "?t", "?to"), Constant(True)), Set(("battery", "?t"), ValueOf(DURATION), "decrease"))
+    assert move.schema.expected == exists("distance", Layer.ALL)
     assert move.resources == ("floor",)
     assert (move.binding.server, move.binding.type) == ("/{t}/move", "nav2_msgs/action/NavigateToPose")
     assert (move.binding.retries, move.binding.timeout) == (2, 30.0)
@@ -184,13 +184,13 @@ def test_what_pddl_has(read: Read) -> None:
     assert (move.binding.store, move.binding.ask) == ({"distance": "driven"}, {"speed": "How fast?"})
     assert move.objects == {"?t", "?from", "?to"}
     assert domain.rules.rules == (Rule("home", (Variable("?t", ("thing",)),), Holds(("at", "?t", "base"))),)
-    assert domain.facts == {("at", "r1", "k1"): True, ("battery", "r1"): 80.0, ("owner", "r1"): "r1", ("free", "r1"): False}
-    assert domain.timed == (
+    assert domain.model.init == {("at", "r1", "k1"): True, ("battery", "r1"): 80.0, ("owner", "r1"): "r1", ("free", "r1"): False}
+    assert domain.model.timed == (
         TimedChange(5.0, {("at", "r1", "k1"): False}),
         TimedChange(7.5, {("free", "r1"): True, ("battery", "r1"): 3.0}),
     )
-    assert domain.goal == Holds(("home", "r1"))
-    assert domain.declared.objects_by_type == {
+    assert domain.model.goal == Holds(("home", "r1"))
+    assert domain.model.objects_by_type == {
         "object": ("base", "r1", "k1", "k2"),
         "place": ("base", "k1", "k2"),
         "thing": ("r1",),
@@ -203,11 +203,11 @@ def test_what_pddl_has(read: Read) -> None:
 
 def test_objects_of_several_types_are_of_all_of_them(read: Read) -> None:
     domain = read("types: a b c - object\nconstants: x - (either a b)\nactions: {}\n")
-    assert domain.declared.objects_by_type == {"object": ("x",), "a": ("x",), "b": ("x",), "c": ()}
+    assert domain.model.objects_by_type == {"object": ("x",), "a": ("x",), "b": ("x",), "c": ()}
 
 
 def test_types_that_are_kinds_of_each_other_do_not_trap(read: Read) -> None:
-    assert read("types: [a - b, b - a]\nconstants: x - a\nactions: {}\n").declared.objects_by_type["b"] == ("x",)
+    assert read("types: [a - b, b - a]\nconstants: x - a\nactions: {}\n").model.objects_by_type["b"] == ("x",)
 
 
 def test_what_is_tested_of_parameters_says_which_are_objects(read: Read) -> None:
@@ -249,7 +249,7 @@ def test_the_knowledge_bases_that_the_original_ships_are_known(read: Read, name:
 def test_equal_names_and_empty_sections_are_nothing(read: Read) -> None:
     domain = read("name: x\ntypes:\nconstants: []\npredicates:\nfunctions:\nderived:\nproblem:\nactions:\n")
     assert domain.actions == {}
-    assert domain.goal == TRUE
+    assert domain.model.goal == TRUE
 
 
 WRONG = [
@@ -262,7 +262,7 @@ WRONG = [
     ("actions: {a: {type: [ros_action]}}", ":1:21: expected a kind of action such as ros_action, found a list"),
     ("actions: {while: {}}", ":1:18: 'while' is a word of the language; an action cannot be called so"),
     ("actions: {a: {params: [on]}}", ":1:24: expected names and types such as '?r - robot ?to - place'; write 'on' with quotes"),
-    ("actions: {a: {params: [x], preconditions: '(p ?y)'}}", ":1:43: there is no parameter '?y' here; expected one of: ?x"),
+    ("actions: {a: {params: [x], preconditions: '(p ?y)'}}", ":1:47: there is no parameter '?y' here; expected one of: ?x"),
     ("actions: {a: {retries: 1.5}}", ":1:24: expected a whole number under 'retries', found 1.5"),
     ("actions: {a: {server: '/{robot'}}", ":1:23: expected '}' before end of string in '/{robot'"),
     ("actions: {a: {store: [b]}}", ":1:22: expected result fields and the variables to store them in"),
@@ -275,19 +275,19 @@ WRONG = [
     ("knowledge: [sqlit]\nactions: {}", ":1:13: there is no source of knowledge 'sqlit'; did you mean 'sqlite'?"),
     ("knowledge: [{sqlite: file}]\nactions: {}", ":1:22: expected options of sqlite (option: value), found 'file'"),
     ("knowledge: 3\nactions: {}", ":1:12: expected the name of a source of knowledge, found 3"),
-    ("types: [robot - thing]\nconstants: r1 - robt\nactions: {}", ":2:12: there is no type 'robt' here; did you mean 'robot'?"),
+    ("types: [robot - thing]\nconstants: r1 - robt\nactions: {}", ":2:17: there is no type 'robt' here; did you mean 'robot'?"),
     ("predicates: [at]\nactions: {}", ":1:14: expected something like (at ?r - robot ?p - place)"),
     (
         "predicates: (at ?x)\nderived: [{fact: '(att ?x)', condition: (at)}]",
-        ":2:18: there is no predicate 'att' here; did you mean 'at'?",
+        ":2:20: there is no predicate 'att' here; did you mean 'at'?",
     ),
     ("derived: [{fact: '(p ?x)', condition: {not: '(p ?x)'}}]\nactions: {}", ":1:10: whether (p …) holds would depend on its own negation"),
     ("derived: [{condition: (p)}]\nactions: {}", ":1:11: the key 'fact' is missing"),
     ("problem: {inti: []}\nactions: {}", ":1:11: unknown key 'inti'; did you mean 'init'?"),
     ("problem: {init: [at r1]}\nactions: {}", ":1:18: expected a fact such as (at r1 kitchen) or (= (battery r1) 80)"),
     ("problem: {init: [{facts: (a)}]}\nactions: {}", ":1:18: the key 'at' is missing"),
-    ("problem: {init: ['(at ?x)']}\nactions: {}", ":1:18: there is no parameter '?x' here"),
-    ("problem: {goal: '(at ?x)'}\nactions: {}", ":1:17: there is no parameter '?x' here"),
+    ("problem: {init: ['(at ?x)']}\nactions: {}", ":1:23: there is no parameter '?x' here"),
+    ("problem: {goal: '(at ?x)'}\nactions: {}", ":1:22: there is no parameter '?x' here"),
     ("predicates: (at ?x)\nproblem: {init: [(at)]}\nactions: {}", ":2:18: at takes 1 arguments, found 0"),
     (
         "actions: {a: {preconditions: {over_all: {not: {Exists: [Query: v]}}}}}",
@@ -321,6 +321,6 @@ def test_nothing_that_a_file_names_is_imported(read: Read, tmp_path: Path, monke
 
 
 def test_no_condition_is_one_that_always_holds(read: Read) -> None:
-    action = read("actions: {a: {preconditions: , effects: {}}}").actions["a"]
+    action = read("actions: {a: {preconditions: , effects: {}}}").actions["a"].schema
     assert (action.precondition, action.expected, action.end_effects) == (TRUE, TRUE, ())
-    assert read("actions: {a: {preconditions: {or: []}}}").actions["a"].precondition == Any(())
+    assert read("actions: {a: {preconditions: {or: []}}}").actions["a"].schema.precondition == Any(())

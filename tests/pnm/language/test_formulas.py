@@ -8,6 +8,7 @@ import pytest
 
 from pnm.core.logic.computed_values import Compound, Data, KnowledgeOperation, Layer, Literal, Operation, Parameter, Query, Update
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
+from pnm.core.logic.domain import Declaration, DomainModel, DurationConstraint, ProblemModel
 from pnm.core.logic.effects import ForEach, Set, When
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, ValueOf, Variable
 from pnm.errors import InputError
@@ -237,12 +238,15 @@ def test_conditions_and_effects_by_moment() -> None:
 
 
 def test_durations() -> None:
-    assert read_duration(node("5")) == (("=", Constant(5.0)),)
+    assert read_duration(node("5")) == (DurationConstraint("=", Constant(5.0)),)
     assert read_duration(node('{Operation: ["/", ["(distance ?a ?b)", (speed)]]}')) == (
-        ("=", Arithmetic("/", (ValueOf(("distance", "?a", "?b")), ValueOf(("speed",))))),
+        DurationConstraint("=", Arithmetic("/", (ValueOf(("distance", "?a", "?b")), ValueOf(("speed",))))),
     )
-    assert read_duration(node('[{"<=": 5}, {">=": (least)}]')) == (("<=", Constant(5.0)), (">=", ValueOf(("least",))))
-    assert read_duration(node('{"=": "?n"}')) == (("=", Constant("?n")),)
+    assert read_duration(node('[{"<=": 5}, {">=": (least)}]')) == (
+        DurationConstraint("<=", Constant(5.0)),
+        DurationConstraint(">=", ValueOf(("least",))),
+    )
+    assert read_duration(node('{"=": "?n"}')) == (DurationConstraint("=", Constant("?n")),)
     assert read_duration(node("[]")) == ()
 
 
@@ -256,7 +260,15 @@ def test_typed_lists() -> None:
     }
 
 
-SCOPE = Scope(frozenset({"?robot", "?to"}), {"at": 2, "battery": 1}, frozenset({"r1", "kitchen"}), frozenset({"robot", "place"}))
+ONE, TWO = (Variable("?x"),), (Variable("?x"), Variable("?y"))
+KNOWN = DomainModel(
+    "d",
+    {"robot": (), "place": ()},
+    {"r1": ("robot",), "kitchen": ("place",)},
+    {"at": Declaration("at", TWO)},
+    {"battery": Declaration("battery", ONE)},
+)
+SCOPE = Scope(ProblemModel("p", KNOWN), {"?robot": ("robot",), "?to": ("place",)})
 C, D, E, K, X, T, L = read_condition, read_data, read_effects, read_operation, read_expression, read_typed, read_duration
 WRONG: list[tuple[Callable[..., object], str, str]] = [
     # words and shapes
@@ -315,18 +327,18 @@ WRONG: list[tuple[Callable[..., object], str, str]] = [
     (T, "[on]", "F:1:5: expected names and types such as '?r - robot ?to - place'; write 'on' with quotes"),
 ]
 WRONG_NAMES: list[tuple[Callable[..., object], str, str]] = [
-    (C, '"(at ?robt kitchen)"', "F:1:4: there is no parameter '?robt' here; did you mean '?robot'?"),
-    (C, '"(att r1 kitchen)"', "F:1:4: there is no predicate or function 'att' here; did you mean 'at'?"),
+    (C, '"(at ?robt kitchen)"', "F:1:9: there is no parameter '?robt' here; did you mean '?robot'?"),
+    (C, '"(att r1 kitchen)"', "F:1:6: there is no predicate or function 'att' here; did you mean 'at'?"),
     (C, '"(at r1)"', "F:1:4: at takes 2 arguments, found 1"),
-    (C, '"(at r1 kitchn)"', "F:1:4: there is no object 'kitchn' here; did you mean 'kitchen'?"),
-    (C, '{Comparison: [">", ["(batery r1)", 1]]}', "F:1:24: there is no predicate or function 'batery' here; did you mean 'battery'?"),
+    (C, '"(at r1 kitchn)"', "F:1:12: there is no object 'kitchn' here; did you mean 'kitchen'?"),
+    (C, '{Comparison: [">", ["(batery r1)", 1]]}', "F:1:26: there is no predicate or function 'batery' here; did you mean 'battery'?"),
     (C, '{Comparison: [eq, ["?rob", "?to"]]}', "F:1:23: there is no parameter '?rob' here; did you mean '?robot'?"),
     (D, '["?tp"]', "F:1:5: there is no parameter '?tp' here; did you mean '?to'?"),
-    (D, '"(batt r1)"', "F:1:4: there is no predicate or function 'batt' here"),
-    (E, '{increase: ["(battery ?rbot)", 1]}', "F:1:16: there is no parameter '?rbot' here; did you mean '?robot'?"),
+    (D, '"(batt r1)"', "F:1:6: there is no predicate or function 'batt' here"),
+    (E, '{increase: ["(battery ?rbot)", 1]}', "F:1:26: there is no parameter '?rbot' here; did you mean '?robot'?"),
     (E, '{increase: ["(battery r1)", "(at r1)"]}', "F:1:32: at takes 2 arguments, found 1"),
     (X, "kitschen", "F:1:4: there is no object 'kitschen' here; did you mean 'kitchen'?"),
-    (C, '{forall: {variables: "?x - plaze", condition: (a)}}', "F:1:25: there is no type 'plaze' here; did you mean 'place'?"),
+    (C, '{forall: {variables: "?x - plaze", condition: (a)}}', "F:1:31: there is no type 'plaze' here; did you mean 'place'?"),
 ]
 
 

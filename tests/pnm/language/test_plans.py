@@ -507,7 +507,7 @@ WRONG = [
     ("plan: [{while: {condition: (a), action: [any: ]}}]", "1:33: unknown key 'action'; did you mean 'actions'?"),
     ("plan: [{while: {condition: (a), actions: [any: ]}, retries: 3}]", "1:52: unknown key 'retries'"),
     ("plan: [{if: (a)}]", "1:8: the key 'then' is missing"),
-    ("plan: [{if: '(a ?x)', then: []}]", "1:13: there is no parameter '?x' here"),
+    ("plan: [{if: '(a ?x)', then: []}]", "1:17: there is no parameter '?x' here"),
     ("plan: [{if: (a), then: [], esle: []}]", "1:28: unknown key 'esle'; did you mean 'else'?"),
     ("plan: [{any: , recoveries: {durin: }}]", "1:29: unknown key 'durin'; did you mean 'during'?"),
     ("plan: [{any: , recoveries: {during: {failed: [retry]}}}]", "1:38: unknown key 'failed'"),
