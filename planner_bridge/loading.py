@@ -1,4 +1,4 @@
-"""Problems, from PDDL files, our own model or unified-planning; and the bindings beside them."""
+"""Loading of problems from PDDL files, our own model, or unified-planning; the bindings beside them; warnings as text."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pnm.core.machine.bindings import Bindings
 from pnm.errors import Tolerated
 
 _SHOWN: Final = 20
-"""So many warnings about a file at most are told."""
+"""Warnings about a file that are shown, at most."""
 
 
 def load(domain: Path | str | Domain | None, problem: Path | str | Problem | Any) -> Problem:
@@ -52,10 +52,10 @@ def bindings_for(domain: Path | None, file: Path | None, known: Vocabulary | Non
     return read_bindings(chosen, known) if chosen else Bindings()
 
 
-def told(warnings: Iterable[Tolerated]) -> Iterator[str]:
+def warning_lines(warnings: Iterable[Tolerated]) -> Iterator[str]:
     """Yield a line for each warning, and for each file with many of them how many more there are."""
     for file, group in groupby(warnings, key=lambda warning: warning.position.file):
-        found = list(group)
-        yield from map(str, found[:_SHOWN])
-        if len(found) > _SHOWN:
-            yield f"{file}: {len(found) - _SHOWN} more warnings"
+        of_file = list(group)
+        yield from map(str, of_file[:_SHOWN])
+        if len(of_file) > _SHOWN:
+            yield f"{file}: {len(of_file) - _SHOWN} more warnings"

@@ -14,7 +14,7 @@ from typing import Any, ParamSpec
 
 import click
 
-from planner_bridge.loading import load, told
+from planner_bridge.loading import load, warning_lines
 from planner_bridge.model.problem import Problem
 from pnm.actions.faults import NO_FAULTS, Faults, read_faults
 from pnm.errors import InputError, PnmError, Tolerated
@@ -136,8 +136,8 @@ def write(path: Path | None, text: str) -> None:
 
 
 def tell(warnings: Iterable[Tolerated]) -> None:
-    """Print warnings about files on stderr."""
-    for line in told(warnings):
+    """Say on stderr what in files was not as it should be."""
+    for line in warning_lines(warnings):
         print(line, file=sys.stderr)
 
 

@@ -15,8 +15,8 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import write_domain, write_problem
 from planner_bridge.pddl.read.formulas import condition
 from planner_bridge.pddl.read.requirements import Requirements
-from planner_bridge.pddl.read.symbols import Names
-from planner_bridge.pddl.read.terms import Scope
+from planner_bridge.pddl.read.symbols import SymbolTable
+from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Group, Node, parse, wrong
 from planner_bridge.pddl.syntax.words import number, number_text, operands
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
@@ -60,7 +60,7 @@ class SharedWorld:
         self._knowledge = knowledge
         self._elapsed = elapsed
         derived = frozenset(rule.name for rule in problem.domain.rules)
-        self._scope = Scope(Names(problem.domain, problem.objects, Requirements(problem.domain.requirements), derived=derived))
+        self._scope = TermScope(SymbolTable(problem.domain, problem.objects, Requirements(problem.domain.requirements), derived=derived))
         self._goals = {name: self._condition(text, f"goal {name}") for name, text in (goals or {}).items()}
         self._objects: dict[Fluent, str] = {}
         self.attend()
@@ -171,7 +171,7 @@ class SharedWorld:
 
     def _answer(self, node: Node) -> Value | Unknown:
         """Return whether a condition holds, or the value of a function."""
-        declared = self._scope.names.find_function(node)
+        declared = self._scope.symbols.find_function(node)
         if declared is None:
             return evaluate(self._checked(node), self._knowledge)
         value = self._knowledge.value(self._scope.function(node))
@@ -194,7 +194,7 @@ class SharedWorld:
         if not isinstance(node, Group) or node.head != "=":
             return self._fact(node), True
         target, value = operands(node, 2)
-        fluent, types = self._scope.function(target), self._scope.names.function(target).values
+        fluent, types = self._scope.function(target), self._scope.symbols.function(target).values
         if not types:
             return fluent, number(value)
         found = self._scope.value(value, types)
@@ -211,14 +211,14 @@ class SharedWorld:
         return fluent, value
 
     def _forgotten(self, node: Node) -> tuple[Fluent, Unknown]:
-        is_function = self._scope.names.find_function(node) is not None
+        is_function = self._scope.symbols.find_function(node) is not None
         return self._scope.function(node) if is_function else self._fact(node), UNKNOWN
 
     def _fact(self, node: Node) -> Fluent:
-        if self._scope.names.find_function(node) is not None:
+        if self._scope.symbols.find_function(node) is not None:
             raise wrong(node, f"{node} is a function; expected it with its value, such as (= (battery r1) 0.8)")
         fluent = self._scope.fact(node)
-        if fluent[0] in self._scope.names.derived:
+        if fluent[0] in self._scope.symbols.derived:
             raise wrong(node, f"{fluent[0]!r} is a derived predicate; it follows from others and cannot be set")
         return fluent
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from uuid import UUID
 
-from planner_bridge.model.forbidden_actions import ForbiddenCall, users
+from planner_bridge.model.forbidden_actions import ForbiddenCall, calls_acquiring
 from planner_bridge.model.problem import Problem
 from planner_bridge.tasks.control import TaskControl
 from planner_bridge.tasks.replanning import History
@@ -69,7 +69,7 @@ class TaskContext:
     def withheld(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls that need a resource that was waited for in vain and is still withheld."""
         names = self.resources.withheld_from(history.lacking)
-        return users(self.problem.domain, self.settings.bindings, names.keys())
+        return calls_acquiring(self.problem.domain, self.settings.bindings, names.keys())
 
     def forbidden(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls that no plan may use now."""

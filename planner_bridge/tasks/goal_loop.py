@@ -11,7 +11,7 @@ from typing import assert_never
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.plan import Plan
-from planner_bridge.model.plan_simulation import Unforeseeable
+from planner_bridge.model.plan_simulation import NotProjectable
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import TaskContext
@@ -271,7 +271,7 @@ class GoalLoop:
                 execution.succeed(graph)
                 self._log.follow(machine, result, decision, history)
                 self._retry_at = None
-        except (NoPlan, TaskEnded, Unforeseeable, PlanGraphError, Unsound):  # what is under way may not fit into any plan
+        except (NoPlan, TaskEnded, NotProjectable, PlanGraphError, Unsound):  # what is under way may not fit into any plan
             return None
         finally:
             self._control.enter(TaskState.RUNNING)

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Mapping
 from types import TracebackType
 
-from planner_bridge.ordering.interference import Footprint, footprint
+from planner_bridge.ordering.interference import ReadWriteSets, read_write_sets
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.replanning import Progress, why_not
@@ -109,10 +109,10 @@ class PlanExecution(Observer):
         return Progress(self.run.machine.plan, calls, frozenset(under_way))
 
     @property
-    def footprint(self) -> Footprint:
+    def footprint(self) -> ReadWriteSets:
         """What the rest of the plan needs and changes."""
         progress = self.progress
-        return footprint(progress.rest, progress.plan.goal, self._context.world)
+        return read_write_sets(progress.rest, progress.plan.goal, self._context.world)
 
     @property
     def running(self) -> tuple[str, ...]:
