@@ -25,9 +25,9 @@ from planner_bridge.tasks.plan_search import Finding
 from planner_bridge.tasks.replanning import GiveUp, History, Progress, Resume, decide, rest_of, shortened, times_that_matter, why_not
 from planner_bridge.tasks.settings import OnChange
 from planner_bridge.tasks.task_history import Chronicle, Way
-from pnm.core.execution.call_requests import UnderWay
 from pnm.core.execution.call_results import Failure, RunResult
 from pnm.core.execution.events import Observer
+from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.run import Run
 from pnm.core.logic.conditions import names
 from pnm.core.logic.effects import names_written, possible_assignments
@@ -194,7 +194,7 @@ class Relay:
     @property
     def progress(self) -> Progress:
         """How far the current plan has come."""
-        calls = self.run.told().calls
+        calls = self.run.interim_result().calls
         return Progress(self.run.machine.plan, calls, frozenset(one.call.index for one in calls if one.is_under_way))
 
     @property
@@ -266,7 +266,7 @@ class Relay:
         return not self.executor.ended
 
     def _advice(self) -> _Advice:
-        progress, has_failed = self.progress, bool(self.run.told().failures)
+        progress, has_failed = self.progress, bool(self.run.interim_result().failures)
         if self._standing.stopped or self._standing.is_paused:
             return _Advice.END_FIRST
         if self.lacks_room:
@@ -309,7 +309,7 @@ class Relay:
     async def _look(self, execution: asyncio.Future[RunResult]) -> Way | None:
         if not await self._at_rest(execution):
             return None
-        told = self.run.told()
+        told = self.run.interim_result()
         mission, history = self._mission, self._chronicle.history
         history = history.after(told.calls, told.failures) if told.failures else history.changed()
         left = self._left(self.progress)
@@ -344,7 +344,7 @@ class Relay:
             run = self._run(graph, dict(zip(numbers, (under_way[index] for index in sorted(under_way)), strict=True)))
         except (PlanGraphError, Unsound):  # what is under way does not fit into it
             return False
-        self._chronicle.follow(way, self.run.machine, self.run.told())
+        self._chronicle.follow(way, self.run.machine, self.run.interim_result())
         self.executor.succeed(run)
         return True
 
@@ -352,13 +352,13 @@ class Relay:
         now = self._supervision.now()
         if way.plan is not None:
             return plan_graph(now, way.plan, [one.call for one in under_way.values()])
-        progress = Progress(self.run.machine.plan, self.run.told().calls, frozenset(under_way))
+        progress = Progress(self.run.machine.plan, self.run.interim_result().calls, frozenset(under_way))
         return rest_of(now, self._left(progress))
 
     async def _at_rest(self, execution: asyncio.Future[RunResult]) -> bool:
         """Wait until everything that is under way can be handed over; tell whether the run is still going on then."""
         while not self.executor.ended:
-            is_settled = all(one.kind is not CallOutcome.RUNNING for one in self.run.told().calls)
+            is_settled = all(one.kind is not CallOutcome.RUNNING for one in self.run.interim_result().calls)
             if is_settled and set(self.run.open_requests) == {one.request for one in self.run.under_way()}:
                 return True
             await self.executor.happens()
@@ -369,7 +369,7 @@ class Relay:
 
     def _left(self, progress: Progress) -> Progress:
         """Return what there is still to be done; a failure makes nothing needless, but facts that have changed may."""
-        return progress if self.run.told().failures else shortened(progress, self._mission.world)
+        return progress if self.run.interim_result().failures else shortened(progress, self._mission.world)
 
     def _obstacle(self, progress: Progress) -> str:
         return self._why_not(progress, self._chronicle.history)

@@ -28,7 +28,7 @@ from planner_bridge.tasks.replanning import Progress, shortened, why_not
 from planner_bridge.tasks.result import Stopwatch, code_of_planning
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.tasks.task_history import Chronicle, no_plan, sentence
-from pnm.core.execution.call_requests import UnderWay
+from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.resources import who_keeps
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph

@@ -91,9 +91,8 @@ class Recital:
     def footprint(self) -> Footprint:
         """What the plan needs and changes: all that it may still reach."""
         plan = self._performance.program.plan.graph
-        over = (
-            {one.call.index for one in self.run.told().calls if one.ended is not None} if len(plan.every_step) == len(plan.calls) else set()
-        )
+        is_flat = len(plan.every_step) == len(plan.calls)
+        over = {one.call.index for one in self.run.interim_result().calls if one.ended is not None} if is_flat else set()
         calls = [call for call in plan.calls if call.index not in over]
         return footprint(calls, plan.goal, self._performer.world)
 

@@ -159,7 +159,7 @@ class Task(TaskObserver):
         for ordering in graph.orderings:
             if ordering.before.call < len(graph.calls) and ordering.after.call < len(graph.calls):
                 before.setdefault(ordering.after.call, []).append(ordering.before.call)
-        told = {one.call.index: one for one in run.told().calls}
+        told = {one.call.index: one for one in run.interim_result().calls}
         states = {index: step_state(one.kind) for index, one in told.items()}
         begun = {index: one.call.action.arguments for index, one in told.items() if one.started is not None}
         return tuple(
