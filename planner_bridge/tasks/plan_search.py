@@ -9,7 +9,7 @@ from functools import cache, partial
 from typing import Final, TypeAlias, TypeVar, cast
 from uuid import UUID
 
-from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
+from planner_bridge.model.forbidden_actions import ANY, ForbiddenCall, forbid
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus
 from planner_bridge.model.plan_simulation import after
@@ -41,9 +41,14 @@ class NoPlan(Exception):
     """The planner has found no plan without the forbidden calls, and would find none without the other tasks."""
 
     def __init__(self, result: PlanningResult, forbidden: frozenset[ForbiddenCall]) -> None:
-        super().__init__(result.reason)
-        self.result = result
-        self.forbidden = forbidden
+        failed = sorted(str(call) for call in forbidden if ANY not in call.arguments)
+        lacking = sorted(str(call) for call in forbidden if ANY in call.arguments)
+        without = [
+            *([f" without {', '.join(failed)}, not to be tried again"] if failed else []),
+            *([f" without {', '.join(lacking)}, for which others keep what is needed"] if lacking else []),
+        ]
+        super().__init__(f"no plan{' and'.join(without)}: {result.reason}")
+        self.status = result.status
 
 
 class PlanSearch:

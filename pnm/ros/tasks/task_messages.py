@@ -21,7 +21,7 @@ from pnm.knowledge.sources.memory import read_value, write_value
 from pnm.knowledge.sources.person_text import printable
 from pnm.knowledge.sources.source import SourceError
 from pnm.ros.knowledge.knowledge_source import uuid_field
-from pnm.tasks import Code, MadePlan, Moment, OnConflict, Status, Step, StepState, TaskEnding, Wanted
+from pnm.tasks import Code, MadePlan, OnConflict, StepState, TaskEnding, TaskStatus, TaskStep, TraceEvent, Wanted
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +124,7 @@ def _text(name: str, text: str) -> str:
     return text.strip()
 
 
-def status_fields(status: Status) -> Fields:
+def status_fields(status: TaskStatus) -> Fields:
     """Return the fields of a ``TaskStatus``."""
     return {
         "id": uuid_field(status.id),
@@ -138,22 +138,22 @@ def status_fields(status: Status) -> Fields:
     }
 
 
-def task_feedback_fields(status: Status, steps: Iterable[Step]) -> Fields:
+def task_feedback_fields(status: TaskStatus, steps: Iterable[TaskStep]) -> Fields:
     """Return the fields of the feedback of ``achieve_goal`` and ``execute_plan``."""
     return {"status": status_fields(status), "plan": rest(steps)}
 
 
-def run_feedback_fields(status: Status, _steps: Iterable[Step]) -> Fields:
+def run_feedback_fields(status: TaskStatus, _steps: Iterable[TaskStep]) -> Fields:
     """Return the fields of the feedback of the action of a plan."""
     return {"running": [printable(call) for call in status.running], "ended": status.ended, "restarts": status.restarts}
 
 
-def plan_fields(task: UUID, goal: str, number: int, steps: Iterable[Step]) -> Fields:
+def plan_fields(task: UUID, goal: str, number: int, steps: Iterable[TaskStep]) -> Fields:
     """Return the fields of a ``Plan``."""
     return {"task": uuid_field(task), "goal": printable(goal), "number": number, "steps": [_step_fields(step) for step in steps]}
 
 
-def _step_fields(step: Step) -> Fields:
+def _step_fields(step: TaskStep) -> Fields:
     return {
         "action": step.action,
         "arguments": [printable(argument) for argument in step.arguments],
@@ -164,7 +164,7 @@ def _step_fields(step: Step) -> Fields:
     }
 
 
-def rest(steps: Iterable[Step]) -> list[str]:
+def rest(steps: Iterable[TaskStep]) -> list[str]:
     """Return what a plan still has to do."""
     return [printable(str(step)) for step in steps if step.state in (StepState.WAITING, StepState.RUNNING)]
 
@@ -179,7 +179,7 @@ def marking_fields(task: UUID, number: int, marking: Marking) -> Fields:
     return {"task": uuid_field(task), "number": number, "places": list(marking), "tokens": list(marking.values())}
 
 
-def moment_fields(moment: Moment, offset: float) -> Fields:
+def moment_fields(moment: TraceEvent, offset: float) -> Fields:
     """Return the fields of a ``TraceEvent``; the offset is what the clock of the node is ahead of that of the event loop."""
     return {
         "stamp": moment.time + offset,
