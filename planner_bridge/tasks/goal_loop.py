@@ -82,7 +82,7 @@ class GoalLoop:
             while True:
                 with context.task.stopwatch.of("execute"):
                     await execution.attention()
-                if follower := await self._replan(execution):
+                if (follower := await self._replan(execution)) is not None:
                     return follower
                 execution.release()
 

@@ -18,10 +18,9 @@ from planner_bridge.ordering.interference import around, footprint, optimistic_s
 from planner_bridge.ordering.plan_to_graph import calls_of, one_by_one
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
-from planner_bridge.tasks.context import TaskContext
+from planner_bridge.tasks.context import Conflict, RunningCalls, TaskContext
 from planner_bridge.tasks.control import TaskEnded
 from planner_bridge.tasks.replanning import Progress, shortened, why_not
-from planner_bridge.tasks.scheduling.preemption import Conflict, RunningCalls
 from pnm.core.execution.call_requests import UnderWay
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph
@@ -76,7 +75,7 @@ class PlanSearch:
         context, control, task = self._context, self._control, self._context.task
         while True:
             await control.unpaused()
-            await control.until(context.queue.enter(task))
+            await control.until(context.scheduler.begin_turn(task))
             blocking: tuple[Conflict, ...] = ()
             try:
                 while not (blocking or control.is_paused):
@@ -86,11 +85,11 @@ class PlanSearch:
                     if plan is not None:
                         return plan
                     if all(conflict.yields for conflict in conflicts):
-                        await control.until(context.preemption.preempt(task, conflicts))
+                        await control.until(context.scheduler.preempt(task, conflicts))
                     else:
                         blocking = conflicts
             finally:
-                context.queue.leave(task, failed=bool(blocking))
+                context.scheduler.end_turn(task, failed=bool(blocking))
             if blocking:
                 reason = "; ".join(map(str, blocking))
                 if context.on_conflict is OnConflict.REFUSE:
@@ -122,7 +121,7 @@ class PlanSearch:
         going_on = [one.call for one in under_way or ()]
         self._control.reserved = None
         context.observer.planning(context.settings.planner)
-        running = context.preemption.running_calls(context.task)  # now, and not when the planner has answered
+        running = context.scheduler.running_calls(context.task)  # now, and not when the planner has answered
         found = await self._solve(now)
         if found.plan is None:
             context.observer.unplanned(found)
@@ -147,7 +146,7 @@ class PlanSearch:
         """Attempt to carry out the rest of a plan."""
         context = self._context
         self._control.reserved = needed = cache(partial(footprint, rest.calls, rest.goal, context.world))
-        return self._unless_in_conflict(rest, context.preemption.new_conflicts(context.task, needed))
+        return self._unless_in_conflict(rest, context.scheduler.new_conflicts(context.task, needed))
 
     def _begin(self) -> None:
         self.origin = asyncio.get_running_loop().time()
@@ -155,7 +154,7 @@ class PlanSearch:
 
     def _reserve(self, now: Problem, plan: Plan, under_way: list[ActionCall]) -> tuple[Conflict, ...]:
         self._control.reserved = needed = cache(lambda: footprint((*under_way, *calls_of(now, plan)), now.goal, initial_knowledge(now)))
-        return self._context.preemption.conflicts(self._context.task, needed)
+        return self._context.scheduler.conflicts(self._context.task, needed)
 
     def _unless_in_conflict(self, plan: P | None, conflicts: tuple[Conflict, ...]) -> tuple[P | None, tuple[Conflict, ...]]:
         if conflicts:

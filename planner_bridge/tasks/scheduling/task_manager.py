@@ -291,7 +291,6 @@ class TaskManager:
             self._resources,
             self._source,
             self._preemption,
-            self._queue,
             task.wanted.on_conflict or self._limits.on_conflict,
             lambda: UUID(bytes=self._prefix + uuid4().bytes[4:]),
         )
