@@ -170,7 +170,7 @@ class PlanExecution(Observer):
 
     def resume(self) -> None:
         """Go on after a pause; if the plan does not work any more, or is in conflict with others, call for attention first."""
-        if self._context.preemption.new_conflicts(self._context.task, lambda: self.footprint):
+        if self._context.scheduler.new_conflicts(self._context.task, lambda: self.footprint):
             self.is_blocked = True
         if self.is_blocked or self.result.failures or (self.is_eager and self.obstacle()):
             self._attention.set()
