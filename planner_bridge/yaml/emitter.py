@@ -16,7 +16,7 @@ from typing import Final, TypeAlias
 
 import yaml
 
-from planner_bridge.pddl.comments.lines import Line, rendered
+from planner_bridge.pddl.comments.lines import Line, render_lines
 from planner_bridge.pddl.comments.table import NO_NOTE, Note
 
 _LETTERS: Final = frozenset("yYnN")
@@ -116,7 +116,7 @@ def single(key: str, value: Value, *, short: bool = False) -> Mapping:
 
 def document(whole: Mapping) -> str:
     """Write a document."""
-    return rendered(_block(whole, 0), commented)
+    return render_lines(_block(whole, 0), commented)
 
 
 def commented(comment: str) -> str:

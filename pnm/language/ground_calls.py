@@ -33,7 +33,7 @@ def filled_operation(operation: KnowledgeOperation, values: Mapping[str, Data]) 
 
 
 EFFECT_RETRIES: Final = 3
-"""How often a call is retried because its effects are missing, without recoveries in the plan or the domain."""
+"""How often a call is repeated by default because its effects are missing."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def _duration(action: LanguageAction, own: Substitution, facts: Facts) -> float 
 
 
 def usual_recoveries(action: LanguageAction) -> tuple[Recovery, ...]:
-    """Return the recoveries of a call for which neither the step nor the action has any.
+    """Return the default recoveries of a call, for causes that neither the step nor the action handles.
 
     A call that was preempted counts as done, unless it would be believed to have effects that it may not have had; one whose
     effects are missing is repeated.

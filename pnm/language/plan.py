@@ -5,8 +5,9 @@ A world is a domain and the plans that are served together, each as an action se
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -232,3 +233,41 @@ def _world(name: str, entry: Mapped, key: str) -> World:
     if not paths:
         raise InputError(f"the world {name!r} has no plans; expected files under {key!r}", entry.start)
     return World(name, finished([head for path in paths for head in plan_heads(path, domain)]), domain)
+
+
+# --- the plans of a file or a world ----------------------------------------------------------
+
+
+def chosen_plan(plans: Mapping[str, HandWrittenPlan], name: str | None) -> str:
+    """Return the name of the plan to carry out: the only one that no other calls, if none is named.
+
+    Raises:
+        InputError: there is no such plan, or none is named and there are several.
+    """
+    called = frozenset(other for plan in plans.values() for other in plan.calls)
+    candidates = [candidate for candidate in plans if candidate not in called] if name is None else [name]
+    if len(candidates) != 1 or candidates[0] not in plans:
+        wrong = "there are several plans" if name is None else f"there is no plan {name!r}"
+        raise InputError(f"{wrong}; expected --name and one of {', '.join(plans)}")
+    return candidates[0]
+
+
+def called_plans(plans: Mapping[str, HandWrittenPlan], name: str) -> tuple[str, ...]:
+    """Return the names of a plan and of all plans that it calls, or that these call."""
+    names = [name]
+    for caller in names:
+        names += [called for called in sorted(plans[caller].calls) if called not in names]
+    return tuple(names)
+
+
+def merge_bindings(plans: Iterable[HandWrittenPlan]) -> Bindings:
+    """Return the bindings of all plans, which are those of their domains."""
+    return reduce(Bindings.before, (plan.bindings for plan in plans), Bindings())
+
+
+def sources_of(plans: Iterable[HandWrittenPlan]) -> tuple[SourceChoice, ...]:
+    """Return the sources of knowledge that any of the plans chose, each once."""
+    choices: dict[str, SourceChoice] = {}
+    for choice in (choice for plan in plans for choice in plan.sources):
+        choices.setdefault(f"{choice.name} {choice.options}", choice)
+    return tuple(choices.values())
