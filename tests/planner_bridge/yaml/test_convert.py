@@ -396,6 +396,56 @@ def test_what_is_wrong_is_said_where_it_is(text: str, message: str) -> None:
     assert str(refusal.value).startswith(message)
 
 
+TYPED = """name: d
+types: robot place
+constants: [r1 - robot, hall - place]
+predicates: ["(at ?r - robot ?p - place)", "(clean ?p - place)", (tidy)]
+functions: ["(charge ?r - robot)", "(home ?r - robot) - place"]
+derived: [{fact: (tidy), condition: {forall: {variables: "?p - place", condition: "(clean ?p)"}}}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("problem: {goal: (at hall hall)}", "7:21: 'hall' is of type place; expected robot"),
+        ("actions: {a: {params: '?p - place', effects: '(at ?p hall)'}}", "7:51: '?p' is of type place; expected robot"),
+        ("problem: {goal: (charge r1)}", "7:18: charge is a function; expected a predicate"),
+        ("problem: {goal: {Comparison: ['<', [(tidy), 3]]}}", "7:38: tidy is a predicate; expected a function"),
+        ("problem: {goal: {Comparison: ['<', ['(home r1)', hall]]}}", "7:31: objects are equal or they are not; expected = or !="),
+        ("problem: {goal: {Comparison: ['=', ['(charge r1)', hall]]}}", "7:52: a number and an object cannot be compared"),
+        ("actions: {a: {effects: (tidy)}}", "7:25: 'tidy' is a derived predicate; it follows from others"),
+        ("actions: {a: {effects: {assign: ['(charge r1)', hall]}}}", "7:49: expected a number, found hall"),
+        ("actions: {a: {effects: {assign: ['(home r1)', r1]}}}", "7:47: 'r1' is of type robot; expected place"),
+        (
+            "actions: {a: {effects: {increase: ['(home r1)', hall]}}}",
+            "7:36: the values of 'home' are objects; expected assign, found increase",
+        ),
+        ("actions: {a: {effects: {at_start: (clean hall)}}}", "7:24: only an action with a duration has moments"),
+        ("actions: {a: {effects: {increase: ['(charge r1)', '?duration']}}}", "7:51: there is no parameter '?duration' here"),
+        ("actions: {a: {preferences: {constraints: {always: (tidy)}}}}", "7:28: the key 'condition' is missing"),
+        ("actions: {a: {duration: 1, preferences: {condition: (tidy)}}}", "7:41: a preference in an action with a duration needs a moment"),
+        ("actions: {go there: {}}", "7:11: 'go there' cannot name an action in PDDL; expected letters, digits"),
+        ("actions: {go: {}, Go: {}}", "7:19: PDDL does not tell 'Go' from 'go'"),
+        ("problem: {init: [(clean hall), (not (clean hall))]}", "7:32: (clean hall) has another value before; expected one value"),
+        ("problem: {init: [(tidy)]}", "7:19: 'tidy' is a derived predicate; it follows from others"),
+        ("problem: {init: ['(= (charge r1) full)']}", "7:18: expected a number, found full"),
+        ("problem: {metric: {minimize: '(is-violated p)'}}", "7:44: there is no preference 'p' here; expected one of none at all"),
+        ("problem: {metric: {minimize: '(home r1)'}}", "7:30: expected a number, found (home r1)"),
+        ("constraints: [{within: [soon, (tidy)]}]", "7:25: expected a time of at least 0, found soon"),
+    ],
+)
+def test_names_are_checked_as_planners_do(text: str, message: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        parse(f"{TYPED}{text}\n", "x.yaml")
+    assert str(refusal.value).startswith(f"x.yaml:{message}")
+
+
+def test_types_are_no_kinds_of_themselves() -> None:
+    with pytest.raises(InputError, match=r"x.yaml:1:9: the type 'a' is a kind of itself"):
+        parse("types: [a - b, b - a]\nactions: {}\n", "x.yaml")
+
+
 def test_a_damaged_file_is_read_or_refused_with_a_position() -> None:
     text = exported(*OWN[0]).text
     for start in range(0, len(text), 97):
