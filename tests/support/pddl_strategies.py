@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from planner_bridge.model.problem import Domain
 from planner_bridge.pddl.read.symbols import CONSTRAINTS
-from planner_bridge.pddl.syntax.words import MOMENTS
+from planner_bridge.pddl.syntax.words import TIME_SPECIFIERS
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.core.logic.domain import ActionSchema, Declaration, DurationConstraint, Preference
 from pnm.core.logic.effects import OPERATIONS, Effect, ForEach, Set, TimedChange, When
@@ -139,7 +139,8 @@ DURATIVE = st.builds(
     start_effects=effects(duration=True),
     end_effects=early_effects(),
     preferences=st.lists(
-        st.builds(Preference, st.sampled_from(["p", ""]), conditions(duration=True), VARIABLES, st.sampled_from(MOMENTS)), max_size=2
+        st.builds(Preference, st.sampled_from(["p", ""]), conditions(duration=True), VARIABLES, st.sampled_from(TIME_SPECIFIERS)),
+        max_size=2,
     ).map(tuple),
     duration=st.lists(st.builds(DurationConstraint, st.sampled_from(["=", "<=", ">="]), expressions(duration=False)), max_size=2).map(
         tuple

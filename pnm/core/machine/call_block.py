@@ -38,14 +38,14 @@ from pnm.core.machine.machine import (
     AlreadyTrue,
     CallOutcome,
     CancelAsked,
+    ConditionFalse,
+    ConditionTrue,
     DataMissing,
-    Denied,
     Due,
     EffectsMissing,
     EffectsSeen,
     Ending,
     Ends,
-    Holding,
     PauseAsked,
     Rule,
     TransitionAction,
@@ -65,8 +65,10 @@ _EARLY = {OutcomeKind.REJECTED: Cause.REJECTED, OutcomeKind.UNAVAILABLE: Cause.U
 _NOT_EARLY = _ANY - frozenset(_EARLY)
 _LATE = {OutcomeKind.ABORTED: Cause.ABORTED, OutcomeKind.CANCELED: Cause.CANCELED, OutcomeKind.LOST: Cause.LOST}
 _ODD = _UNSUCCESSFUL - frozenset(_LATE)
+_RESTARTED = "restarted "
+"""Prefix of the places and transitions of attempts after the start was announced."""
 _ANSWER = "an answer to the goal in time"
-_ALIVE = ("requested", "withdrawing", "again requested", "again withdrawing", "running", "overdue", "stopping", "suspending")
+_ALIVE = ("requested", "withdrawing", f"{_RESTARTED}requested", f"{_RESTARTED}withdrawing", "running", "overdue", "stopping", "suspending")
 """Places of a call whose request may be alive."""
 
 
@@ -81,7 +83,7 @@ class CallBlock(Block[ActionCall]):
         announced = self._announced
         for name in ("running", "overdue", "stopping", "suspending", "finished", "done", "failed"):
             self.place(name)
-        for phase in ("", "again ") if announced else ("",):
+        for phase in ("", _RESTARTED) if announced else ("",):
             for name in ("ready", "requested", "recover", "withdrawing"):
                 self.place(phase + name)
         self.builder.failure_places[self.name("failed")] = self.step.index
@@ -90,10 +92,10 @@ class CallBlock(Block[ActionCall]):
         self.recoveries = build_recoveries(self)
         self._attempt("", announced)
         if announced:
-            self._attempt("again ", [])
+            self._attempt(_RESTARTED, [])
         self.enter("ready", 0.0 if self.step.under_way else self.step.release)
-        self._run("again " if announced else "")
-        self._finish("again " if announced else "")
+        self._run(_RESTARTED if announced else "")
+        self._finish(_RESTARTED if announced else "")
         self.leave()
 
     def add(self, rule: Rule, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:
@@ -171,8 +173,8 @@ class CallBlock(Block[ActionCall]):
         add(check_rule(Cause.DATA_MISSING, DataMissing(call)), ready, self._after(Cause.DATA_MISSING, failed))
         if isfinite(self.step.deadline):
             add(check_rule(Cause.TOO_LATE, Due(self.step.deadline)), ready, failed)
-        add(Rule("start", Holding(may_start), action=TransitionAction.SEND, outcome=CallOutcome.RUNNING), ready, [requested])
-        add(check_rule(Cause.PRECONDITION_FALSE, Denied(may_start)), ready, self._after(Cause.PRECONDITION_FALSE, failed))
+        add(Rule("start", ConditionTrue(may_start), action=TransitionAction.SEND, outcome=CallOutcome.RUNNING), ready, [requested])
+        add(check_rule(Cause.PRECONDITION_FALSE, ConditionFalse(may_start)), ready, self._after(Cause.PRECONDITION_FALSE, failed))
 
         add(Rule("accepted", Accepts(call), action=TransitionAction.BEGIN), requested, [self.name("running"), *announced])
         for kind, cause in _EARLY.items():
@@ -217,7 +219,7 @@ class CallBlock(Block[ActionCall]):
         self.fire(Rule("stop", CancelAsked(), action=TransitionAction.CANCEL), "running", "stopping")
         self.fire(Rule("suspend", PauseAsked(), action=TransitionAction.CANCEL), "running", "suspending")
         if self.step.action.invariant != TRUE:
-            broken = check_rule(Cause.INVARIANT_FALSE, Denied(self.step.action.invariant), TransitionAction.CANCEL)
+            broken = check_rule(Cause.INVARIANT_FALSE, ConditionFalse(self.step.action.invariant), TransitionAction.CANCEL)
             self.fire(broken, "running", "stopping", "failed")
         if isfinite(self.step.deadline):
             missed = check_rule(Cause.DEADLINE_MISSED, Due(self.step.deadline), TransitionAction.CANCEL)
@@ -275,7 +277,7 @@ class CallBlock(Block[ActionCall]):
         """Add the checks that the plan has besides, in its order."""
         for cause, title, condition, places in self.recoveries.checks:
             if cause is wanted:
-                self.add(check_rule(cause, Holding(condition)), [self.name(source)], places, title=title)
+                self.add(check_rule(cause, ConditionTrue(condition)), [self.name(source)], places, title=title)
 
 
 def _before_invariant(action: GroundAction, rules: Rules) -> Condition:

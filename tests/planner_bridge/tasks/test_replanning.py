@@ -11,10 +11,10 @@ from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline import achieve, pursue
+from planner_bridge.pipeline import achieve, achieve_at
 from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.replanning import Decision, GiveUp, History, Limits, PlanAgain, Progress, Resume, decide
-from planner_bridge.tasks.result import Stopwatch, TaskResult
+from planner_bridge.tasks.result import TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.clock import run_async
@@ -37,7 +37,7 @@ def pursued(
 ) -> tuple[TaskResult, KnowledgeBase]:
     """Pursue the goal of the problem and return the result with the truth; the verdict must be true to the world."""
     site = simulated_backend(problem, bindings, faults)
-    result = run_async(pursue(problem, site, Settings(limits=limits, bindings=bindings), TaskObserver(), Stopwatch()), virtual=True)
+    result = run_async(achieve_at(site, problem, Settings(limits=limits, bindings=bindings), TaskObserver()), virtual=True)
     truth = site.robots.world.truth
     assert result.goal_reached == (evaluate(problem.goal, truth) is True)
     return result, truth
@@ -125,7 +125,7 @@ def test_trying_without_progress_takes_longer_and_longer() -> None:
     pauses = []
     for _ in range(6):
         history = history.after((), ())
-        pauses.append(history.pause(limits))
+        pauses.append(history.backoff(limits))
     assert pauses == [0.0, 0.5, 1.0, 2.0, 3.0, 3.0]
 
 
@@ -135,7 +135,7 @@ def test_a_pause_before_another_try_is_told_with_its_reason() -> None:
     observer.entered = lambda state, why: told.append((state, why))  # type: ignore[method-assign]
     problem, limits = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc"), Limits(replans=2, forbid_after=100)
     run_async(
-        pursue(problem, simulated_backend(problem, Bindings(), aborts("move")), Settings(limits=limits), observer, Stopwatch()),
+        achieve_at(simulated_backend(problem, Bindings(), aborts("move")), problem, Settings(limits=limits), observer),
         virtual=True,
     )
     assert (TaskState.REPLANNING, "tries again in 0.5 s after move(r1, a, b) was aborted") in told
@@ -166,7 +166,7 @@ def test_an_action_that_may_still_be_going_on_is_not_planned_with() -> None:
     stuck = Faults((Fault("move(r1, a, b)", FaultKind.SLOW, ignores_cancel=True),))
     bindings = Bindings({"move": Binding(timeout=3.0, cancel=1.0)}, assumed=frozenset({"at"}))
     site = simulated_backend(rooms(init="(at r1 a)", goal="(at r1 b)"), bindings, stuck)
-    task = pursue(rooms(init="(at r1 a)", goal="(at r1 b)"), site, Settings(bindings=bindings), TaskObserver(), Stopwatch())
+    task = achieve_at(site, rooms(init="(at r1 a)", goal="(at r1 b)"), Settings(bindings=bindings), TaskObserver())
     result = run_async(task, virtual=True)
     assert result.failures[0].unconfirmed
     assert sum(call.attempts for call in result.calls) == 1
@@ -275,7 +275,7 @@ def test_late_reports_are_waited_for_before_anything_is_decided(what: str) -> No
     faults = Faults((Fault(what, FaultKind.ABORT, times=1),))
     site = LateBackend(problem, faults, delay=0.3, lag=1.0)
     settings = Settings(bindings=Bindings({"strike": Binding(retries=0), "mend": Binding(retries=0)}))
-    result = run_async(pursue(problem, site, settings, TaskObserver(), Stopwatch()), virtual=True)
+    result = run_async(achieve_at(site, problem, settings, TaskObserver()), virtual=True)
     truth = evaluate(problem.goal, site.robots.world.truth)
     assert result.goal_reached is truth
     assert what != "strike(m0)" or result.goal_reached

@@ -397,6 +397,27 @@ def test_what_is_wrong_is_said_where_it_is(text: str, message: str) -> None:
     assert str(refusal.value).startswith(message)
 
 
+TYPED = """name: d
+types: robot place
+constants: [r1 - robot, hall - place]
+predicates: ["(at ?r - robot ?p - place)", "(clean ?p - place)", (tidy)]
+functions: ["(charge ?r - robot)", "(home ?r - robot) - place"]
+derived: [{fact: (tidy), condition: {forall: {variables: "?p - place", condition: "(clean ?p)"}}}]
+"""
+
+
+@pytest.mark.parametrize(("text", "message"), refused(Path(__file__).parent / "refused" / "checked_by_types.yaml"))
+def test_names_are_checked_as_planners_do(text: str, message: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        parse(f"{TYPED}{text}\n", "x.yaml")
+    assert str(refusal.value).startswith(f"x.yaml:{message}")
+
+
+def test_types_are_no_kinds_of_themselves() -> None:
+    with pytest.raises(InputError, match=r"x.yaml:1:9: the type 'a' is a kind of itself"):
+        parse("types: [a - b, b - a]\nactions: {}\n", "x.yaml")
+
+
 def test_a_damaged_file_is_read_or_refused_with_a_position() -> None:
     text = exported(*OWN[0]).text
     for start in range(0, len(text), 97):

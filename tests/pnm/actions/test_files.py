@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange, ground_name, read_faults
-from pnm.core.execution.questions import Consultation
+from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.declared_names import Vocabulary
 from pnm.core.logic.expressions import UNKNOWN
@@ -239,7 +239,7 @@ Names = tuple[str, ...]
     ],
 )
 def test_goal_fields_are_filled_by_name(goal: Goal, fields: Names | None, filled: Mapping[str, object], missing: Names) -> None:
-    assert goal_data(MOVE, Binding(goal=goal), fields, Consultation(KNOWN)) == (filled, missing)
+    assert goal_data(MOVE, Binding(goal=goal), fields, EvaluationContext(KNOWN)) == (filled, missing)
 
 
 # --- faults -----------------------------------------------------------------------------------

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pnm.actions.simulated_robots import SimulatedRobots, sense
-from pnm.actions.simulated_world import SimulatedWorld
+from pnm.actions.simulated_robots import SimulatedRobots
+from pnm.actions.simulated_world import SimulatedWorld, report_changes
 from pnm.clock import run_async
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Answered, Ask, Begin, Cancel, Command, Event, KnowledgeChanged, Pause, Resume, Send, Stop, Tick
@@ -91,7 +91,7 @@ def test_a_call_is_cancelled_at_once_and_begins_anew_without_spending_its_budget
     assert not run.paused
     assert run.handle(Ended(first, CANCELED), 2.0) == []
     assert run.paused
-    assert run.told().calls[0].outcome == "suspended"
+    assert run.interim_result().calls[0].outcome == "suspended"
     assert run.marking["a0()#0 budget"] == 1
     assert sent(run.handle(Resume(), 3.0)) == ["a0"]
     run.handle(Ended(run.open_requests[0], SUCCEEDED), 4.0)
@@ -129,7 +129,7 @@ def test_success_in_spite_of_the_cancellation_is_success() -> None:
     run.handle(Pause(at_once=True), 1.0)
     assert sent(run.handle(Ended(run.open_requests[0], SUCCEEDED), 2.0)) == []
     assert run.paused
-    assert run.told().calls[0].outcome == "succeeded"
+    assert run.interim_result().calls[0].outcome == "succeeded"
     assert sent(run.handle(Resume(), 3.0)) == ["a1"]
 
 
@@ -352,7 +352,7 @@ def test_robots_stop_for_a_pause_and_do_the_rest_after_it() -> None:
     run = Run(generate(graph), Layered(beliefs), id=RUN, observer=log)
 
     async def main() -> RunResult:
-        sense(world, beliefs)
+        report_changes(world, beliefs)
         executor = Executor(run, robots)
         task = asyncio.ensure_future(executor.execute())
         await asyncio.sleep(2)
