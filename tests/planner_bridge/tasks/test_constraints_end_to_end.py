@@ -18,8 +18,8 @@ from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.bindings import Bindings
-from tests.planner_bridge.cli.test_cli import pnm
-from tests.planner_bridge.cli.test_cli import result as told
+from tests.support.command_line import pnm
+from tests.support.command_line import result as told
 from tests.support.problems import ROOMS
 
 ROUND = "(way a b) (way b a) (way b c) (way a d) (way d a) (way d c) (way c d)"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import replace
 
 import pytest
@@ -13,11 +12,10 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline import achieve, achieve_at
-from planner_bridge.simulation import robots_of, simulated_backend
+from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.replanning import Decision, GiveUp, History, Limits, PlanAgain, Progress, Resume, decide
 from planner_bridge.tasks.result import TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.clock import run_async
 from pnm.core.execution.call_results import CallResult, Failure
@@ -31,6 +29,7 @@ from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction
 from pnm.tasks import TaskState
 from tests.support.problems import ROOMS, matches, rooms
+from tests.support.runs.simulated import LateBackend
 
 
 def pursued(
@@ -268,22 +267,6 @@ def test_the_rest_of_a_network_of_tasks_is_used_and_otherwise_the_whole_network_
     assert decided(elsewhere, OVER_B, done=1) == PlanAgain(
         frozenset(), "move(r1, b, c) would start although (at r1 b) is false; the whole network of tasks is planned for once more"
     )
-
-
-class LateBackend(SimulatedBackend):
-    """Simulated robots whose sensors are late."""
-
-    def __init__(self, problem: Problem, faults: Faults, delay: float, lag: float) -> None:
-        super().__init__(robots_of(problem, Bindings(), faults))
-        self.delay, self.lag = delay, lag
-
-    async def open(self, knowledge: KnowledgeBase) -> None:
-        loop = asyncio.get_running_loop()
-        world = self.robots.world
-        names = world.reported()
-        knowledge.sense(names, lag=self.lag)
-        world.truth.listen(lambda _: loop.call_later(self.delay, lambda: knowledge.replace(names, world.report(names))) and None)
-        self.robots.begin()
 
 
 @pytest.mark.parametrize("what", ["strike(m0)", "mend(f0, m0)"])

@@ -17,6 +17,7 @@ from pnm.errors import InputError
 from pnm.language import LanguageDomain, read_domain
 from pnm.language.actions import ActionKind
 from tests.support.refusals import refused
+from tests.support.runs.yaml_examples import ORIGINAL, PDDL
 
 BAD_INPUT = Path(__file__).with_name("refused")
 
@@ -35,52 +36,6 @@ def read(tmp_path: Path) -> Read:
 
 def exists(name: str, layer: Layer = Layer.LOCAL) -> Computed:
     return Computed(Operation("exists", (Query(Literal.of(name), layer),)))
-
-
-ORIGINAL = """\
-instances: &instances
-  -
-external_knowledge_base: {module: "somewhere.some_knowledge_base", class: "RPKnowledgeBase"}
-action_types:
-  BaseAction: &base
-    instances: *instances
-  Server: &server
-    <<: *base
-    type: {module: "rpn_ros_interface.action", class: "ROSAtomicAction"}
-  Talking: &talking
-    <<: *base
-    type: {module: "rpn_ros_interface.rpn_action", class: "RPNAtomicAction"}
-  Knowledge: &knowledge
-    <<: *base
-    type: {module: "pnp_actions.kb_action", class: "KBAction"}
-actions:
-  count:
-    <<: *server
-    params:
-      - "value"
-    preconditions:
-      and:
-        - Exists: [LocalQuery: "value"]
-  count_and_talk:
-    <<: *talking
-    params:
-      - "value"
-    effects:
-      and:
-        Exists: [LocalQuery: "result"]
-  load:
-    <<: *server
-    params:
-      -
-  store:
-    <<: *knowledge
-    params: ["operation", "result"]
-  store_if_running:
-    <<: *knowledge
-    params: ["operation"]
-    preconditions:
-      - Comparison: ["eq", [LocalQuery: "running", true]]
-"""
 
 
 def test_the_shapes_of_the_original(read: Read) -> None:
@@ -109,58 +64,6 @@ def test_kinds_may_be_named_or_left_out(read: Read) -> None:
     assert [action.kind.value for action in domain.actions.values()] == ["ros_action", "rpn_action", "kb_action", "ros_action"]
     assert domain.actions["a"].is_open
     assert domain.actions["a"].binding.retries == 0
-
-
-PDDL = """\
-name: homes
-requirements: [typing, durative-actions]
-types: [kitchen hall - place, robot drone - thing]
-constants: base - hall
-predicates:
-  - (at ?t - thing ?p - place)
-  - (free ?t - thing)
-  - (home ?t - thing)
-functions:
-  - (battery ?t - thing)
-  - (owner ?t - thing) - thing
-derived:
-  - fact: (home ?t - thing)
-    condition: (at ?t base)
-constraints: [whatever planners read]
-preferences: [whatever planners read]
-hierarchy: [whatever planners read]
-actions:
-  move:
-    params: "?t - thing ?from ?to - place"
-    duration: {Operation: ["/", [10, "(battery ?t)"]]}
-    preconditions:
-      at_start: [(at ?t ?from), {not: (home ?t)}]
-      over_all: {Comparison: [">", [(battery ?t), 0]]}
-      at_end: (free ?t)
-    effects:
-      at_start: {not: (at ?t ?from)}
-      at_end: [(at ?t ?to), {decrease: [(battery ?t), "?duration"]}, {Exists: [Query: distance]}]
-    resources: [floor]
-    retries: 2
-    timeout: 30
-    server: "/{t}/move"
-    ros_type: nav2_msgs/action/NavigateToPose
-    goal: {to: "?to", speed: 0.5}
-    store: {distance: driven}
-    ask: {speed: How fast?}
-problem:
-  name: home
-  objects: [r1 - robot, k1 k2 - kitchen]
-  init:
-    - (at r1 k1)
-    - (= (battery r1) 80)
-    - (= (owner r1) r1)
-    - (not (free r1))
-    - {at: 7.5, facts: [(free r1), (= (battery r1) 3)]}
-    - {at: 5, facts: (not (at r1 k1))}
-  goal: (home r1)
-  metric: whatever planners read
-"""
 
 
 def test_what_pddl_has(read: Read) -> None:
