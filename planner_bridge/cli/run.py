@@ -9,7 +9,8 @@ from pathlib import Path
 from rich.console import Console
 
 from planner_bridge.cli.console import ConsoleObserver, SafeConsole, print_result
-from planner_bridge.cli.options import Files, bindings_for, faults_for, problem_in, tell
+from planner_bridge.cli.options import Files, faults_for, problem_in, tell
+from planner_bridge.loading import bindings_for
 from planner_bridge.pipeline import Where, achieve, carry_out
 from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.result import Stopwatch, TaskResult
@@ -35,7 +36,7 @@ def run_problem(domain: Path, problem: Path, files: Files, *, actions: Where, se
     with stopwatch.of("parse"):
         loaded = problem_in(domain, problem)
         sensors = read_sensing(files.sensing, loaded.vocabulary) if files.sensing else NO_SENSING
-        settings = replace(settings, bindings=bindings_for(loaded, domain, files.bindings), sensing=sensors)
+        settings = replace(settings, bindings=bindings_for(domain, files.bindings, loaded.vocabulary), sensing=sensors)
         faults = faults_for(loaded, files.faults)
     observer = TaskObserver() if as_json else ConsoleObserver(console)
     result = achieve(None, loaded, actions=actions, faults=faults, settings=settings, observer=observer, stopwatch=stopwatch)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Protocol
 from uuid import UUID
 
-from planner_bridge.model.forbidden_actions import ForbiddenCall, users
+from planner_bridge.model.forbidden_actions import ForbiddenCall, calls_acquiring
 from planner_bridge.model.problem import Problem
-from planner_bridge.ordering.interference import Footprint
+from planner_bridge.ordering.interference import ReadWriteSets
 from planner_bridge.tasks.control import TaskControl
 from planner_bridge.tasks.replanning import History
 from planner_bridge.tasks.settings import Settings, TaskObserver
@@ -36,7 +36,7 @@ class Conflict:
 
     task: UUID
     name: str
-    footprint: Footprint
+    footprint: ReadWriteSets
     why: str
     yields: bool = False
 
@@ -67,10 +67,10 @@ class RunningCalls:
 class Scheduler(Protocol):
     """The other tasks, as the one that is to be planned sees them."""
 
-    def conflicts(self, task: Task, footprint: Callable[[], Footprint]) -> tuple[Conflict, ...]:
+    def conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
         """Return the active tasks that conflict with a plan of the task. `footprint` is called only if there are any."""
 
-    def new_conflicts(self, task: Task, footprint: Callable[[], Footprint]) -> tuple[Conflict, ...]:
+    def new_conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
         """Return the conflicts in which neither task has been preempted for the other yet."""
 
     def running_calls(self, task: Task) -> tuple[RunningCalls, ...]:
@@ -132,7 +132,7 @@ class TaskContext:
     def withheld(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls that need a resource that was waited for in vain and is still withheld."""
         names = self.resources.withheld_from(history.lacking)
-        return users(self.problem.domain, self.settings.bindings, names.keys())
+        return calls_acquiring(self.problem.domain, self.settings.bindings, names.keys())
 
     def forbidden(self, history: History) -> frozenset[ForbiddenCall]:
         """Return the calls that no plan may use now."""

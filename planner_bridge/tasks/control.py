@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Final, Protocol
 
-from planner_bridge.ordering.interference import Footprint
+from planner_bridge.ordering.interference import ReadWriteSets
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.clock import TimeLimit
 from pnm.core.execution.run import Run
@@ -35,7 +35,7 @@ class Execution(Protocol):
         """The executor of its runs."""
 
     @property
-    def footprint(self) -> Footprint:
+    def footprint(self) -> ReadWriteSets:
         """What the rest of the plan needs and changes."""
 
     @property
@@ -68,7 +68,7 @@ class TaskControl:
         self.stopped: TaskEnded | None = None
         """Why the task is to end before its goal is reached."""
         self.execution: Execution | None = None
-        self.reserved: Callable[[], Footprint] | None = None
+        self.reserved: Callable[[], ReadWriteSets] | None = None
         """The footprint of the plan found last, computed if another task needs it: others respect it before the plan is executed."""
         self.planner_stop = threading.Event()
         """Ends searches for plans."""
@@ -93,7 +93,7 @@ class TaskControl:
         return self.execution.executor.run if self.execution else self._last_run
 
     @property
-    def footprint(self) -> Footprint | None:
+    def footprint(self) -> ReadWriteSets | None:
         """What the rest of the plan needs and changes; None while there is no plan."""
         if self.execution:
             return self.execution.footprint

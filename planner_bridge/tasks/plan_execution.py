@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Mapping
 from types import TracebackType
 
-from planner_bridge.ordering.interference import Footprint, footprint
+from planner_bridge.ordering.interference import ReadWriteSets, read_write_sets
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.replanning import Progress, why_not
@@ -109,10 +109,10 @@ class PlanExecution(Observer):
         return Progress(self.run.machine.plan, calls, frozenset(under_way))
 
     @property
-    def footprint(self) -> Footprint:
+    def footprint(self) -> ReadWriteSets:
         """What the rest of the plan needs and changes."""
         progress = self.progress
-        return footprint(progress.rest, progress.plan.goal, self._context.world)
+        return read_write_sets(progress.rest, progress.plan.goal, self._context.world)
 
     @property
     def running(self) -> tuple[str, ...]:
@@ -217,7 +217,8 @@ class PlanExecution(Observer):
         """Generate and verify the machine of a plan, and return its run, which takes over requests."""
         context, stopwatch = self._context, self._context.task.stopwatch
         with stopwatch.of("translate"):
-            machine = generate(graph, context.settings.bindings, on_failure=context.settings.on_failure)
+            settings, capacities = context.settings, context.resources.capacities
+            machine = generate(graph, settings.bindings, on_failure=settings.on_failure, capacities=capacities)
         with stopwatch.of("verify"):
             proof = verify(machine)
         context.observer.generated(machine, proof)

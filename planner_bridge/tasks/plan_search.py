@@ -12,10 +12,10 @@ from uuid import UUID
 from planner_bridge.model.forbidden_actions import ANY, ForbiddenCall, forbid
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus
-from planner_bridge.model.plan_simulation import after
+from planner_bridge.model.plan_simulation import projected_state
 from planner_bridge.model.problem import Problem
-from planner_bridge.ordering.interference import around, footprint, optimistic_state
-from planner_bridge.ordering.plan_to_graph import calls_of, one_by_one
+from planner_bridge.ordering.interference import avoid_interference, optimistic_state, read_write_sets
+from planner_bridge.ordering.plan_to_graph import calls_of, total_order
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import Conflict, RunningCalls, TaskContext
@@ -110,14 +110,14 @@ class PlanSearch:
         Raises:
             NoPlan: there is none.
             TaskEnded: the task was stopped.
-            Unforeseeable: the state after the calls that are under way is not known.
+            NotProjectable: the state after the calls that are under way is not known.
             InputError: the planner refuses the problem, and has never found a plan for the task before.
         """
         context = self._context
         self._control.check()
         if under_way is None:
             self._begin()
-        now = forbid(self._monitor.now(after(context.world, under_way or ())), forbidden)
+        now = forbid(self._monitor.now(projected_state(context.world, under_way or ())), forbidden)
         going_on = [one.call for one in under_way or ()]
         self._control.reserved = None
         context.observer.planning(context.settings.planner)
@@ -145,7 +145,7 @@ class PlanSearch:
     async def rest(self, rest: PlanGraph) -> tuple[PlanGraph | None, tuple[Conflict, ...]]:
         """Attempt to carry out the rest of a plan."""
         context = self._context
-        self._control.reserved = needed = cache(partial(footprint, rest.calls, rest.goal, context.world))
+        self._control.reserved = needed = cache(partial(read_write_sets, rest.calls, rest.goal, context.world))
         return self._unless_in_conflict(rest, context.scheduler.new_conflicts(context.task, needed))
 
     def _begin(self) -> None:
@@ -153,7 +153,9 @@ class PlanSearch:
         self._control.enter(TaskState.PLANNING)
 
     def _reserve(self, now: Problem, plan: Plan, under_way: list[ActionCall]) -> tuple[Conflict, ...]:
-        self._control.reserved = needed = cache(lambda: footprint((*under_way, *calls_of(now, plan)), now.goal, initial_knowledge(now)))
+        self._control.reserved = needed = cache(
+            lambda: read_write_sets((*under_way, *calls_of(now, plan)), now.goal, initial_knowledge(now))
+        )
         return self._context.scheduler.conflicts(self._context.task, needed)
 
     def _unless_in_conflict(self, plan: P | None, conflicts: tuple[Conflict, ...]) -> tuple[P | None, tuple[Conflict, ...]]:
@@ -170,8 +172,8 @@ class PlanSearch:
         other = await self._solve(optimistic)
         if other.plan is None:
             return ()
-        needed, world = footprint(calls_of(optimistic, other.plan), now.goal, initial_knowledge(optimistic)), initial_knowledge(now)
-        conflicts = [Conflict(one.task, one.name, footprint(one.calls, TRUE, world), str(one), one.yields) for one in running]
+        needed, world = read_write_sets(calls_of(optimistic, other.plan), now.goal, initial_knowledge(optimistic)), initial_knowledge(now)
+        conflicts = [Conflict(one.task, one.name, read_write_sets(one.calls, TRUE, world), str(one), one.yields) for one in running]
         return tuple(one for one in conflicts if needed.disturbed_by(one.footprint)) or tuple(conflicts)
 
     async def _around(
@@ -181,7 +183,7 @@ class PlanSearch:
         avoided: dict[UUID, Conflict] = {}
         while new := {one.task: one for one in conflicts if one.task not in avoided and not one.yields}:
             avoided |= new
-            other = await self._solve(around(now, [one.footprint for one in avoided.values()]))
+            other = await self._solve(avoid_interference(now, [one.footprint for one in avoided.values()]))
             if other.plan is None:
                 return found, tuple(avoided.values())
             conflicts = self._reserve(now, other.plan, under_way)
@@ -217,7 +219,7 @@ def without_needless_calls(problem: Problem, plan: Plan) -> Plan:
     """
     if plan.temporal or len(plan.steps) > MAX_SHORTENED or _asks_for_more(problem):
         return plan
-    progress, world = Progress.beginning(one_by_one(problem, plan)), initial_knowledge(problem)
+    progress, world = Progress.beginning(total_order(problem, plan)), initial_knowledge(problem)
     if why_not(progress, world):
         return plan
     kept = {call.index for call in shortened(progress, world).rest}

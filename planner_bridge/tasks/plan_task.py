@@ -12,7 +12,7 @@ from pathlib import Path
 from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.problem import Problem
-from planner_bridge.ordering.interference import Footprint, footprint
+from planner_bridge.ordering.interference import ReadWriteSets, read_write_sets
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.goal_loop import GoalLoop
 from planner_bridge.tasks.replanning import History
@@ -78,13 +78,13 @@ class PlanTask:
         return self._performance.executor
 
     @property
-    def footprint(self) -> Footprint:
+    def footprint(self) -> ReadWriteSets:
         """What the plan needs and changes: all calls that it may still reach."""
         run = self.executor.run
         plan, calls = run.machine.plan, run.told().calls
         is_flat = len(plan.every_step) == len(plan.calls)
         ended = {result.call.index for result in calls if result.ended is not None} if is_flat else set()
-        return footprint([call for call in plan.calls if call.index not in ended], plan.goal, self._context.world)
+        return read_write_sets([call for call in plan.calls if call.index not in ended], plan.goal, self._context.world)
 
     @property
     def running(self) -> tuple[str, ...]:
@@ -152,5 +152,5 @@ class PlanTask:
         if not plan.domain_file:
             raise InputError(f"the plan {plan.name} has no domain")
         contents = await asyncio.to_thread(read, Path(plan.domain_file))
-        described = contents.problem or Problem(plan.name, contents.domain, plan.declared.objects)
+        described = contents.problem or Problem(plan.name, contents.domain)
         return replace(problem_now(replace(described, timed=()), self._context.world), goal=plan.goal)

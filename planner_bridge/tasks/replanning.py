@@ -11,9 +11,9 @@ from functools import cached_property
 from typing import Final
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall
-from planner_bridge.model.plan_simulation import ConstraintProgression, Course, Denied, seen_instead, snapshot
+from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, observed_instead, snapshot
 from planner_bridge.model.problem import Problem
-from planner_bridge.ordering.plan_to_graph import in_causal_order
+from planner_bridge.ordering.plan_to_graph import deordered
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.evaluation import evaluate
@@ -98,7 +98,7 @@ class History:
 
 
 @dataclass(frozen=True, slots=True)
-class Resume:
+class ResumePlan:
     """Go on with the rest of the plan in a new net; no planner is asked."""
 
     rest: PlanGraph
@@ -119,7 +119,7 @@ class GiveUp:
     reason: str
 
 
-Decision = Resume | PlanAgain | GiveUp
+Decision = ResumePlan | PlanAgain | GiveUp
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ def decide(
     if by_the_clock := times_that_matter(now):
         return PlanAgain(forbidden, by_the_clock + whole)
     obstacle = why_not(progress, knowledge, forbidden, (*now.domain.constraints, *now.constraints))
-    return PlanAgain(forbidden, obstacle + whole) if obstacle else Resume(rest_of(now, progress))
+    return PlanAgain(forbidden, obstacle + whole) if obstacle else ResumePlan(rest_of(now, progress))
 
 
 def times_that_matter(now: Problem) -> str:
@@ -213,7 +213,7 @@ def rest_of(now: Problem, progress: Progress) -> PlanGraph:
     renumbered = tuple(replace(call, index=number[call.index], under_way=call.index in progress.under_way) for call in progress.rest)
     begun = [PlanEvent(number[one], Moment.START) for one in sorted(progress.under_way)]
     order = [*begun, *(PlanEvent(number[event.call], event.moment) for event in progress.events)]
-    return in_causal_order(now, renumbered, order)
+    return deordered(now, renumbered, order)
 
 
 def why_not(
@@ -231,18 +231,18 @@ def why_not(
     for call in progress.rest:
         if call.index not in progress.under_way and any(one.covers(call.action) for one in forbidden):
             return f"{call.action} has failed too often, or a server may still be at work on it or with what it needs"
-    course = Course(snapshot(knowledge), {number: plan.calls[number].action for number in progress.under_way})
-    progression = ConstraintProgression(constraints, course.state)
+    simulation = PlanSimulation(snapshot(knowledge), {number: plan.calls[number].action for number in progress.under_way})
+    progression = ConstraintProgression(constraints, simulation.state)
     for event in progress.events:
         try:
-            course.happen([(event, plan.calls[event.call].action)])
-        except Denied as denied:
-            return f"{plan.calls[denied.call].action} would {denied.deed} although {denied.observed}"
-        if violated := progression.advance(course.state):
+            simulation.advance([(event, plan.calls[event.call].action)])
+        except NotApplicable as error:
+            return f"{plan.calls[error.call].action} would {error.stage} although {error.observed}"
+        if violated := progression.advance(simulation.state):
             return f"the {event.moment.value} of {plan.calls[event.call].action} would violate {violated}"
-    if evaluate(plan.goal, course.state) is not True:
-        return f"the rest of the plan would leave {seen_instead(plan.goal, course.state)}"
-    missing = progression.unfulfilled(course.state)
+    if evaluate(plan.goal, simulation.state) is not True:
+        return f"the rest of the plan would leave {observed_instead(plan.goal, simulation.state)}"
+    missing = progression.unfulfilled(simulation.state)
     return f"the rest of the plan would leave {', '.join(map(str, missing))} unfulfilled" if missing else ""
 
 

@@ -50,12 +50,12 @@ def exported(
         domain: a PDDL file.
         problem: a PDDL file for it, which a plan needs.
         with_plan: whether a plan is found and written, too.
-        original: whether what is written is a plan for the first implementation.
+        original: whether a plan for the first implementation is written.
         planner: which finds the plan.
         timeout: seconds that may take.
 
     Raises:
-        InputError: a file is wrong, or says what cannot be written.
+        InputError: a file is wrong, or has what cannot be written.
     """
     model = read_domain(domain)
     if problem is None:
@@ -78,7 +78,7 @@ def imported(file: Path) -> Imported:
     """Return the domain of a YAML file, and its problem, as PDDL.
 
     Raises:
-        InputError: the file is wrong, or says what PDDL cannot.
+        InputError: the file is wrong, or has what PDDL has not.
     """
     found = read(file)
     texts = {"domain.pddl": domain_text(found.domain, found.of("domain"))}

@@ -14,8 +14,8 @@ from typing import Final
 import yaml
 
 from planner_bridge.model.problem import Domain
-from planner_bridge.pddl.comments.table import Item, Lines, Path, Remark, Table, attached
-from planner_bridge.pddl.syntax.anchors import ACTION, INNER, fact_said, hierarchy_said, rule_said, said
+from planner_bridge.pddl.comments.table import Anchor, AnchorPath, Comment, LineIndex, Table, attach
+from planner_bridge.pddl.syntax.anchors import ACTION, COMPOUND, fact_anchor, form_anchor, hierarchy_anchor, rule_anchor
 from planner_bridge.pddl.syntax.pretty_print import Form
 from planner_bridge.pddl.write.forms import condition_form, effects_form
 from planner_bridge.pddl.write.writer import change_form, constraint_form, preference_form, rule_form
@@ -24,7 +24,7 @@ from planner_bridge.yaml.write_domain import SCHEMA_MARK
 from pnm.core.logic.domain import ActionSchema
 from pnm.errors import Position
 from pnm.files.yaml_nodes import Mapped, Node
-from pnm.language.declarations import declaration_parts, listed, read_facts
+from pnm.language.declarations import declaration_parts, read_facts
 from pnm.language.formulas.conditions import read_condition
 from pnm.language.formulas.effects import MOMENTS, read_effects
 from pnm.language.formulas.scope import ANYTHING, read_names
@@ -48,15 +48,15 @@ def comments(text: str, nodes: Iterable[yaml.Node], document: Mapped, domain: Do
         document: the one that has the domain.
         domain: which was read from it.
     """
-    lines = Lines.of(text)
+    lines = LineIndex.of(text)
     anchors = [*_Anchors(lines, domain).of_document(document)]
     remarks = [
-        Remark(_MARK.sub(lambda marks: ";" * len(marks[0]), remark.text, count=1), remark.offset) for remark in _remarks(text, nodes)
+        Comment(_MARK.sub(lambda marks: ";" * len(marks[0]), remark.text, count=1), remark.offset) for remark in _remarks(text, nodes)
     ]
-    return attached(remarks, anchors, lines, _Outline({anchor.path: anchor.start for anchor in anchors}, lines).thing_above)
+    return attach(remarks, anchors, lines, _Outline({anchor.path: anchor.start for anchor in anchors}, lines).thing_above)
 
 
-def _remarks(text: str, nodes: Iterable[yaml.Node]) -> Iterator[Remark]:
+def _remarks(text: str, nodes: Iterable[yaml.Node]) -> Iterator[Comment]:
     """Yield what begins with ``#`` outside of scalars."""
     spans = sorted((node.start_mark.index, node.end_mark.index) for node in _quoted(nodes))
     starts = [start for start, _ in spans]
@@ -65,7 +65,7 @@ def _remarks(text: str, nodes: Iterable[yaml.Node]) -> Iterator[Remark]:
         if match.group().startswith(SCHEMA_MARK):
             continue
         if not before or spans[before - 1][1] <= match.start():
-            yield Remark(match.group().rstrip(), match.start())
+            yield Comment(match.group().rstrip(), match.start())
 
 
 def _quoted(nodes: Iterable[yaml.Node]) -> Iterator[yaml.Node]:
@@ -84,11 +84,11 @@ def _quoted(nodes: Iterable[yaml.Node]) -> Iterator[yaml.Node]:
 class _Outline:
     """The columns of things, by which a comment stands under one of them, or above what follows."""
 
-    starts: dict[Path, int]
+    starts: dict[AnchorPath, int]
     """Where things begin."""
-    lines: Lines
+    lines: LineIndex
 
-    def thing_above(self, remark: Remark, last: Item | None, following: Item | None) -> Path | None:
+    def thing_above(self, remark: Comment, last: Anchor | None, following: Anchor | None) -> AnchorPath | None:
         column = self.lines.column(remark.offset)
         code = _CODE.search(self.lines.text, remark.offset)
         if last is None or (following is not None and code and column <= len(code[1])):
@@ -112,10 +112,10 @@ def _effect(node: Node) -> Form:
 
 @dataclass(frozen=True, slots=True)
 class _Anchors:
-    lines: Lines
+    lines: LineIndex
     domain: Domain
 
-    def of_document(self, top: Mapped) -> Iterator[Item]:
+    def of_document(self, top: Mapped) -> Iterator[Anchor]:
         yield self._item(("domain",), top.nodes["name"][0] if "name" in top.nodes else Position(top.file, 1, 1))
         yield from self._sections(top, ("domain",))
         for key, where, node in top.entries():
@@ -123,13 +123,13 @@ class _Anchors:
                 yield self._item(("problem",), where)
                 yield from self._sections(node.mapped(), ("problem",))
 
-    def _item(self, path: Path, position: Position, *, opaque: bool = False) -> Item:
+    def _item(self, path: AnchorPath, position: Position, *, opaque: bool = False) -> Anchor:
         offset = self.lines.starts[position.line - 1] + position.column - 1
-        return Item(path, offset, offset + 1, opaque)
+        return Anchor(path, offset, offset + 1, opaque)
 
-    def _sections(self, entry: Mapped, path: Path) -> Iterator[Item]:
+    def _sections(self, entry: Mapped, path: AnchorPath) -> Iterator[Anchor]:
         for key, where, node in entry.entries():
-            section, items = (*path, f":{key}"), listed(node)
+            section, items = (*path, f":{key}"), node.listed
             match key:
                 case "requirements" | "types" | "constants" | "objects" | "predicates" | "functions" | "init" | "goal" | "metric":
                     yield self._item(section, where)
@@ -137,30 +137,30 @@ class _Anchors:
                 case "constraints":
                     yield self._item(section, where)
                     for item in items:
-                        yield self._item((*section, said(constraint_form(read_constraint(item, ANYTHING)))), item.position)
+                        yield self._item((*section, form_anchor(constraint_form(read_constraint(item, ANYTHING)))), item.position)
                 case "preferences":
                     for item in items:
                         holder = (*path, ":goal" if is_about_states(item) else ":constraints")
-                        yield self._item((*holder, said(preference_form(read_preference(item, ANYTHING)))), item.position)
+                        yield self._item((*holder, form_anchor(preference_form(read_preference(item, ANYTHING)))), item.position)
                 case "derived":
                     for item, rule in zip(items, self.domain.rules, strict=True):
-                        inner = (*path, section[-1], rule_said(rule_form(rule)))
+                        inner = (*path, section[-1], rule_anchor(rule_form(rule)))
                         yield self._item(inner, item.position)
                         yield from self._formulas(item.mapped().needed("condition"), inner, _condition)
                 case "hierarchy" | "network":
                     for item in items:
-                        yield self._item((*path, *hierarchy_said(item.written)), item.position, opaque=True)
+                        yield self._item((*path, *hierarchy_anchor(item.written)), item.position, opaque=True)
                 case "actions" if not node.is_null:
                     for name, position, action in node.mapped().entries():
                         yield from self._action(self.domain.actions[name], position, action, path)
                 case _:
                     pass
 
-    def _inside(self, key: str, node: Node, path: Path) -> Iterator[Item]:
+    def _inside(self, key: str, node: Node, path: AnchorPath) -> Iterator[Anchor]:
         """Yield the things in a section that has names, declarations, facts or a formula."""
         if key == "goal" and not node.is_null:
             yield from self._formulas(node, path, _condition)
-        for item in listed(node):
+        for item in node.listed:
             match key:
                 case "types" | "constants" | "objects" if not item.is_null:
                     yield from (self._item((*path, name.lower()), item.position_of(name)) for name in read_names(item))
@@ -168,14 +168,14 @@ class _Anchors:
                     yield self._item((*path, declaration_parts(item)[0].lower()), item.position)
                 case "init" if item.is_mapping:
                     time = item.mapped().needed("at").written
-                    for fact in listed(item.mapped().node("facts")):
-                        yield self._item((*path, fact_said(["at", time, _fact(fact)])), fact.position)
+                    for fact in item.mapped().listed("facts"):
+                        yield self._item((*path, fact_anchor(["at", time, _fact(fact)])), fact.position)
                 case "init":
-                    yield self._item((*path, fact_said(_fact(item))), item.position)
+                    yield self._item((*path, fact_anchor(_fact(item))), item.position)
                 case _:
                     pass
 
-    def _action(self, schema: ActionSchema, position: Position, action: Node, path: Path) -> Iterator[Item]:
+    def _action(self, schema: ActionSchema, position: Position, action: Node, path: AnchorPath) -> Iterator[Anchor]:
         inner = (*path, ACTION, schema.name.lower())
         yield self._item(inner, position)
         for key, where, node in () if action.is_null else action.mapped().entries():
@@ -186,11 +186,11 @@ class _Anchors:
             if key == "preferences":
                 if "preconditions" not in action.mapped().nodes:
                     yield self._item((*inner, "condition"), where)
-                for item in listed(node):
+                for item in node.listed:
                     preference = read_preference(item, ANYTHING, timed=schema.duration is not None)
-                    yield self._item((*inner, "condition", said(preference_form(preference))), item.position)
+                    yield self._item((*inner, "condition", form_anchor(preference_form(preference))), item.position)
 
-    def _formulas(self, node: Node, path: Path, form: Callable[[Node], Form]) -> Iterator[Item]:
+    def _formulas(self, node: Node, path: AnchorPath, form: Callable[[Node], Form]) -> Iterator[Anchor]:
         """Yield conditions or effects that stand beside each other, and those in them; ``and`` and moments are looked through."""
         entries = node.mapped().entries() if node.is_mapping else ()
         keys = [key.lower() for key, _, _ in entries]
@@ -202,7 +202,7 @@ class _Anchors:
                 yield from self._formulas(value, path, form)
         elif not node.is_null and (keys or not node.is_mapping):
             whole = form(node)
-            inner = (*path, said(whole))
+            inner = (*path, form_anchor(whole))
             yield self._item(inner, node.position)
             if _has_parts(whole):
                 for part, own_form in _parts(entries[0][2], form):
@@ -218,9 +218,9 @@ def _has_parts(form: Form) -> bool:
     """Return whether a formula has others in it that comments can be about: the negation of a fact has not."""
     match form:
         case ["not", [str() as head, *_]]:
-            return head in INNER or head == "and"
+            return head in COMPOUND or head == "and"
         case [str() as head, *_]:
-            return head in INNER
+            return head in COMPOUND
         case _:
             return False
 

@@ -13,9 +13,8 @@ from pnm.core.logic.expressions import Constant, Variable, expression_fluents
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError, suggestion
 from pnm.files.yaml_nodes import Mapped, Node
-from pnm.language.declarations import listed
 from pnm.language.formulas.conditions import read_condition, read_expression, read_quantified
-from pnm.language.formulas.scope import Scope, read_typed
+from pnm.language.formulas.scope import FormulaScope, read_typed
 from pnm.language.formulas.words import needed_form
 
 CONSTRAINT_WORDS: Final[Mapping[str, tuple[int, int]]] = {**CONSTRAINTS, "at_end": (0, 1)}
@@ -30,7 +29,7 @@ _TOTAL_TIME: Final = "total-time"
 _IS_VIOLATED: Final = "is-violated"
 
 
-def read_constraint(node: Node, scope: Scope, variables: tuple[Variable, ...] = ()) -> Constraint:
+def read_constraint(node: Node, scope: FormulaScope, variables: tuple[Variable, ...] = ()) -> Constraint:
     """Read a constraint, around which these variables are bound.
 
     Raises:
@@ -57,7 +56,7 @@ def _time(node: Node) -> float:
     return float(value)
 
 
-def read_preference(node: Node, scope: Scope, *, timed: bool = False) -> Preference:
+def read_preference(node: Node, scope: FormulaScope, *, timed: bool = False) -> Preference:
     """Read a preference.
 
     Args:
@@ -71,12 +70,12 @@ def read_preference(node: Node, scope: Scope, *, timed: bool = False) -> Prefere
     entry = node.mapped()
     entry.only("name", "variables", "moment", "condition", "constraints")
     variables: tuple[Variable, ...] = ()
-    for quantifier in listed(entry.node("variables")):  # one for each text, which may hide variables of those before it
+    for quantifier in entry.listed("variables"):  # one for each text, which may hide variables of those before it
         variables += read_typed(quantifier, scope)
     scope = scope.inside(variables)
     wanted: Condition | tuple[Constraint, ...]
     if "constraints" in entry.nodes:
-        wanted = tuple([read_constraint(constraint, scope) for constraint in listed(entry.node("constraints"))])
+        wanted = tuple([read_constraint(constraint, scope) for constraint in entry.listed("constraints")])
     else:
         wanted = read_condition(entry.needed("condition"), scope)
     moment = entry.string("moment")
@@ -95,14 +94,14 @@ def is_about_states(node: Node) -> bool:
     return "constraints" not in node.mapped().nodes
 
 
-def read_metric(entry: Mapped, scope: Scope, preferences: Collection[str]) -> Metric | None:
+def read_metric(entry: Mapped, scope: FormulaScope, preferences: Collection[str]) -> Metric | None:
     """Read the key ``metric``; the names are those of the preferences that it may count.
 
     Raises:
         InputError: it is malformed, or has names that are not there.
     """
-    node = entry.node("metric")
-    if node is None or node.is_null:
+    node = entry.filled("metric")
+    if node is None:
         return None
     found = needed_form(node, _DIRECTIONS, "a metric")
     argument = found.argument

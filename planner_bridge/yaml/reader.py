@@ -25,10 +25,9 @@ from pnm.errors import InputError, Position, Tolerated
 from pnm.files.text import read_text
 from pnm.files.yaml_loader import compose
 from pnm.files.yaml_nodes import MAX_BYTES, Mapped, Node
-from pnm.language.declarations import listed
 from pnm.language.domain import DOMAIN_KEYS, read_model
 from pnm.language.files import ANCHORS, PLAN_KEYS, domain_document
-from pnm.language.formulas.scope import Scope, shown
+from pnm.language.formulas.scope import FormulaScope, shown
 
 _LEFT_OUT: Final = ("instances", "external_knowledge_base", "knowledge", "action_types")
 """The keys of a domain that PDDL has nothing like."""
@@ -74,53 +73,53 @@ def parse(text: str, file: str) -> Contents:
         model = replace(model, name=model.name or Path(file).stem, domain=replace(model.domain, name=Path(file).stem))
     _check_names(model, top)
     domain = _domain(model, top)
-    section = top.node("problem")
-    problem = None if section is None or section.is_null else _problem(model, domain, section.mapped())
+    section = top.filled("problem")
+    problem = None if section is None else _problem(model, domain, section.mapped())
     return Contents(domain, problem, comments(text, nodes, top, domain) if "#" in text else {})
 
 
 def _domain(model: ProblemModel, top: Mapped) -> Domain:
-    scope = Scope(model, {}, strict=True, borrows="problem" not in top.nodes)
+    scope = FormulaScope(model, {}, strict=True, borrows=top.filled("problem") is None)
     actions = {name: _with_preferences(schema, top.mapping("actions")[name], scope) for name, schema in model.domain.actions.items()}
-    for preference in listed(top.node("preferences")):
+    for preference in top.listed("preferences"):
         preference.mapped().needed("constraints")  # no state that could be preferred is known here
     return Domain(
         **{**_fields(model.domain), "actions": actions},
         requirements=_requirements(top),
-        constraints=tuple([read_constraint(node, scope) for node in listed(top.node("constraints"))]),
-        preferences=tuple([read_preference(node, scope) for node in listed(top.node("preferences"))]),
-        hierarchy=tuple([_hddl_text(node, HIERARCHY) for node in listed(top.node("hierarchy"))]),
+        constraints=tuple([read_constraint(node, scope) for node in top.listed("constraints")]),
+        preferences=tuple([read_preference(node, scope) for node in top.listed("preferences")]),
+        hierarchy=tuple([_hddl_text(node, HIERARCHY) for node in top.listed("hierarchy")]),
         warnings=tuple(sorted(_left_out(top), key=lambda warning: (warning.position.line, warning.position.column))),
     )
 
 
 def _problem(model: ProblemModel, domain: Domain, section: Mapped) -> Problem:
-    scope = Scope(model, {}, strict=True)
-    nodes = listed(section.node("preferences"))
+    scope = FormulaScope(model, {}, strict=True)
+    nodes = section.listed("preferences")
     soft = [read_preference(node, scope) for node in sorted(nodes, key=is_about_states, reverse=True)]
     every = (*soft, *domain.preferences, *(preference for schema in domain.actions.values() for preference in schema.preferences))
     return Problem(
         **{**_fields(model), "domain": domain, "init": {fluent: value for fluent, value in model.init.items() if value is not False}},
         metric=read_metric(section, scope, {preference.name for preference in every if preference.name}),
-        constraints=tuple([read_constraint(node, scope) for node in listed(section.node("constraints"))]),
+        constraints=tuple([read_constraint(node, scope) for node in section.listed("constraints")]),
         preferences=tuple(soft),
-        network="\n".join([_hddl_text(node, NETWORK) for node in listed(section.node("network"))]),
+        network="\n".join([_hddl_text(node, NETWORK) for node in section.listed("network")]),
         requirements=_requirements(section),
         warnings=domain.warnings,
     )
 
 
 def _fields(model: DomainModel | ProblemModel) -> Mapping[str, Any]:
-    """Return the fields of a shared model, of which that of planners has more."""
+    """Return the fields that the model of planners shares."""
     kind = DomainModel if isinstance(model, DomainModel) else ProblemModel
     return {name: getattr(model, name) for name in kind.__dataclass_fields__}
 
 
-def _with_preferences(schema: ActionSchema, entry: Mapped, scope: Scope) -> ActionSchema:
+def _with_preferences(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> ActionSchema:
     timed = schema.duration is not None
     inner = scope.inside((*schema.parameters, *((Variable(DURATION[0]),) if timed else ())))
     found: list[Preference] = []
-    for node in listed(entry.node("preferences")):
+    for node in entry.listed("preferences"):
         node.mapped().needed("condition")
         found.append(read_preference(node, inner, timed=timed))
     return replace(schema, preferences=tuple(found))
@@ -128,7 +127,7 @@ def _with_preferences(schema: ActionSchema, entry: Mapped, scope: Scope) -> Acti
 
 def _requirements(entry: Mapped) -> tuple[str, ...]:
     """Read requirements, with or without their colons: a list of them, or a text of several."""
-    words = [word for node in listed(entry.node("requirements")) for word in node.written.split()]
+    words = [word for node in entry.listed("requirements") for word in node.written.split()]
     return tuple(dict.fromkeys(f":{word.lstrip(':').lower()}" for word in words))
 
 
@@ -156,11 +155,10 @@ def _left_out(top: Mapped) -> Iterator[Tolerated]:
 
 def _check_names(model: ProblemModel, top: Mapped) -> None:
     """Refuse names that PDDL cannot have or cannot tell apart, and types that are kinds of themselves."""
-    domain, section = model.domain, top.node("problem")
-    objects = None if section is None or section.is_null else section.mapped().node("objects")
+    domain = model.domain
     _check_spelling("type", domain.types, top.node("types"))
     _check_spelling("object", domain.constants, top.node("constants"))
-    _check_spelling("object", model.own_objects, objects)
+    _check_spelling("object", model.own_objects, top.section("problem").node("objects"))
     _check_spelling("predicate", domain.predicates, top.node("predicates"), CONNECTIVES)
     _check_spelling("function", domain.functions, top.node("functions"), CONNECTIVES)
     _check_spelling("action", domain.actions, top.node("actions"))

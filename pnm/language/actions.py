@@ -1,4 +1,4 @@
-"""The actions of a domain: from YAML to schemas, which `pnm.language.ground_calls` makes ground actions from."""
+"""The actions of a domain: from YAML to schemas, which `pnm.language.ground_calls` grounds, and to how they are executed."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from pnm.core.machine.bindings import DEFAULT, Binding
 from pnm.errors import InputError, Position
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language.formulas.effects import read_conditions, read_duration, read_timed_effects
-from pnm.language.formulas.scope import Scope, read_typed, shown, unknown
+from pnm.language.formulas.scope import FormulaScope, read_typed, shown, unknown
 from pnm.language.formulas.values import read_data
 
 
 class ActionKind(Enum):
-    """Who carries an action out."""
+    """How an action is executed."""
 
     ROS = "ros_action"
     """An action server."""
     RPN = "rpn_action"
     """An action server that asks for knowledge, and changes it, while it runs."""
     KB = "kb_action"
-    """Nobody: it works on knowledge alone."""
+    """Without a server: it works on knowledge alone."""
     PLAN = "plan"
     """Another plan, which is an action server as well."""
 
@@ -37,7 +37,7 @@ class ActionKind(Enum):
 CLASSES: Final = {"ROSAtomicAction": ActionKind.ROS, "RPNAtomicAction": ActionKind.RPN, "KBAction": ActionKind.KB}
 """The classes that files for the original implementation name; none of them is imported."""
 OPERATION: Final = "operation"
-"""The parameter under which the step of a `ActionKind.KB` action says what is done."""
+"""The parameter of an `ActionKind.KB` action that has the operation on knowledge."""
 ACTION_KEYS: Final = (
     *("instances", "type", "params", "preconditions", "effects", "duration", "preferences", "recoveries", "resources"),
     *("server", "ros_type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "simulated"),
@@ -115,7 +115,7 @@ def _in_effects(effects: Effects, *, values: bool = False) -> frozenset[str]:
     return frozenset(found)
 
 
-def read_schema(name: str, entry: Mapped, scope: Scope) -> ActionSchema:
+def read_schema(name: str, entry: Mapped, scope: FormulaScope) -> ActionSchema:
     """Read the schema of an action.
 
     Args:
@@ -127,14 +127,13 @@ def read_schema(name: str, entry: Mapped, scope: Scope) -> ActionSchema:
         InputError: it has an unknown key, something malformed, or names that are not there.
     """
     entry.only(*ACTION_KEYS)
-    params, duration = entry.node("params"), entry.node("duration")
-    is_open = params is None or params.is_null
-    parameters = () if params is None or params.is_null else read_typed(params, scope)
-    bound = replace(scope, variables=None if is_open and not scope.strict else {}).inside(parameters)
-    bounds = None if duration is None or duration.is_null else read_duration(duration, bound)
+    params, duration = entry.filled("params"), entry.filled("duration")
+    parameters = () if params is None else read_typed(params, scope)
+    bound = replace(scope, variables=None if params is None and not scope.strict else {}).inside(parameters)
+    bounds = None if duration is None else read_duration(duration, bound)
     inner = bound.inside((Variable(DURATION[0]),)) if scope.strict and bounds is not None else bound
-    conditions = read_conditions(entry.node("preconditions"), inner)
-    start_effects, end = read_timed_effects(entry.node("effects"), inner)
+    conditions = read_conditions(entry.filled("preconditions"), inner)
+    start_effects, end = read_timed_effects(entry.filled("effects"), inner)
     schema = ActionSchema(
         name,
         parameters,
@@ -161,7 +160,7 @@ def _check_moments(schema: ActionSchema, entry: Mapped) -> None:
         raise InputError("only an effect at the end of an action with a duration can be tested at its start", entry.position("effects"))
 
 
-def read_action(schema: ActionSchema, entry: Mapped, scope: Scope) -> LanguageAction:
+def read_action(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> LanguageAction:
     """Read how an action is executed.
 
     Raises:
@@ -169,8 +168,7 @@ def read_action(schema: ActionSchema, entry: Mapped, scope: Scope) -> LanguageAc
     """
     if schema.name in RESERVED:
         raise InputError(f"{schema.name!r} is a word of the language; an action cannot be called so", entry.start)
-    params = entry.node("params")
-    is_open = params is None or params.is_null
+    is_open = entry.filled("params") is None
     return LanguageAction(
         schema,
         _kind(entry),
@@ -184,9 +182,9 @@ def read_action(schema: ActionSchema, entry: Mapped, scope: Scope) -> LanguageAc
 
 
 def _kind(entry: Mapped) -> ActionKind:
-    """Return who carries the action out; an action server, if the file does not say."""
-    node = entry.node("type")
-    if node is None or node.is_null:
+    """Return how the action is executed; by an action server, without the key."""
+    node = entry.filled("type")
+    if node is None:
         return ActionKind.ROS
     kinds: dict[str, ActionKind] = {kind.value: kind for kind in CLASSES.values()}
     name = read_class(node)[1] if node.is_mapping else node.text
@@ -198,11 +196,10 @@ def _kind(entry: Mapped) -> ActionKind:
     return known[name]
 
 
-def _simulated(entry: Mapped, scope: Scope) -> tuple[tuple[str, Data], ...]:
+def _simulated(entry: Mapped, scope: FormulaScope) -> tuple[tuple[str, Data], ...]:
     """Read what a simulated server answers; like a real one it knows its goal and the world, but no variables."""
-    node = entry.node("simulated")
     found: list[tuple[str, Data]] = []
-    for name, _, value in () if node is None or node.is_null else node.mapped().entries():
+    for name, _, value in entry.section("simulated").entries():
         data = read_data(value, scope)
         if any(isinstance(part, Query) for part in parts(data)):
             raise value.wrong(f"a simulated server knows its goal, not the variables of the run; expected something like ?{name}")

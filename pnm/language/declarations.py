@@ -20,40 +20,40 @@ from pnm.core.logic.rules import Rule, Rules, UnstratifiedError
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language.formulas.conditions import read_condition
-from pnm.language.formulas.scope import Scope, read_names, read_typed_text, shown, unknown
+from pnm.language.formulas.scope import FormulaScope, read_names, read_typed_text, shown, unknown
 
 _DECLARED: Final = re.compile(r"\(\s*([^\s()?-][^\s()?]*)\s*((?:[^()]|\([^()]*\))*)\)\s*(?:-\s*(\S+|\(\s*either\s[^()]*\)))?\s*\Z")
 
 
 def read_declarations(top: Mapped, problem: Mapped | None, *, strict: bool = False) -> ProblemModel:
     """Read ``types``, ``constants``, ``predicates`` and ``functions``, and the ``objects`` of a problem."""
-    domain = DomainModel(top.string("name") or "", _types(top.node("types")))
+    domain = DomainModel(top.string("name") or "", _types(top.filled("types")))
     problem_name = None if problem is None else problem.string("name")
-    scope = Scope(ProblemModel("", domain), strict=strict)
+    scope = FormulaScope(ProblemModel("", domain), strict=strict)
     domain = replace(
         domain,
-        constants=_names(top.node("constants"), scope),
-        predicates=_declarations(top.node("predicates"), "predicate", scope),
-        functions=_declarations(top.node("functions"), "function", scope),
+        constants=_names(top.filled("constants"), scope),
+        predicates=_declarations(top.listed("predicates"), "predicate", scope),
+        functions=_declarations(top.listed("functions"), "function", scope),
     )
-    objects = {} if problem is None else _names(problem.node("objects"), scope)
+    objects = {} if problem is None else _names(problem.filled("objects"), scope)
     return ProblemModel(problem_name or domain.name, domain, objects)
 
 
 def _types(node: Node | None) -> dict[str, Types]:
     """Read types with their supertypes; one that is only a supertype is declared by that."""
-    written = _names(node, Scope())
+    written = _names(node, FormulaScope())
     above = {name: tuple(kind for kind in kinds if kind != "object") for name, kinds in written.items() if name != "object"}
     return above | {kind: () for kinds in above.values() for kind in kinds if kind not in above}
 
 
-def _names(node: Node | None, scope: Scope) -> dict[str, Types]:
-    return {} if node is None or node.is_null else read_names(node, scope)
+def _names(node: Node | None, scope: FormulaScope) -> dict[str, Types]:
+    return {} if node is None else read_names(node, scope)
 
 
-def _declarations(node: Node | None, kind: str, scope: Scope) -> dict[str, Declaration]:
+def _declarations(nodes: Iterable[Node], kind: str, scope: FormulaScope) -> dict[str, Declaration]:
     found: dict[str, Declaration] = {}
-    for item in listed(node):
+    for item in nodes:
         name, parameters, after = declaration_parts(item)
         values = tuple(after.strip("()").split())
         values = values[values[:1] == ("either",) :]
@@ -79,28 +79,23 @@ def declaration_parts(node: Node) -> tuple[str, str, str]:
     return found[1], found[2], found[3] or ""
 
 
-def listed(node: Node | None) -> tuple[Node, ...]:
-    """Return the items of a list, or the one value that stands for itself."""
-    return () if node is None or node.is_null else (node,) if node.items is None else node.items
-
-
 # --- derived facts -------------------------------------------------------------------------
 
 
-def read_derived(top: Mapped, scope: Scope) -> Rules:
+def read_derived(top: Mapped, scope: FormulaScope) -> Rules:
     """Read ``derived``: a list of ``{fact: (reachable ?p - place), condition: c}``.
 
     Raises:
         InputError: it is malformed, or a fact would depend on its own negation.
     """
-    rules = [read_rule(node, scope) for node in listed(top.node("derived"))]
+    rules = [read_rule(node, scope) for node in top.listed("derived")]
     try:
         return Rules(tuple(rules))
     except UnstratifiedError as error:
         raise InputError(str(error), top.position("derived")) from error
 
 
-def read_rule(node: Node, scope: Scope) -> Rule:
+def read_rule(node: Node, scope: FormulaScope) -> Rule:
     """Read one rule; variables of its head that have no type have that of the declaration.
 
     Raises:
@@ -120,7 +115,7 @@ def read_rule(node: Node, scope: Scope) -> Rule:
     return Rule(name, variables, read_condition(condition, replace(scope, variables={}).inside(variables)))
 
 
-def _narrowed(variables: tuple[Variable, ...], declared: Declaration, node: Node, scope: Scope) -> tuple[Variable, ...]:
+def _narrowed(variables: tuple[Variable, ...], declared: Declaration, node: Node, scope: FormulaScope) -> tuple[Variable, ...]:
     if len(variables) != len(declared.parameters):
         raise node.wrong(f"expected {declared}, found {len(variables)} variables")
     found: list[Variable] = []
@@ -136,7 +131,7 @@ def _narrowed(variables: tuple[Variable, ...], declared: Declaration, node: Node
 # --- initial facts -------------------------------------------------------------------------
 
 
-def read_facts(nodes: Iterable[Node], scope: Scope) -> dict[Fluent, Value]:
+def read_facts(nodes: Iterable[Node], scope: FormulaScope) -> dict[Fluent, Value]:
     """Read facts: texts ``(at r1 hall)``, ``(= (battery r1) 80)``, ``(not (at r1 hall))``.
 
     Raises:
@@ -151,23 +146,23 @@ def read_facts(nodes: Iterable[Node], scope: Scope) -> dict[Fluent, Value]:
     return found
 
 
-def read_initial(problem: Mapped, scope: Scope) -> tuple[dict[Fluent, Value], tuple[TimedChange, ...]]:
-    """Read ``init``: the initial facts, and, as ``{at: 5, facts: [...]}``, timed ones, after so many seconds.
+def read_initial(problem: Mapped, scope: FormulaScope) -> tuple[dict[Fluent, Value], tuple[TimedChange, ...]]:
+    """Read ``init``: the initial facts, and timed ones: ``{at: 5, facts: [...]}``, in seconds.
 
     Raises:
         InputError: it is something else, or has names that are not there.
     """
-    items = listed(problem.node("init"))
+    items = problem.listed("init")
     timed: list[TimedChange] = []
     for entry in [item.mapped() for item in items if item.is_mapping]:
         entry.only("at", "facts")
         entry.needed("at")
-        timed.append(TimedChange(entry.number("at", 0.0), read_facts(listed(entry.node("facts")), scope)))
+        timed.append(TimedChange(entry.number("at", 0.0), read_facts(entry.listed("facts"), scope)))
     facts = read_facts([item for item in items if not item.is_mapping], scope)
     return facts, tuple(sorted(timed, key=lambda change: change.time))
 
 
-def _statement(node: Node, scope: Scope) -> tuple[Fluent, Value]:
+def _statement(node: Node, scope: FormulaScope) -> tuple[Fluent, Value]:
     try:
         fluent, value = parse_statement(node.text or "")
     except InputError as error:

@@ -11,11 +11,11 @@ from pnm.core.logic.domain import ProblemModel
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.errors import Tolerated
 from pnm.files.yaml_nodes import Mapped, Node
-from pnm.knowledge.sources.registry import Choice, check_source
+from pnm.knowledge.sources.registry import SourceChoice, check_source
 from pnm.language.actions import ACTION_KEYS, LanguageAction, read_action, read_class, read_schema
 from pnm.language.declarations import read_declarations, read_derived, read_initial
 from pnm.language.formulas.conditions import read_condition
-from pnm.language.formulas.scope import NOTHING_DECLARED, Scope, shown
+from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, shown
 
 DOMAIN_KEYS: Final = (
     *("name", "instances", "external_knowledge_base", "knowledge", "action_types", "actions"),
@@ -33,7 +33,7 @@ class LanguageDomain:
     actions: Mapping[str, LanguageAction] = field(default_factory=dict)
     rules: Rules = NO_RULES
     """Those of the model, stratified."""
-    sources: tuple[Choice, ...] = ()
+    sources: tuple[SourceChoice, ...] = ()
     """The sources of knowledge that the file chose."""
     warnings: tuple[Tolerated, ...] = ()
     """What in the file was tolerated though it is not as it should be."""
@@ -53,9 +53,9 @@ def domain_from(top: Mapped, warnings: tuple[Tolerated, ...] = ()) -> LanguageDo
     entries = top.mapping("actions")
     return LanguageDomain(
         model,
-        {name: read_action(schema, entries[name], Scope(model)) for name, schema in model.domain.actions.items()},
+        {name: read_action(schema, entries[name], FormulaScope(model)) for name, schema in model.domain.actions.items()},
         rules,
-        sources=(*_external(top), *_chosen(top)),
+        sources=_read_sources(top),
         warnings=warnings,
         file=top.file,
     )
@@ -66,14 +66,14 @@ def read_model(top: Mapped, *, strict: bool = False) -> tuple[ProblemModel, Rule
 
     Args:
         top: the document.
-        strict: whether planners are to understand it; see `pnm.language.formulas.scope.Scope`.
+        strict: whether planners are to understand it; see `pnm.language.formulas.scope.FormulaScope`.
 
     Raises:
         InputError: something is malformed, or has names that are not there.
     """
     section = problem_section(top)
     declared = read_declarations(top, section, strict=strict)
-    scope = Scope(declared, {}, strict, borrows=section is None)
+    scope = FormulaScope(declared, {}, strict, borrows=section is None)
     rules = read_derived(top, scope)
     domain = replace(declared.domain, rules=rules.rules)
     scope = replace(scope, declared=replace(declared, domain=domain))
@@ -90,46 +90,43 @@ def problem_section(top: Mapped) -> Mapped | None:
     Raises:
         InputError: it has an unknown key.
     """
-    node = top.node("problem")
-    if node is None or node.is_null:
+    node = top.filled("problem")
+    if node is None:
         return None
     section = node.mapped()
     section.only(*PROBLEM_KEYS)
     return section
 
 
-def read_goal(entry: Mapped, scope: Scope) -> Condition:
+def read_goal(entry: Mapped, scope: FormulaScope) -> Condition:
     """Read the key ``goal``; true when it is not there."""
-    node = entry.node("goal")
-    return TRUE if node is None or node.is_null else read_condition(node, scope)
+    node = entry.filled("goal")
+    return TRUE if node is None else read_condition(node, scope)
 
 
-def _external(top: Mapped) -> tuple[Choice, ...]:
-    """Read which source stands for the class that a file for the original implementation names."""
-    node = top.node("external_knowledge_base")
-    if node is None or node.is_null:
-        return ()
-    module, name = read_class(node)
-    return (Choice(check_source(f"{module}.{name}", node.position), {}, node.position),)
+def _read_sources(top: Mapped) -> tuple[SourceChoice, ...]:
+    """Read the sources of knowledge that a file chooses.
+
+    ``external_knowledge_base`` has a class of the original implementation, for which a registered source stands; ``knowledge``
+    has names of sources, or ``{name: {option: value}}``: one, or a list of them.
+    """
+    found: list[SourceChoice] = []
+    external = top.filled("external_knowledge_base")
+    if external is not None:
+        name = check_source(".".join(read_class(external)), external.position)
+        found.append(SourceChoice(name, {}, external.position))
+    return (*found, *(choice for node in top.listed("knowledge") for choice in _choices(node)))
 
 
-def _chosen(top: Mapped) -> tuple[Choice, ...]:
-    """Read ``knowledge``: names of sources, or ``{name: {option: value}}``; one, or a list of them."""
-    node = top.node("knowledge")
-    if node is None or node.is_null:
-        return ()
-    return tuple([choice for item in ((node,) if node.items is None else node.items) for choice in _choices(item)])
-
-
-def _choices(node: Node) -> list[Choice]:
+def _choices(node: Node) -> list[SourceChoice]:
     if node.text is not None:
-        return [Choice(check_source(node.text, node.position), {}, node.position)]
+        return [SourceChoice(check_source(node.text, node.position), {}, node.position)]
     if not node.is_mapping:
         raise node.wrong(f"expected the name of a source of knowledge, found {shown(node)}")
-    found: list[Choice] = []
+    found: list[SourceChoice] = []
     for name, position, options in node.mapped().entries():
         plain = {} if options.is_null else options.plain()
         if not isinstance(plain, dict):
             raise options.wrong(f"expected options of {name} (option: value), found {shown(options)}")
-        found.append(Choice(check_source(name, position), plain, position))
+        found.append(SourceChoice(check_source(name, position), plain, position))
     return found

@@ -100,8 +100,8 @@ class Program:
     proof: Proof
 
     @staticmethod
-    def of(plan: HandWrittenPlan) -> Program:
-        """Generate the machine and prove it.
+    def of(plan: HandWrittenPlan, capacities: Mapping[str, int] | None = None) -> Program:
+        """Generate the machine and prove it; `capacities` are those of shared resources, in the place of the plan's own.
 
         Raises:
             InputError: it is said that a call of another plan has resources.
@@ -109,8 +109,14 @@ class Program:
         for call in plan.graph.calls:
             if call.action.name in plan.calls and (names := plan.bindings.resources(call.action)):
                 raise InputError(f"{call.action.name} is a plan and has no resources ({', '.join(names)}): its calls take what they need")
-        machine = generate(plan.graph, plan.bindings, on_failure=plan.on_failure)
+        machine = generate(plan.graph, plan.bindings, on_failure=plan.on_failure, capacities=capacities)
         return Program(plan, machine, verify(machine))
+
+    def sharing(self, resources: Resources) -> Program:
+        """Return the program for runs that share these resources with others."""
+        if all(resources.capacity(name) == capacity for name, capacity in self.machine.capacities.items()):
+            return self
+        return Program.of(self.plan, resources.capacities)
 
 
 @dataclass
@@ -184,6 +190,7 @@ class Performer:
 
     def __post_init__(self) -> None:
         self.resources = Resources(_capacities(program.plan for program in self.programs.values()))
+        self.programs = {name: program.sharing(self.resources) for name, program in self.programs.items()}
 
     async def prepare(self) -> tuple[str, ...]:
         """Get ready to carry out everything that is in the plans, as far as the plans tell who does it.

@@ -9,7 +9,7 @@ import asyncio
 from collections.abc import Callable, Mapping
 from uuid import UUID
 
-from planner_bridge.ordering.interference import Footprint, conflict
+from planner_bridge.ordering.interference import ReadWriteSets, interference
 from planner_bridge.tasks.context import Conflict, RunningCalls
 from planner_bridge.tasks.scheduling.planning_queue import PlanningQueue
 from planner_bridge.tasks.task import Task
@@ -36,7 +36,7 @@ class Preemption(TaskListener):
 
     # --- conflicts ------------------------------------------------------------------------------
 
-    def conflicts(self, task: Task, footprint: Callable[[], Footprint]) -> tuple[Conflict, ...]:
+    def conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
         """Return the active tasks that conflict with a plan of the task. `footprint` is called only if there are any."""
         others = self._others(task)
         if not others:
@@ -44,11 +44,11 @@ class Preemption(TaskListener):
         found, needed = list[Conflict](), footprint()
         for other in others:
             its = other.control.footprint
-            if its is not None and (why := conflict(needed, its)):
+            if its is not None and (why := interference(needed, its)):
                 found.append(Conflict(other.id, other.name, its, why, other.wanted.priority < task.wanted.priority))
         return tuple(found)
 
-    def new_conflicts(self, task: Task, footprint: Callable[[], Footprint]) -> tuple[Conflict, ...]:
+    def new_conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
         """Return the conflicts in which neither task has been preempted for the other yet."""
         settled = task.preempted_by | {other.id for other in self._others(task) if task.id in other.preempted_by}
         return tuple(one for one in self.conflicts(task, footprint) if one.task not in settled)

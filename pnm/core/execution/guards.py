@@ -120,12 +120,7 @@ class Decision:
 
     def has_resources(self, transition: int, place: int) -> bool:
         """Tell whether the call can have what the transition needs for it; if not, it waits for that."""
-        if not self._claims.are_free(place, self.claim(transition)):
-            return False
-        if not self._situation.engine.is_enabled(transition):
-            self._claims.wait_for_own(place)
-            return False
-        return True
+        return self._claims.are_free(place, self.claim(transition))
 
     def withheld(self, guard: Withheld) -> Mapping[str, str]:
         """Return which resources the call could not have until the end of requests is known that were given up, and theirs."""

@@ -63,6 +63,15 @@ class Resources:
         """The claims that wait, those that are served first in front."""
         return tuple(self._line)
 
+    def capacity(self, name: str) -> int:
+        """Return how many requests may have the resource at the same time."""
+        return self._capacities.get(name, 1)
+
+    @property
+    def capacities(self) -> Mapping[str, int]:
+        """The capacities given; one for resources not listed."""
+        return self._capacities
+
     def is_free(self, claim: Claim) -> bool:
         """Tell whether the claim would be granted now."""
         taken = self._used.copy()
@@ -121,7 +130,7 @@ class Resources:
         found: dict[str, str] = {}
         for name in names if self._withheld else ():
             by = [known for request, known in self._withheld.items() if name in self._held[request].names]
-            if len(by) >= self._capacity(name):
+            if len(by) >= self.capacity(name):
                 found[name] = ", ".join(by)
         return found
 
@@ -162,14 +171,11 @@ class Resources:
         names = sorted(name for name, used in self._used.items() if used)
         return f"<Resources, in use: {', '.join(names) or 'none'}; {len(self._line)} in line>"
 
-    def _capacity(self, name: str) -> int:
-        return self._capacities.get(name, 1)
-
     def _fits(self, claim: Claim, taken: Mapping[str, int]) -> bool:
-        return all(taken[name] < self._capacity(name) for name in claim.names)
+        return all(taken[name] < self.capacity(name) for name in claim.names)
 
     def _is_short(self, claim: Claim, holder: Claim) -> bool:
-        return any(name in holder.names and self._used[name] >= self._capacity(name) for name in claim.names)
+        return any(name in holder.names and self._used[name] >= self.capacity(name) for name in claim.names)
 
     def _ahead(self, claim: Claim) -> Iterator[Claim]:
         """Yield the claims that are served before this one, which may stand in line or not."""
@@ -230,8 +236,8 @@ class Claims:
         self._task = task
         self._priority = priority
         # state
-        self._waiting: dict[int, UUID | None] = {}
-        """By place, the requests that stand in line; None where only calls of this run are in the way."""
+        self._waiting: dict[int, UUID] = {}
+        """By place, the requests that stand in line."""
         self._had: dict[int, UUID] = {}
         """For every call that has resources, the request that has them."""
 
@@ -246,11 +252,6 @@ class Claims:
         self.resources.take(claim)
         self._waiting[place] = claim.request
         return False
-
-    def wait_for_own(self, place: int) -> None:
-        """Wait at the place for what other calls of this run have, and not in line."""
-        self.leave(place)
-        self._waiting[place] = None
 
     def take(self, call: int, claim: Claim) -> None:
         """Have what is free."""
@@ -286,9 +287,7 @@ class Claims:
         """No longer wait at the place; tell whether it did."""
         if place not in self._waiting:
             return False
-        request = self._waiting.pop(place)
-        if request is not None:
-            self.resources.withdraw(request)
+        self.resources.withdraw(self._waiting.pop(place))
         return True
 
     def served(self) -> list[int]:
@@ -296,7 +295,7 @@ class Claims:
         if not self._waiting:
             return []
         ready = self.resources.servable() | {claim.request for claim in self.resources.line if self.resources.withheld_from(claim.names)}
-        return [place for place, request in self._waiting.items() if request is None or request in ready]
+        return [place for place, request in self._waiting.items() if request in ready]
 
     def end(self, kept: Collection[UUID], open_calls: Mapping[UUID, str]) -> None:
         """Wait for nothing, and give everything back but what these requests have; those that are open keep what they have."""

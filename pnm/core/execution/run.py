@@ -96,7 +96,8 @@ class Run:
         self.machine = machine
         self.knowledge = knowledge
         self.id = id
-        self.resources = Resources(machine.plan.capacities) if resources is None else resources
+        self.resources = Resources(machine.capacities) if resources is None else resources
+        _check_capacities(machine, self.resources)
         self.task = id if task is None else task
         self._observer = observer or Observer()
         self._roles = Roles(machine)
@@ -127,7 +128,7 @@ class Run:
         Raises:
             RunError: they are not those that the plan speaks of, or have more than there is.
         """
-        check_adoption(self.machine.plan, adopted, self._calls.resources)
+        check_adoption(self.machine, adopted, self._calls.resources)
         for call, taken in adopted.items():
             self._calls.adopt(call, taken)
             if taken.resources:
@@ -466,6 +467,13 @@ class Run:
         lacking = tuple(self._decision.withheld(rule.guard)) if isinstance(rule.guard, Withheld) else ()
         failure = self._ledger.failed(step, self._situation.now, check, rule, lacking)
         self._observer.failed(failure, self._situation.now)
+
+
+def _check_capacities(machine: PetriNetMachine, resources: Resources) -> None:
+    """Refuse a machine made for other capacities: what is free for a call must be free in its net."""
+    for name, capacity in machine.capacities.items():
+        if capacity != resources.capacity(name):
+            raise RunError(f"the machine was generated for {capacity} calls with {name}; {resources.capacity(name)} may have it")
 
 
 _BEFORE_ACCEPTANCE: Final = frozenset({OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE, OutcomeKind.LOST})

@@ -83,7 +83,7 @@ class Bindings:
     def resources(self, action: GroundAction) -> tuple[str, ...]:
         """Return what the ground action has for itself while it runs: its own resources, and those of its binding.
 
-        Work on knowledge has none.
+        Work on knowledge has none. A name that depends on an open parameter is only known when the call starts; see `is_open`.
 
         Raises:
             InputError: a name has a part in braces that is not a parameter of the action.
@@ -101,6 +101,11 @@ class Bindings:
         """Return how many seconds the action may run."""
         chosen = self.of(action.name).timeout
         return chosen if chosen is not None else max(10.0, 2.0 * (action.duration or 0.0), 60.0 if action.duration is None else 0.0)
+
+
+def is_open(resource: str) -> bool:
+    """Return whether the name of a resource depends on an argument that has no value before its call starts."""
+    return "?" in resource  # such arguments begin with it
 
 
 def _filled(pattern: str, action: GroundAction, what: str) -> str:

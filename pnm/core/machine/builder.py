@@ -33,7 +33,7 @@ class Builder:
     failure_places: dict[str, int] = field(default_factory=dict)
     restart_places: dict[str, int] = field(default_factory=dict)
     budget_places: set[str] = field(default_factory=set)
-    resource_places: set[str] = field(default_factory=set)
+    resource_places: dict[str, str] = field(default_factory=dict)
     alive_places: set[str] = field(default_factory=set)
     settling_places: dict[str, int] = field(default_factory=dict)
     blocks: dict[int, list[str]] = field(default_factory=dict)
@@ -64,7 +64,7 @@ class Builder:
             failure_places=self.failure_places,
             restart_places=self.restart_places,
             budget_places=frozenset(self.budget_places),
-            resource_places=frozenset(self.resource_places),
+            resource_places=self.resource_places,
             settling_places=self.settling_places,
             alive_places=frozenset(self.alive_places),
             blocks={step: tuple(places) for step, places in self.blocks.items()},

@@ -65,8 +65,10 @@ _EARLY = {OutcomeKind.REJECTED: Cause.REJECTED, OutcomeKind.UNAVAILABLE: Cause.U
 _NOT_EARLY = _ANY - frozenset(_EARLY)
 _LATE = {OutcomeKind.ABORTED: Cause.ABORTED, OutcomeKind.CANCELED: Cause.CANCELED, OutcomeKind.LOST: Cause.LOST}
 _ODD = _UNSUCCESSFUL - frozenset(_LATE)
+_RESTARTED = "restarted "
+"""Prefix of the places and transitions of attempts after the start was announced."""
 _ANSWER = "an answer to the goal in time"
-_ALIVE = ("requested", "withdrawing", "again requested", "again withdrawing", "running", "overdue", "stopping", "suspending")
+_ALIVE = ("requested", "withdrawing", f"{_RESTARTED}requested", f"{_RESTARTED}withdrawing", "running", "overdue", "stopping", "suspending")
 """Places of a call whose request may be alive."""
 
 
@@ -81,7 +83,7 @@ class CallBlock(Block[ActionCall]):
         announced = self._announced
         for name in ("running", "overdue", "stopping", "suspending", "finished", "done", "failed"):
             self.place(name)
-        for phase in ("", "again ") if announced else ("",):
+        for phase in ("", _RESTARTED) if announced else ("",):
             for name in ("ready", "requested", "recover", "withdrawing"):
                 self.place(phase + name)
         self.builder.failure_places[self.name("failed")] = self.step.index
@@ -90,10 +92,10 @@ class CallBlock(Block[ActionCall]):
         self.recoveries = build_recoveries(self)
         self._attempt("", announced)
         if announced:
-            self._attempt("again ", [])
+            self._attempt(_RESTARTED, [])
         self.enter("ready", 0.0 if self.step.under_way else self.step.release)
-        self._run("again " if announced else "")
-        self._finish("again " if announced else "")
+        self._run(_RESTARTED if announced else "")
+        self._finish(_RESTARTED if announced else "")
         self.leave()
 
     def add(self, rule: Rule, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:

@@ -5,9 +5,11 @@ What blocks are built with: the net so far, its roles, and which places connect 
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
 from typing import assert_never
 
-from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.bindings import Bindings, is_open
 from pnm.core.machine.builder import Builder, Context
 from pnm.core.machine.call_block import CallBlock
 from pnm.core.machine.machine import Always, Denied, Due, Ending, Failing, Holding, OnFailure, PetriNetMachine, Rule
@@ -15,16 +17,27 @@ from pnm.core.machine.plan_graph import ActionCall, Choice, Junction, Loop, Plan
 from pnm.core.machine.step_block import ChoiceBlock, JunctionBlock, LoopBlock
 
 
-def generate(plan: PlanGraph, bindings: Bindings | None = None, *, on_failure: OnFailure = OnFailure.DRAIN) -> PetriNetMachine:
-    """Build the machine of a plan; retries and limits of each call come from the plan, or else from the bindings."""
+def generate(
+    plan: PlanGraph,
+    bindings: Bindings | None = None,
+    *,
+    on_failure: OnFailure = OnFailure.DRAIN,
+    capacities: Mapping[str, int] | None = None,
+) -> PetriNetMachine:
+    """Build the machine of a plan.
+
+    Args:
+        plan: its steps, with what it says of their retries and limits.
+        bindings: what retries, limits and resources of calls are taken from besides.
+        on_failure: what happens to running calls once a step has failed.
+        capacities: how many calls may have a resource at the same time, one for those not listed: those of the `Resources` that the
+            machine's runs share with others; what the plan says when not given.
+    """
     builder = Builder(plan, bindings or Bindings())
     start, end = builder.net.place("start"), builder.net.place("end")
     goal, failed = builder.net.place("goal"), builder.net.place("failed")
     builder.initial[start] = 1
-    for name in dict.fromkeys(name for call in plan.calls for name in builder.bindings.resources(call.action)):
-        place = builder.net.place(f"resource {name}")
-        builder.resource_places.add(place)
-        builder.initial[place] = plan.capacities.get(name, 1)
+    _add_resources(builder, plan.capacities if capacities is None else capacities)
     whole = builder.region(plan.flow, None, "begin", "finish", Context(repeated=builder.starts_anew))
     builder.transition("begin", Rule("begin"), [start], whole.first)
     while builder.waiting:
@@ -37,6 +50,16 @@ def generate(plan: PlanGraph, bindings: Bindings | None = None, *, on_failure: O
     builder.transition("goal_holds", Rule("goal_holds", Holding(plan.goal)), [end], [goal])
     builder.transition("goal_missing", Rule("goal_missing", Denied(plan.goal)), [end], [failed])
     return builder.machine(goal, failed, on_failure)
+
+
+def _add_resources(builder: Builder, capacities: Mapping[str, int]) -> None:
+    """Add a place for every resource, with a token for every call that may have it at the same time."""
+    users = Counter(name for call in builder.plan.calls for name in builder.bindings.resources(call.action))
+    for name, count in users.items():
+        place = builder.net.place(f"resource {name}")
+        builder.resource_places[place] = name
+        # calls may turn out to need different resources under an open name: the net must not be stricter than what runs share
+        builder.initial[place] = count if is_open(name) else capacities.get(name, 1)
 
 
 def _build(builder: Builder, step: Step, context: Context) -> None:

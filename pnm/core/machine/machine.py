@@ -18,6 +18,7 @@ from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
 from pnm.core.logic.conditions import Condition
+from pnm.core.machine.bindings import is_open
 from pnm.core.machine.plan_graph import Cause, Ordering, PlanGraph
 from pnm.core.machine.requests import OutcomeKind
 from pnm.core.net.firing_engine import CompiledNet
@@ -270,8 +271,8 @@ class PetriNetMachine:
     """For every place that asks for the plan to begin anew, the call that marks it."""
     budget_places: frozenset[str]
     """Places that count retries, recoveries and rounds left, and those spent."""
-    resource_places: frozenset[str]
-    """Places whose tokens calls have for themselves as long as they are under way."""
+    resource_places: Mapping[str, str]
+    """For every place whose tokens calls have for themselves as long as they are under way, the name of the resource."""
     settling_places: Mapping[str, int]
     """For every place at which a call has succeeded and its effects are still to be looked for, the number of the call."""
     alive_places: frozenset[str]
@@ -289,10 +290,15 @@ class PetriNetMachine:
         """P_g: the run has reached its goal when one of these is marked."""
         return frozenset({self.goal_place})
 
+    @property
+    def capacities(self) -> Mapping[str, int]:
+        """How many calls may have each resource at the same time, as far as its name is known before its calls start."""
+        return {name: self.initial[place] for place, name in self.resource_places.items() if not is_open(name)}
+
     @cached_property
     def record_places(self) -> frozenset[str]:
         """Places that may stay marked at the end: counters and resources."""
-        return self.counter_places | self.resource_places
+        return self.counter_places | frozenset(self.resource_places)
 
     @cached_property
     def counter_places(self) -> frozenset[str]:

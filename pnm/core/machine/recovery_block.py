@@ -1,8 +1,8 @@
 """What a plan says itself about failing calls: chains of steps, and how to go on after them.
 
-    hurt → (recover) → chain → mended → ready, finished, done, or done and failed
+    recovering → (recover) → chain → recovered → ready, finished, done, or done and failed
 
-Every use takes a token from *left* and gives one to *used*; when all are used, the call gives up.
+Every use takes a token from *uses left* and gives one to *uses spent*; when all are spent, the call gives up.
 """
 
 from __future__ import annotations
@@ -67,16 +67,16 @@ def _direct(block: Block[ActionCall], recovery: Recovery) -> list[str] | None:
 
 
 def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> list[str]:
-    hurt, mended = block.place(f"hurt {number}"), block.place(f"mended {number}")
+    recovering, recovered = block.place(f"recovering {number}"), block.place(f"recovered {number}")
     done, failed = block.name("done"), block.name("failed")
-    left, used = f"left {number}", f"used {number}"
-    block.budget(left, used, recovery.times, refilled=recovery.then is not Then.RESTART_PLAN)
+    left, spent = f"uses left {number}", f"uses spent {number}"
+    block.budget(left, spent, recovery.times, refilled=recovery.then is not Then.RESTART_PLAN)
     chain = block.region(recovery.chain, f"recovery {number}", repeated=recovery.times > 1)
-    abandon(block, f"hurt {number}")
-    block.add(Rule("recover"), [hurt, block.name(left)], [*chain.first, block.name(used)], title=f"recover {number}")
-    block.add(Rule("give_up"), {hurt: 1, block.name(used): recovery.times}, [done, failed], title=f"give_up {number}")
-    block.add(Rule("chain_done"), chain.last, [mended], title=f"chain_done {number}")
-    abandon(block, f"mended {number}")
+    abandon(block, f"recovering {number}")
+    block.add(Rule("recover"), [recovering, block.name(left)], [*chain.first, block.name(spent)], title=f"recover {number}")
+    block.add(Rule("give_up"), {recovering: 1, block.name(spent): recovery.times}, [done, failed], title=f"give_up {number}")
+    block.add(Rule("chain_done"), chain.last, [recovered], title=f"chain_done {number}")
+    abandon(block, f"recovered {number}")
     then = recovery.then
     match then:
         case Then.RETRY:
@@ -93,8 +93,8 @@ def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> list[
             goal = [done, asked]
         case _:
             assert_never(then)
-    block.add(Rule(then.value, replans=then is Then.REPLAN), [mended], goal, title=f"{then.value} {number}")
-    return [hurt]
+    block.add(Rule(then.value, replans=then is Then.REPLAN), [recovered], goal, title=f"{then.value} {number}")
+    return [recovering]
 
 
 def abandon(block: Block[ActionCall], place: str, *announced: str, phase: str = "") -> None:

@@ -1,7 +1,6 @@
 """Conditions and expressions: from YAML to `pnm.core.logic.conditions`, every shape of them.
 
-What speaks of facts, functions and objects alone becomes PDDL's own kinds of conditions; what speaks of
-variables is `Computed`.
+Those over facts, functions and objects alone become PDDL's own kinds of conditions; those over variables are `Computed`.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from pnm.core.logic.conditions import TRUE, Any, Compare, Computed, Condition, E
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, ValueOf, Variable
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Node
-from pnm.language.formulas.scope import ANYTHING, Scope, fluent_in, is_variable, read_fluent, read_typed, shown
+from pnm.language.formulas.scope import ANYTHING, FormulaScope, fluent_in, is_variable, read_fluent, read_typed, shown
 from pnm.language.formulas.values import comparison_parts, operation_parts, read_form
 from pnm.language.formulas.words import ARITHMETIC, COMPARISONS, QUERIES, TESTS, Form, form, needed_form, read_operator
 
@@ -26,7 +25,7 @@ _OPERANDS: Final = {"-": range(1, 3), "/": range(2, 3)}
 """How many operands arithmetic takes; the others take any number from 2."""
 
 
-def read_condition(node: Node, scope: Scope = ANYTHING) -> Condition:
+def read_condition(node: Node, scope: FormulaScope = ANYTHING) -> Condition:
     """Read a condition.
 
     Raises:
@@ -46,7 +45,7 @@ def read_condition(node: Node, scope: Scope = ANYTHING) -> Condition:
     return Holds(read_fluent(node, scope, "predicate"))
 
 
-def _condition(found: Form, scope: Scope) -> Condition:
+def _condition(found: Form, scope: FormulaScope) -> Condition:
     match found.word:
         case "and":
             return conjunction(read_condition(one, scope) for one in found.operands())
@@ -76,8 +75,8 @@ def _condition(found: Form, scope: Scope) -> Condition:
             return Computed(read_form(found, scope))
 
 
-def read_quantified(found: Form, inner: str, scope: Scope) -> tuple[tuple[Variable, ...], Node]:
-    """Return the variables of a quantifier, and what is said of them under the key."""
+def read_quantified(found: Form, inner: str, scope: FormulaScope) -> tuple[tuple[Variable, ...], Node]:
+    """Return the variables of a quantifier, and its body, which stands under the key."""
     entry = found.argument.mapped()
     entry.only("variables", inner)
     return read_typed(entry.needed("variables"), scope), entry.needed(inner)
@@ -86,7 +85,7 @@ def read_quantified(found: Form, inner: str, scope: Scope) -> tuple[tuple[Variab
 # --- comparisons ---------------------------------------------------------------------------
 
 
-def _comparison(found: Form, operator: Node, left: Node, right: Node, scope: Scope) -> Condition:
+def _comparison(found: Form, operator: Node, left: Node, right: Node, scope: FormulaScope) -> Condition:
     """Compare numbers or objects as PDDL does if both sides are of its kinds, and any values else."""
     name = read_operator(operator)
     if scope.strict:
@@ -106,7 +105,7 @@ def _compared(name: str, left: Expression, right: Expression) -> Condition:
     return Not(Compare("=", left, right)) if name == "ne" else Compare(COMPARISONS[name], left, right)
 
 
-def _typed_comparison(operator: Node, name: str, left: Node, right: Node, scope: Scope) -> Condition:
+def _typed_comparison(operator: Node, name: str, left: Node, right: Node, scope: FormulaScope) -> Condition:
     """Compare two numbers, or two objects for equality, as planners do."""
     if name not in COMPARISONS:
         raise operator.wrong(f"PDDL does not compare with {shown(operator)}; expected one of {', '.join(COMPARISONS.values())}")
@@ -142,7 +141,7 @@ def _counts_with_names(expression: Expression) -> bool:
             return False
 
 
-def _check(node: Node, expression: Expression, scope: Scope, *, objects: bool = True) -> None:
+def _check(node: Node, expression: Expression, scope: FormulaScope, *, objects: bool = True) -> None:
     """Refuse names that are not there."""
     match expression:
         case ValueOf(fluent) if fluent == DURATION:
@@ -160,7 +159,7 @@ def _check(node: Node, expression: Expression, scope: Scope, *, objects: bool = 
             pass
 
 
-def read_expression(node: Node, scope: Scope = ANYTHING) -> Expression:
+def read_expression(node: Node, scope: FormulaScope = ANYTHING) -> Expression:
     """Read a number, an object, a parameter, ``?duration``, the value of a function, or arithmetic over these.
 
     Raises:

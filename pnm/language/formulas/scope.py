@@ -25,10 +25,10 @@ _ANY: Final = ("object",)
 
 
 @dataclass(frozen=True, slots=True)
-class Scope:
+class FormulaScope:
     """The names that a formula may use: what is declared, and the variables bound around it.
 
-    Names of a kind of which none is declared are not checked, unless the scope is strict.
+    Where no names of a kind are declared, any will do, unless the scope is strict.
     """
 
     declared: ProblemModel = NOTHING_DECLARED
@@ -39,7 +39,7 @@ class Scope:
     borrows: bool = False
     """Of a strict scope: whether objects may be named that only problems declare."""
 
-    def inside(self, variables: Iterable[Variable]) -> Scope:
+    def inside(self, variables: Iterable[Variable]) -> FormulaScope:
         """Return the scope inside of a quantifier."""
         if self.variables is None:
             return self
@@ -136,7 +136,7 @@ class Scope:
             raise unknown("type", name, known, node.position_of(name))
 
 
-ANYTHING: Final = Scope()
+ANYTHING: Final = FormulaScope()
 """Where no names are declared."""
 
 
@@ -148,7 +148,7 @@ def unknown(what: str, name: str, known: Collection[str], position: Position | N
 
 
 def is_variable(text: str) -> bool:
-    """Tell whether the text names a parameter: ``?x``."""
+    """Return whether the text names a parameter: ``?x``."""
     return _VARIABLE.match(text) is not None
 
 
@@ -158,7 +158,7 @@ def fluent_in(text: str) -> Fluent | None:
     return tuple(found[1].split()) if found else None
 
 
-def read_fluent(node: Node, scope: Scope = ANYTHING, kind: FluentKind | None = None) -> Fluent:
+def read_fluent(node: Node, scope: FormulaScope = ANYTHING, kind: FluentKind | None = None) -> Fluent:
     """Read the text of a fact, or of a function with its arguments: ``(at ?r kitchen)``.
 
     Raises:
@@ -171,7 +171,7 @@ def read_fluent(node: Node, scope: Scope = ANYTHING, kind: FluentKind | None = N
     return found
 
 
-def read_typed(node: Node, scope: Scope = ANYTHING) -> tuple[Variable, ...]:
+def read_typed(node: Node, scope: FormulaScope = ANYTHING) -> tuple[Variable, ...]:
     """Read variables with their types: PDDL's text ``?r - robot ?from ?to - place``, or a list of such texts.
 
     In a list a name may stand without its ``?``.
@@ -183,8 +183,8 @@ def read_typed(node: Node, scope: Scope = ANYTHING) -> tuple[Variable, ...]:
     return _variables([pair for part in parts if not part.is_null for pair in _typed(_text(part), part, scope)], node)
 
 
-def read_typed_text(text: str, node: Node, scope: Scope = ANYTHING, *, distinct: bool = True) -> tuple[Variable, ...]:
-    """Read variables with their types from a part of the node's text; where they only say how many there are, names may repeat."""
+def read_typed_text(text: str, node: Node, scope: FormulaScope = ANYTHING, *, distinct: bool = True) -> tuple[Variable, ...]:
+    """Read variables with their types from a part of the node's text; names that only give the arity may repeat."""
     return _variables(_typed(text, node, scope), node, distinct=distinct)
 
 
@@ -196,7 +196,7 @@ def _variables(pairs: list[tuple[str, tuple[str, ...]]], node: Node, *, distinct
     return found
 
 
-def read_names(node: Node, scope: Scope = ANYTHING) -> dict[str, tuple[str, ...]]:
+def read_names(node: Node, scope: FormulaScope = ANYTHING) -> dict[str, tuple[str, ...]]:
     """Read names with their types, such as objects: ``r1 r2 - robot kitchen - place``, or a list of such texts."""
     parts = (node,) if node.items is None else node.items
     found: dict[str, Types] = {}
@@ -212,7 +212,7 @@ def _text(node: Node) -> str:
     return node.text
 
 
-def _typed(text: str, node: Node, scope: Scope) -> list[tuple[str, tuple[str, ...]]]:
+def _typed(text: str, node: Node, scope: FormulaScope) -> list[tuple[str, tuple[str, ...]]]:
     tokens: deque[str] = deque(_TOKEN.findall(text))
     found: list[tuple[str, tuple[str, ...]]] = []
     waiting: list[str] = []
@@ -246,7 +246,7 @@ def _types(tokens: deque[str], node: Node) -> tuple[str, ...]:
 
 
 def shown(node: Node) -> str:
-    """Say what stands there, in few words."""
+    """Return what stands there, in few words, for errors."""
     if node.text is not None:
         return repr(node.text if len(node.text) < 60 else f"{node.text[:59]}…")
     return "a mapping" if node.is_mapping else "a list" if node.items is not None else node.written or "nothing"

@@ -15,7 +15,7 @@ from planner_bridge.model.problem import Domain, Metric, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
 from planner_bridge.pddl.read.symbols import CONSTRAINTS
 from planner_bridge.pddl.syntax.expressions import MAX_DEPTH
-from planner_bridge.pddl.syntax.words import MOMENTS, number_text
+from planner_bridge.pddl.syntax.words import TIME_SPECIFIERS, number_text
 from planner_bridge.pddl.write.writer import write_domain, write_problem
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.core.logic.domain import ActionSchema, Declaration, DurationConstraint, Preference
@@ -643,7 +643,8 @@ DURATIVE = st.builds(
     start_effects=effects(duration=True),
     end_effects=early_effects(),
     preferences=st.lists(
-        st.builds(Preference, st.sampled_from(["p", ""]), conditions(duration=True), VARIABLES, st.sampled_from(MOMENTS)), max_size=2
+        st.builds(Preference, st.sampled_from(["p", ""]), conditions(duration=True), VARIABLES, st.sampled_from(TIME_SPECIFIERS)),
+        max_size=2,
     ).map(tuple),
     duration=st.lists(st.builds(DurationConstraint, st.sampled_from(["=", "<=", ">="]), expressions(duration=False)), max_size=2).map(
         tuple

@@ -7,7 +7,7 @@ from pathlib import Path
 import kairos
 import pytest
 
-from planner_bridge.loading import load, told
+from planner_bridge.loading import load, warning_lines
 from planner_bridge.model.problem import Borrowed, Domain, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, write_domain, write_problem
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Holds, Not
@@ -434,7 +434,7 @@ def test_texts_come_in_many_encodings(tmp_path: Path, raw: bytes, expected: list
 
 def test_no_more_than_twenty_warnings_of_a_file_are_shown() -> None:
     many = [Tolerated("odd", Position("a.pddl", line, 1)) for line in range(1, 24)]
-    lines = list(told([*many, Tolerated("even", Position("b.pddl", 1, 1))]))
+    lines = list(warning_lines([*many, Tolerated("even", Position("b.pddl", 1, 1))]))
     assert lines == [*(f"a.pddl:{line}:1: warning: odd" for line in range(1, 21)), "a.pddl: 3 more warnings", "b.pddl:1:1: warning: even"]
 
 

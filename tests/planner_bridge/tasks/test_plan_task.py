@@ -8,9 +8,12 @@ from io import StringIO
 from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.node_console import TaskConsole
 from planner_bridge.tasks.settings import Settings
-from pnm.language.plan import parse_plans
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.language.plan import HandWrittenPlan, parse_plans
 from pnm.language.runner import Program
 from pnm.tasks import Code
+from tests.support.problems import fleet
 from tests.support.tasks.task_stage import Stage
 from tests.support.tasks.task_stage import play as on_stage
 
@@ -67,3 +70,19 @@ def test_people_read_with_which_parameters_a_plan_is_carried_out() -> None:
     play(scene)
     goals = [line.split("goal", 1)[1].strip() for line in shown.getvalue().splitlines() if "  goal  " in line]
     assert goals == ['trip(robot: r0, far: ["a1", 2])', "trip", "(at r0 a0)"]
+
+
+def test_goals_share_resources_with_the_capacities_that_plans_give_them() -> None:
+    plan = HandWrittenPlan(
+        "spare", PlanGraph((ActionCall(0, GroundAction("move", resources=("lift",))),), capacities={"lift": 2}), Bindings()
+    )
+    chosen = Settings(bindings=Bindings({"move": Binding(resources=("lift",))}))
+
+    async def scene(stage: Stage) -> None:
+        stage.site.robots.capacities = {"lift": 2}
+        task = stage.want("(and (at r0 a1) (at r1 a2) (at r2 a3))")
+        await stage.reaches(task)
+        first, second, third = (one.time for one in stage.seen(task, "sent", "move"))
+        assert first == second < third
+
+    on_stage(scene, fleet(robots=3), chosen=chosen, programs={"spare": Program.of(plan)})

@@ -23,7 +23,7 @@ from pnm.core.logic.conditions import Condition
 from pnm.errors import InputError
 from pnm.language.plan import merge_bindings, read_plans
 from pnm.language.runner import Performer, Program
-from pnm.ros.tasks.task_messages import Ending, read_parameters
+from pnm.ros.tasks.task_messages import read_parameters, result_fields
 from pnm.tasks import Code, TaskEnding, TaskListener, Wanted
 
 JSON = st.recursive(
@@ -71,13 +71,13 @@ def test_parameters_written_as_json_come_in_as_they_were(parameters: dict[str, o
 
 @given(st.dictionaries(st.text(), JSON, max_size=4))
 def test_results_are_json(results: dict[str, object]) -> None:
-    fields = Ending(True, "goal", "done", results).fields()
+    fields = result_fields(True, "goal", "done", results)
     assert json.loads(str(fields["results"])) == results
     assert fields["message"] == "done"
 
 
 def test_a_result_that_json_cannot_say_is_told_of() -> None:
-    fields = Ending(True, "goal", "done\x1b", {"a": float("nan"), "b": 1}).fields()
+    fields = result_fields(True, "goal", "done\x1b", {"a": float("nan"), "b": 1})
     assert fields["results"] == '{"b": 1}'
     assert str(fields["message"]).startswith("done\N{REPLACEMENT CHARACTER}; a is left out: JSON cannot say nan")
 

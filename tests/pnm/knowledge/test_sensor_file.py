@@ -379,17 +379,17 @@ def test_what_nobody_reports_for_too_long_falls_silent_once_and_again():
 
     async def main():
         loop = asyncio.get_running_loop()
-        silence = Watchdog(10.0, lambda: fallen.append(loop.time()))
+        watchdog = Watchdog(10.0, lambda: fallen.append(loop.time()))
         forever = Watchdog(None, lambda: fallen.append("never"))
         for _ in range(3):
             await asyncio.sleep(9.0)
-            silence.heard()
-            forever.heard()
+            watchdog.reset()
+            forever.reset()
         await asyncio.sleep(50.0)
-        silence.heard()
+        watchdog.reset()
         await asyncio.sleep(50.0)
-        silence.heard()
-        silence.close()
+        watchdog.reset()
+        watchdog.close()
         await asyncio.sleep(50.0)
         forever.close()
 
@@ -400,24 +400,24 @@ def test_what_nobody_reports_for_too_long_falls_silent_once_and_again():
 def test_what_is_no_longer_reported_is_unknown_until_it_is_reported_again(caplog):
     async def main():
         world = KnowledgeBase({("at", "r1", "hall"): True, ("dark",): True}, objects=PROBLEM.objects_by_type)
-        told = StateReports(world, {"ready": "its facts follow from rules", "spam": ""}, 1.0, 5.0, KNOWN.signatures)
+        reports = StateReports(world, {"ready": "its facts follow from rules", "spam": ""}, 1.0, 5.0, KNOWN.signatures)
         names = {"at", "battery", "location", "ready", "spam"}
         report = {("at", "r1", "kitchen"): True, ("battery", "r1"): 3.0, ("location", "r1"): "hall", ("ready", "r1"): True}
-        told.tell(names, report)
+        reports.record(names, report)
         kept = world.facts()
         assert kept == {("at", "r1", "kitchen"): True, ("battery", "r1"): 3.0, ("location", "r1"): "hall", ("dark",): True}
         await asyncio.sleep(4.0)
-        told.tell({"battery"}, {("battery", "r1"): 2.0})
+        reports.record({"battery"}, {("battery", "r1"): 2.0})
         await asyncio.sleep(3.0)
         places = [("at", robot, place) for robot in ("r1", "r-2", "a1") for place in ("kitchen", "hall")]
         assert {world.value(fluent) for fluent in [*places, ("location", "r1"), ("location", "a1")]} == {UNKNOWN}
         assert (world.value(("battery", "r1")), world.value(("dark",))) == (2.0, True)
         await asyncio.sleep(5.0)
         assert world.value(("battery", "r1")) is UNKNOWN
-        told.tell(names, {("at", "r1", "hall"): True})
+        reports.record(names, {("at", "r1", "hall"): True})
         assert [place for place in places if world.value(place) is not False] == [("at", "r1", "hall")]
         assert world.value(("location", "r1")) == UNDEFINED
-        told.close()
+        reports.close()
         await asyncio.sleep(50.0)
         assert world.value(("at", "r1", "hall")) is True
 
@@ -430,12 +430,12 @@ def test_what_is_no_longer_reported_is_unknown_until_it_is_reported_again(caplog
 def test_of_names_that_nobody_knows_more_about_what_was_recorded_is_unknown():
     async def main():
         world = KnowledgeBase(objects=PROBLEM.objects_by_type)
-        told = StateReports(world, {}, 1.0, 5.0)
-        told.tell({"at"}, {("at", "r1", "kitchen"): True})
+        reports = StateReports(world, {}, 1.0, 5.0)
+        reports.record({"at"}, {("at", "r1", "kitchen"): True})
         await asyncio.sleep(6.0)
         assert (world.value(("at", "r1", "kitchen")), world.value(("at", "r1", "hall"))) == (UNKNOWN, None)
-        told.tell({"at"}, {})
+        reports.record({"at"}, {})
         assert world.value(("at", "r1", "kitchen")) is False
-        told.close()
+        reports.close()
 
     run_async(main(), virtual=True)

@@ -14,8 +14,8 @@ from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, ValueOf, 
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Node, parse_yaml
 from pnm.language.formulas.conditions import FALSE, read_condition, read_expression
-from pnm.language.formulas.effects import Timed, Written, read_conditions, read_duration, read_effects, read_timed_effects
-from pnm.language.formulas.scope import Scope, read_names, read_typed
+from pnm.language.formulas.effects import TimedConditions, WrittenEffects, read_conditions, read_duration, read_effects, read_timed_effects
+from pnm.language.formulas.scope import FormulaScope, read_names, read_typed
 from pnm.language.formulas.values import read_data, read_operation
 
 
@@ -188,52 +188,52 @@ def test_a_question_that_is_found_by_asking_others() -> None:
 
 
 AT = Set(("at", "?r", "b"), Constant(True))
-EFFECTS: list[tuple[str, Written]] = [
-    ('"(at ?r b)"', Written((AT,))),
-    ('{Holds: "(at ?r b)"}', Written((AT,))),
-    ('["(at ?r b)", {not: "(at ?r a)"}]', Written((AT, Set(("at", "?r", "a"), Constant(False))))),
-    ("{and: [{not: {Holds: (a)}}, [{and: {Holds: (b)}}]]}", Written((Set(("a",), Constant(False)), Set(("b",), Constant(True))))),
-    ("{increase: [(cost), 5]}", Written((Set(("cost",), Constant(5.0), "increase"),))),
-    ("{scale_up: [(cost), (rate)]}", Written((Set(("cost",), ValueOf(("rate",)), "scale-up"),))),
-    ("{scale-down: [(cost), 2]}", Written((Set(("cost",), Constant(2.0), "scale-down"),))),
-    ('{assign: ["(place ?r)", "?to"]}', Written((Set(("place", "?r"), Constant("?to")),))),
-    ("{assign: [(place), kitchen]}", Written((Set(("place",), Constant("kitchen")),))),
-    ("{decrease: [(fuel), '?n']}", Written((Set(("fuel",), Constant("?n"), "decrease"),))),
-    ("{when: {condition: (a), effects: [(b)]}}", Written((When(Holds(("a",)), (Set(("b",), Constant(True)),)),))),
-    ("{when: {at_start: (a), effects: (b)}}", Written((When(Holds(("a",)), (Set(("b",), Constant(True)),), early=True),))),
+EFFECTS: list[tuple[str, WrittenEffects]] = [
+    ('"(at ?r b)"', WrittenEffects((AT,))),
+    ('{Holds: "(at ?r b)"}', WrittenEffects((AT,))),
+    ('["(at ?r b)", {not: "(at ?r a)"}]', WrittenEffects((AT, Set(("at", "?r", "a"), Constant(False))))),
+    ("{and: [{not: {Holds: (a)}}, [{and: {Holds: (b)}}]]}", WrittenEffects((Set(("a",), Constant(False)), Set(("b",), Constant(True))))),
+    ("{increase: [(cost), 5]}", WrittenEffects((Set(("cost",), Constant(5.0), "increase"),))),
+    ("{scale_up: [(cost), (rate)]}", WrittenEffects((Set(("cost",), ValueOf(("rate",)), "scale-up"),))),
+    ("{scale-down: [(cost), 2]}", WrittenEffects((Set(("cost",), Constant(2.0), "scale-down"),))),
+    ('{assign: ["(place ?r)", "?to"]}', WrittenEffects((Set(("place", "?r"), Constant("?to")),))),
+    ("{assign: [(place), kitchen]}", WrittenEffects((Set(("place",), Constant("kitchen")),))),
+    ("{decrease: [(fuel), '?n']}", WrittenEffects((Set(("fuel",), Constant("?n"), "decrease"),))),
+    ("{when: {condition: (a), effects: [(b)]}}", WrittenEffects((When(Holds(("a",)), (Set(("b",), Constant(True)),)),))),
+    ("{when: {at_start: (a), effects: (b)}}", WrittenEffects((When(Holds(("a",)), (Set(("b",), Constant(True)),), early=True),))),
     (
         '{forall: {variables: "?x - t", effects: {not: "(p ?x)"}}}',
-        Written((ForEach((Variable("?x", ("t",)),), (Set(("p", "?x"), Constant(False)),)),)),
+        WrittenEffects((ForEach((Variable("?x", ("t",)),), (Set(("p", "?x"), Constant(False)),)),)),
     ),
-    ("{and: {Exists: [LocalQuery: result]}}", Written((), Computed(Operation("exists", (q("result"),))))),
+    ("{and: {Exists: [LocalQuery: result]}}", WrittenEffects((), Computed(Operation("exists", (q("result"),))))),
     (
         '[Comparison: ["eq", [Query: time, Query: value]], {not: {Comparison: ["ne", [Query: time, Query: value]]}}]',
-        Written((), All((Computed(Operation("eq", (TIME, VALUE))), Not(Computed(Operation("ne", (TIME, VALUE))))))),
+        WrittenEffects((), All((Computed(Operation("eq", (TIME, VALUE))), Not(Computed(Operation("ne", (TIME, VALUE))))))),
     ),
-    ("[(done), {LocalQuery: success}]", Written((Set(("done",), Constant(True)),), Computed(q("success")))),
+    ("[(done), {LocalQuery: success}]", WrittenEffects((Set(("done",), Constant(True)),), Computed(q("success")))),
     (
         '{forall: {variables: "?x", condition: "(clean ?x)"}}',
-        Written((), ForAll((Variable("?x"),), Holds(("clean", "?x")))),
+        WrittenEffects((), ForAll((Variable("?x"),), Holds(("clean", "?x")))),
     ),
-    ("{}", Written()),
-    ("[]", Written()),
+    ("{}", WrittenEffects()),
+    ("[]", WrittenEffects()),
 ]
 
 
 @pytest.mark.parametrize(("text", "expected"), EFFECTS, ids=[text for text, _ in EFFECTS])
-def test_effects(text: str, expected: Written) -> None:
+def test_effects(text: str, expected: WrittenEffects) -> None:
     assert read_effects(node(text)) == expected
 
 
 def test_conditions_and_effects_by_moment() -> None:
-    assert read_conditions(node("{at_start: (a), over_all: [(b)], at_end: {not: (c)}}")) == Timed(
+    assert read_conditions(node("{at_start: (a), over_all: [(b)], at_end: {not: (c)}}")) == TimedConditions(
         Holds(("a",)), Holds(("b",)), Not(Holds(("c",)))
     )
-    assert read_conditions(node("(a)")) == Timed(Holds(("a",)))
-    assert read_conditions(node("")) == Timed() == read_conditions(None)
+    assert read_conditions(node("(a)")) == TimedConditions(Holds(("a",)))
+    assert read_conditions(None) == TimedConditions()
     start, end = read_timed_effects(node("{at_start: {not: (free)}, at_end: [(free), {Query: time}]}"))
     assert start == (Set(("free",), Constant(False)),)
-    assert end == Written((Set(("free",), Constant(True)),), Computed(TIME))
+    assert end == WrittenEffects((Set(("free",), Constant(True)),), Computed(TIME))
     assert read_timed_effects(node("(a)"))[0] == ()
 
 
@@ -268,7 +268,7 @@ KNOWN = DomainModel(
     {"at": Declaration("at", TWO)},
     {"battery": Declaration("battery", ONE)},
 )
-SCOPE = Scope(ProblemModel("p", KNOWN), {"?robot": ("robot",), "?to": ("place",)})
+SCOPE = FormulaScope(ProblemModel("p", KNOWN), {"?robot": ("robot",), "?to": ("place",)})
 C, D, E, K, X, T, L = read_condition, read_data, read_effects, read_operation, read_expression, read_typed, read_duration
 WRONG: list[tuple[Callable[..., object], str, str]] = [
     # words and shapes

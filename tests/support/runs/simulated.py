@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from uuid import UUID
 
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
-from pnm.actions.simulated_robots import SimulatedRobots, sense
-from pnm.actions.simulated_world import SimulatedWorld
+from pnm.actions.simulated_robots import SimulatedRobots
+from pnm.actions.simulated_world import SimulatedWorld, report_changes
 from pnm.clock import run_async
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Observer
@@ -112,7 +112,7 @@ def simulate(
         import asyncio
 
         if watched:
-            sense(world, beliefs)
+            report_changes(world, beliefs)
         robots.begin()
         executor = Executor(run, robots)
         if stop_at is not None:

@@ -126,7 +126,7 @@ def explore(machine: PetriNetMachine) -> int:
             frozenset(),
             frozenset((goal, failed)),
             restarts=frozenset(machine.restart_places),
-            resources=machine.resource_places,
+            resources=frozenset(machine.resource_places),
         )
     )
 

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pnm.actions.simulated_robots import SimulatedRobots, sense
-from pnm.actions.simulated_world import SimulatedWorld
+from pnm.actions.simulated_robots import SimulatedRobots
+from pnm.actions.simulated_world import SimulatedWorld, report_changes
 from pnm.clock import run_async
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Answered, Ask, Begin, Cancel, Command, Event, KnowledgeChanged, Pause, Resume, Send, Stop, Tick
@@ -353,7 +353,7 @@ def test_robots_stop_for_a_pause_and_do_the_rest_after_it() -> None:
     run = Run(generate(graph), Layered(beliefs), id=RUN, observer=log)
 
     async def main() -> RunResult:
-        sense(world, beliefs)
+        report_changes(world, beliefs)
         executor = Executor(run, robots)
         task = asyncio.ensure_future(executor.execute())
         await asyncio.sleep(2)

@@ -32,7 +32,7 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
-from pnm.errors import InputError
+from pnm.errors import InputError, RunError
 from pnm.executor import Executor
 from pnm.language.plan import merge_bindings, read_plans
 from pnm.language.runner import Performer, Program
@@ -550,8 +550,48 @@ def test_all_plans_of_a_performer_share_resources(tmp_path: Path) -> None:
     assert site.robots.clashes == []
 
 
+def test_a_machine_made_for_other_capacities_is_refused() -> None:
+    graph = PlanGraph((ActionCall(0, GroundAction("act", resources=("arm",))),))
+    shared = Resources({"arm": 2})
+    with pytest.raises(RunError, match="generated for 1 calls with arm; 2 may have it"):
+        Run(generate(graph), Layered(KnowledgeBase()), id=UUID(int=1), resources=shared)
+    machine = generate(graph, capacities=shared.capacities)
+    assert Run(machine, Layered(KnowledgeBase()), id=UUID(int=1), resources=shared).machine.capacities == {"arm": 2}
+
+
+def test_calls_with_open_parameters_need_different_resources_at_the_same_time() -> None:
+    bindings = Bindings({"move": Binding(resources=("{robot}/base",))})
+    calls = tuple(ActionCall(number, GroundAction("move", (f"?{name}",), ("robot",))) for number, name in enumerate(("robot", "robot")))
+    knowledge = Layered(KnowledgeBase(), KnowledgeBase(variables={"robot": "r1"}))
+    run = Run(generate(PlanGraph(calls), bindings), knowledge, id=UUID(int=1), bindings=bindings)
+    (first,) = (one for one in run.handle(Begin(), 0.0) if isinstance(one, Send))
+    knowledge.local.store({"robot": "r2"})
+    (second,) = (one for one in run.handle(KnowledgeChanged(), 1.0) if isinstance(one, Send))
+    assert [one.names for one in run.resources.held] == [("r1/base",), ("r2/base",)]
+    assert (first.request.action.arguments, second.request.action.arguments) == (("r1",), ("r2",))
+
+
 def test_a_plan_that_is_called_has_no_resources_itself(tmp_path: Path) -> None:
     file = tmp_path / "plan.yaml"
     file.write_text(NESTED.replace("{LocalQuery: what}}}]", "{LocalQuery: what}}, resources: [arm]}]"), encoding="utf-8")
     with pytest.raises(InputError, match=r"inner is a plan and has no resources \(arm\)"):
         Program.of(read_plans(file)["outer"])
+
+
+def test_every_plan_of_a_performer_shares_what_one_of_them_says_of_a_resource(tmp_path: Path) -> None:
+    file = tmp_path / "plan.yaml"
+    text = "actions: {lift: {params: [what], duration: 2, resources: [arm]}}\n"
+    branches = "plan: [{concurrent_actions: [{lift: {what: plate}}, {lift: {what: spoon}}]}]"
+    file.write_text(f"{text}one: {{resources: {{arm: 2}}, {branches}}}\nother: {{{branches}}}\n", encoding="utf-8")
+    plans = read_plans(file)
+    site = simulated_backend(plans["one"], merge_bindings(plans.values()))
+    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, site, KnowledgeBase())
+
+    async def main() -> None:
+        await site.open(performer.world)
+        assert (await performer.execute(performer.perform("other"))).goal
+        assert asyncio.get_running_loop().time() == pytest.approx(2.0, abs=0.1)
+        await site.close()
+
+    run_async(main(), virtual=True)
+    assert site.robots.clashes == []

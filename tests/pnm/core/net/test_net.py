@@ -52,11 +52,8 @@ def missing_inputs(net: PetriNet, marking: Marking) -> list[int]:
 def test_engine_definition_and_matrix_equation_agree(run: tuple[PetriNet, Marking, list[Firing]]) -> None:
     net, marking, firings = run
     compiled = CompiledNet(net)
-    engine, dense, incidence = (
-        Engine(compiled, marking),
-        np.array(tokens(net, marking)),
-        np.array(net.incidence()).reshape(len(net.transitions), len(net.places)),
-    )
+    engine, dense = Engine(compiled, marking), np.array(tokens(net, marking))
+    incidence = np.array(net.incidence(), dtype=np.int64).reshape(len(net.transitions), len(net.places))
     for transition, times in firings:
         number = compiled.transition_id[transition]
         if is_enabled(net, marking, transition, times):

@@ -9,7 +9,7 @@ from uuid import UUID
 import pytest
 
 from pnm.core.logic.computed_values import MISSING, Layer, Question
-from pnm.knowledge.sources import Asker, Choice, SourceError, Surroundings, open_sources
+from pnm.knowledge.sources import Asker, SourceChoice, SourceError, Surroundings, open_sources
 from pnm.ros.knowledge.knowledge_source import Ros2Knowledge
 from pnm.ros.knowledge.person_source import Ros2Person
 from pnm.ros.node.service_client import ServiceClient
@@ -256,7 +256,7 @@ def test_closing_ends_open_questions(ros, names, begin):
 def test_both_by_name(ros, names):
     async def main():
         name = names()
-        choices = [Choice("ros2", {"name": name, "limit": 0.2}), Choice("topics", {"name": name, "limit": 0.2})]
+        choices = [SourceChoice("ros2", {"name": name, "limit": 0.2}), SourceChoice("topics", {"name": name, "limit": 0.2})]
         sources = open_sources(choices, Surroundings(ros))
         assert repr(sources) == f"<Sources <Ros2Knowledge {name}>; <Ros2Person {name}, 0 questions open>>"
         with pytest.raises(SourceError, match=f"there is no service /{name}/query"):
@@ -264,6 +264,6 @@ def test_both_by_name(ros, names):
         with pytest.raises(SourceError, match="nobody has answered"):
             await sources.query(about("USER"), ME)
         await sources.close()
-        assert "Ros2Person" in repr(open_sources([Choice("memory"), Choice("person")], Surroundings(ros)))
+        assert "Ros2Person" in repr(open_sources([SourceChoice("memory"), SourceChoice("person")], Surroundings(ros)))
 
     run(main())

@@ -23,7 +23,7 @@ from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import Instance, Sensing, read
 from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.service_client import until_true
-from pnm.ros.sensors.fields import fitted, found_at, value_at
+from pnm.ros.sensors.fields import find_field, fitted, value_at
 from pnm.ros.sensors.sensors import Sensors
 from tests.pnm.knowledge.test_sensor_file import DOMAIN, PROBLEM
 from tests.support.ros.scripts import run
@@ -289,8 +289,8 @@ def test_fields_of_messages():
     wanted = {"byte_values[-1]": 255, "float32_values[1]": 1.5, "bool_values_default": [False, True, False], "alignment_check": 0}
     assert {path: value_at(message, parse_field(path)) for path in wanted} == wanted
     assert value_at(message, parse_field("basic_types_values[2].int64_value")) == 0
-    assert found_at(type(message), parse_field("basic_types_values[2].int64_value")).kind == "int64"
-    assert found_at(type(message), parse_field("string_values")).kind == "string[3]"
+    assert find_field(type(message), parse_field("basic_types_values[2].int64_value")).kind == "int64"
+    assert find_field(type(message), parse_field("string_values")).kind == "string[3]"
 
 
 def test_constants_of_messages_have_names(sensing):
