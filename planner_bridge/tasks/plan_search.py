@@ -21,7 +21,7 @@ from planner_bridge.tasks.constraint_monitor import TaskMonitor
 from planner_bridge.tasks.context import Conflict, RunningCalls, TaskContext
 from planner_bridge.tasks.control import TaskEnded
 from planner_bridge.tasks.replanning import Progress, shortened, why_not
-from pnm.core.execution.call_requests import UnderWay
+from pnm.core.execution.handover import UnderWay
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph
 from pnm.errors import InputError

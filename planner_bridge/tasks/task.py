@@ -140,7 +140,7 @@ class Task(TaskObserver):
         for ordering in graph.orderings:
             if ordering.before.call < len(graph.calls) and ordering.after.call < len(graph.calls):
                 before.setdefault(ordering.after.call, []).append(ordering.before.call)
-        results = {result.call.index: result for result in run.told().calls}
+        results = {result.call.index: result for result in run.interim_result().calls}
         arguments = {index: result.call.action.arguments for index, result in results.items() if result.started is not None}
         return tuple(
             TaskStep(

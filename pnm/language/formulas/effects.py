@@ -94,7 +94,7 @@ def _is_fact(node: Node) -> bool:
 def _change(found: Form, scope: FormulaScope) -> Set:
     target, value = found.items(2)
     effect = Set(read_fluent(target), read_expression(value, scope), _CHANGES[found.word])
-    scope.check_change(effect.fluent, target, effect.value)
+    scope.check_change(effect.fluent, target, effect.value, value)
     if scope.strict and effect.operation != "assign" and scope.is_object(ValueOf(effect.fluent)):
         raise target.wrong(f"the values of {effect.fluent[0]!r} are objects; expected assign, found {found.written}")
     return effect

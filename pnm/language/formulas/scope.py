@@ -91,8 +91,11 @@ class FormulaScope:
             raise unknown(kind, name, own, node.position_of(name))
         return own[name]
 
-    def check_change(self, fluent: Fluent, node: Node, value: Expression) -> None:
-        """Refuse a new value of what is not there; in a strict scope, one of another kind or type, or of a derived predicate, too."""
+    def check_change(self, fluent: Fluent, node: Node, value: Expression, value_node: Node | None = None) -> None:
+        """Refuse a new value of what is not there; in a strict scope, one of another kind or type, or of a derived predicate, too.
+
+        The value stands in the node of the fluent, if not in one of its own.
+        """
         is_truth = isinstance(value, Constant) and isinstance(value.value, bool)
         self.check_fluent(fluent, node, "predicate" if is_truth else "function")
         if not self.strict:
@@ -101,7 +104,7 @@ class FormulaScope:
             if any(rule.name == fluent[0] for rule in self.declared.domain.rules):
                 raise InputError(f"{fluent[0]!r} is a derived predicate; it follows from others", node.position_of(fluent[0]))
             return
-        self.check_value(value, self.declared.domain.functions[fluent[0]].values, node)
+        self.check_value(value, self.declared.domain.functions[fluent[0]].values, value_node or node)
 
     def check_value(self, value: Expression, types: Types, node: Node) -> None:
         """Refuse an expression that is no number, or, where types are given, no object of any of these."""

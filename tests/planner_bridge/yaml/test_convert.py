@@ -31,6 +31,7 @@ from pnm.errors import InputError
 from tests.planner_bridge.pddl import test_pddl
 from tests.support import strategies as generated
 from tests.support.files import ROOT, SHARED
+from tests.support.refusals import refused
 
 PAIRS = SHARED / "pddl"
 GOLDEN = ROOT / "tests" / "planner_bridge" / "yaml" / "golden" / "patrol.yaml"
@@ -388,55 +389,61 @@ def test_every_text_of_a_list_says_its_own_types() -> None:
 HEAD = "name: d\npredicates: [(p), (q)]\n"
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("plan: []\n", "x.yaml:1:1: there is no domain in the file; expected the key 'actions'"),
-        (f"{HEAD}predicate: []\n", "x.yaml:3:1: unknown key 'predicate'; did you mean 'predicates'?"),
-        (f"{HEAD}actions: {{a: {{precondition: (p)}}}}\n", "x.yaml:3:15: unknown key 'precondition'; did you mean 'preconditions'?"),
-        (
-            f"{HEAD}actions:\n  a:\n    params:\n    effects: (pp)\n",
-            "x.yaml:6:15: there is no predicate 'pp' here; did you mean 'p'?",
-        ),
-        (f"{HEAD}actions:\n  a:\n    effects:\n      - (q)\n      - (p kitchen)\n", "x.yaml:7:9: p takes 0 arguments, found 1"),
-        (f"{HEAD}actions:\n  a:\n    preconditions:\n      orr: [(p)]\n", "x.yaml:6:7: unknown word 'orr'; did you mean 'or'?"),
-        (
-            f"{HEAD}actions:\n  a:\n    preconditions:\n      Exists: {{Query: v}}\n",
-            "x.yaml:6:7: PDDL has no 'Exists': it knows facts and functions, not variables",
-        ),
-        (
-            f"{HEAD}actions:\n  a:\n    preconditions: {{Comparison: [contains, [a, b]]}}\n",
-            "x.yaml:5:34: PDDL does not compare with 'contains'; expected one of =, !=, <, <=, >, >=",
-        ),
-        (f"{HEAD}actions: {{a: {{effects: [{{increse: [(p), 1]}}]}}}}\n", "x.yaml:3:26: unknown word 'increse'; did you mean 'increase'?"),
-        (f"{HEAD}actions: {{a: {{effects: [7]}}}}\n", "x.yaml:3:25: expected an effect, such as (at ?r kitchen), found 7"),
-        (f"{HEAD}problem: {{goal: (r), objects: []}}\n", "x.yaml:3:18: there is no predicate 'r' here; expected one of: p, q"),
-        (f"{HEAD}problem: {{gaol: (p)}}\n", "x.yaml:3:11: unknown key 'gaol'; did you mean 'goal'?"),
-        (
-            f"{HEAD}problem:\n  init:\n    - (p)\n    - (p\n",
-            "x.yaml:6:7: expected a fact such as (at r1 kitchen) or (= (battery r1) 80), found '(p'",
-        ),
-        (
-            f"{HEAD}problem: {{init: [{{at: soon, facts: [(p)]}}]}}\n",
-            "x.yaml:3:23: expected a number of at least 0 under 'at', found 'soon'",
-        ),
-        (f"{HEAD}problem: {{metric: {{minimise: 1}}}}\n", "x.yaml:3:20: unknown word 'minimise'; did you mean 'minimize'?"),
-        (f"{HEAD}preferences: [{{name: p1, condition: (p)}}]\n", "x.yaml:3:15: the key 'constraints' is missing"),
-        (f"{HEAD}constraints: [{{alway: (p)}}]\n", "x.yaml:3:16: unknown word 'alway'; did you mean 'always'?"),
-        (
-            f"{HEAD}problem: {{preferences: [{{moment: at_strat, condition: (p)}}]}}\n",
-            "x.yaml:3:34: unknown moment 'at_strat'; did you mean 'at_start'?",
-        ),
-        (f"{HEAD}derived: [{{fact: (p)}}]\n", "x.yaml:3:11: the key 'condition' is missing"),
-        (f"{HEAD}hierarchy: [(:tusk t)]\n", "x.yaml:3:13: expected the text of :task or :method"),
-        ("name: d\ntypes: [[a]]\n", "x.yaml:2:9: expected names and types such as '?r - robot ?to - place', found a list"),
-        ("name: [d]\nactions: {}\n", "x.yaml:1:7: expected a text under 'name', found ['d']"),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), refused(Path(__file__).parent / "refused" / "converted.yaml"))
 def test_what_is_wrong_is_said_where_it_is(text: str, message: str) -> None:
     with pytest.raises(InputError) as refusal:
         parse(text, "x.yaml")
     assert str(refusal.value).startswith(message)
+
+
+TYPED = """name: d
+types: robot place
+constants: [r1 - robot, hall - place]
+predicates: ["(at ?r - robot ?p - place)", "(clean ?p - place)", (tidy)]
+functions: ["(charge ?r - robot)", "(home ?r - robot) - place"]
+derived: [{fact: (tidy), condition: {forall: {variables: "?p - place", condition: "(clean ?p)"}}}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("problem: {goal: (at hall hall)}", "7:21: 'hall' is of type place; expected robot"),
+        ("actions: {a: {params: '?p - place', effects: '(at ?p hall)'}}", "7:51: '?p' is of type place; expected robot"),
+        ("problem: {goal: (charge r1)}", "7:18: charge is a function; expected a predicate"),
+        ("problem: {goal: {Comparison: ['<', [(tidy), 3]]}}", "7:38: tidy is a predicate; expected a function"),
+        ("problem: {goal: {Comparison: ['<', ['(home r1)', hall]]}}", "7:31: objects are equal or they are not; expected = or !="),
+        ("problem: {goal: {Comparison: ['=', ['(charge r1)', hall]]}}", "7:52: a number and an object cannot be compared"),
+        ("actions: {a: {effects: (tidy)}}", "7:25: 'tidy' is a derived predicate; it follows from others"),
+        ("actions: {a: {effects: {assign: ['(charge r1)', hall]}}}", "7:49: expected a number, found hall"),
+        ("actions: {a: {effects: {assign: ['(home r1)', r1]}}}", "7:47: 'r1' is of type robot; expected place"),
+        (
+            "actions: {a: {effects: {increase: ['(home r1)', hall]}}}",
+            "7:36: the values of 'home' are objects; expected assign, found increase",
+        ),
+        ("actions: {a: {effects: {at_start: (clean hall)}}}", "7:24: only an action with a duration has moments"),
+        ("actions: {a: {effects: {increase: ['(charge r1)', '?duration']}}}", "7:51: there is no parameter '?duration' here"),
+        ("actions: {a: {preferences: {constraints: {always: (tidy)}}}}", "7:28: the key 'condition' is missing"),
+        ("actions: {a: {duration: 1, preferences: {condition: (tidy)}}}", "7:41: a preference in an action with a duration needs a moment"),
+        ("actions: {go there: {}}", "7:11: 'go there' cannot name an action in PDDL; expected letters, digits"),
+        ("actions: {go: {}, Go: {}}", "7:19: PDDL does not tell 'Go' from 'go'"),
+        ("problem: {init: [(clean hall), (not (clean hall))]}", "7:32: (clean hall) has another value before; expected one value"),
+        ("problem: {init: [(tidy)]}", "7:19: 'tidy' is a derived predicate; it follows from others"),
+        ("problem: {init: ['(= (charge r1) full)']}", "7:18: expected a number, found full"),
+        ("problem: {metric: {minimize: '(is-violated p)'}}", "7:44: there is no preference 'p' here; expected one of none at all"),
+        ("problem: {metric: {minimize: '(home r1)'}}", "7:30: expected a number, found (home r1)"),
+        ("constraints: [{within: [soon, (tidy)]}]", "7:25: expected a time of at least 0, found soon"),
+    ],
+)
+def test_names_are_checked_as_planners_do(text: str, message: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        parse(f"{TYPED}{text}\n", "x.yaml")
+    assert str(refusal.value).startswith(f"x.yaml:{message}")
+
+
+def test_types_are_no_kinds_of_themselves() -> None:
+    with pytest.raises(InputError, match=r"x.yaml:1:9: the type 'a' is a kind of itself"):
+        parse("types: [a - b, b - a]\nactions: {}\n", "x.yaml")
 
 
 def test_a_damaged_file_is_read_or_refused_with_a_position() -> None:
