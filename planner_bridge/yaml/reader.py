@@ -180,6 +180,8 @@ def _check_spelling(kind: str, names: Iterable[str], node: Node | None, forbidde
         if name.lower() in forbidden:
             raise InputError(f"{name!r} is a word of PDDL and cannot name {with_article(kind)}", node.position_of(name))
         if NAME.fullmatch(name) is None or NUMBER.fullmatch(name) is not None:
-            raise InputError(f"{name!r} cannot name {with_article(kind)} in PDDL; expected letters, digits and _ - . @", node.position_of(name))
+            raise InputError(
+                f"{name!r} cannot name {with_article(kind)} in PDDL; expected letters, digits and _ - . @", node.position_of(name)
+            )
         if spelled.setdefault(name.lower(), name) != name:
             raise InputError(f"PDDL does not tell {name!r} from {spelled[name.lower()]!r}", node.position_of(name))
