@@ -21,7 +21,7 @@ from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists
 from pnm.core.logic.domain import ActionSchema, Declaration, DurationConstraint, Preference
 from pnm.core.logic.effects import OPERATIONS, Effect, ForEach, Set, TimedChange, When
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
-from pnm.core.logic.rules import Rule
+from pnm.core.logic.rules import DerivationRule
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError
 from tests.support.files import SHARED
@@ -442,7 +442,7 @@ def over(constraint: Constraint) -> Constraint:
 
 PREFERENCES = st.builds(Preference, st.sampled_from(["p", "Q-2", ""]), conditions(), VARIABLES)
 WISHES = st.builds(Preference, st.sampled_from(["p", "c", ""]), st.lists(constraints(), max_size=2).map(tuple), st.just(OWN))
-RULES = st.builds(Rule, st.sampled_from(["calm", "near"]), st.just(OWN), conditions())
+RULES = st.builds(DerivationRule, st.sampled_from(["calm", "near"]), st.just(OWN), conditions())
 
 INSTANTANEOUS = st.builds(
     ActionSchema,
@@ -496,7 +496,7 @@ def domain_of(actions: list[ActionSchema]) -> Domain:
 @settings(max_examples=25, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(st.tuples(INSTANTANEOUS, DURATIVE), st.lists(RULES, max_size=2), st.lists(constraints(), max_size=2), st.lists(WISHES, max_size=2))
 def test_a_written_domain_reads_as_an_equal_one(
-    actions: tuple[ActionSchema, ActionSchema], rules: list[Rule], kept: list[Constraint], wished: list[Preference]
+    actions: tuple[ActionSchema, ActionSchema], rules: list[DerivationRule], kept: list[Constraint], wished: list[Preference]
 ) -> None:
     domain = replace(
         domain_of(list(actions)),
@@ -646,7 +646,9 @@ WORDS = [
 @settings(deadline=None)
 @given(st.data())
 def test_a_damaged_text_is_read_or_refused_with_a_position(data: st.DataObject) -> None:
-    domain = replace(domain_of([SAMPLE, EARLY]), rules=(Rule("calm", OWN, Not(IDLE)),), constraints=(LAW,), hierarchy=("(:task t)",))
+    domain = replace(
+        domain_of([SAMPLE, EARLY]), rules=(DerivationRule("calm", OWN, Not(IDLE)),), constraints=(LAW,), hierarchy=("(:task t)",)
+    )
     init: dict[Fluent, bool | float | str] = {("idle",): True, ("charge", "R1"): 3.0, ("home", "R1"): "hall"}
     wishes = Preference("p", IDLE, (Variable("?x"),)), Preference("q", (LAW,))
     texts = (
