@@ -239,6 +239,8 @@ class Calls:
 
     def _write(self, changes: Changes) -> Performed:
         """Write the assumed effects; sensors report all others."""
+        if not changes:
+            return _NOTHING
         world = self._knowledge.world
         assumed = {fluent: value for fluent, value in changes.items() if not world.is_sensed(fluent)}
         return Performed(changes_knowledge=bool(world.update(assumed)))

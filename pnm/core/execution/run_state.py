@@ -97,7 +97,7 @@ class Timers:
 
     def set(self, place: int, time: float) -> None:
         """Have the place asked again at this time; earlier entries stay, to ask once too often does no harm."""
-        if time < inf and self._set.get(place) != time:
+        if self._set.get(place) != time:
             self._set[place] = time
             heappush(self._queue, (time, place))
 

@@ -104,8 +104,8 @@ def abandon(block: Block[ActionCall], place: str, *announced: str, phase: str = 
     source, event = block.name(phase + place), place.rstrip(" 0123456789")
     guard = Failing() if starts_anew else Ending()
     if event == "recover":
-        block.add(Rule("abandon", guard), [source], [done, *announced, failed], title=f"{phase}abandon")
+        block.add(Rule("abandon", guard, block.step.index), [source], [done, *announced, failed], title=f"{phase}abandon")
     else:
         block.add(Rule(f"abandon {event}", guard), [source], [done, *announced, failed], title=f"{phase}abandon {place}")
     if starts_anew:
-        block.add(Rule(f"drop {event}", Ending()), [source], [done, *announced], title=f"{phase}drop {place}")
+        block.add(Rule(f"drop {event}", Ending(), block.step.index), [source], [done, *announced], title=f"{phase}drop {place}")
