@@ -1,4 +1,4 @@
-"""Problems from wherever they come: PDDL files, our own model, or unified-planning."""
+"""Loading of problems from PDDL files, our own model, or unified-planning; the bindings beside them; warnings as text."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from typing import Any, Final
 
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.pddl import read_domain, read_problem
+from pnm.actions.bindings_file import read_bindings
+from pnm.core.logic.declared_names import Vocabulary
+from pnm.core.machine.bindings import Bindings
 from pnm.errors import Tolerated
 
 _SHOWN: Final = 20
-"""So many warnings about a file at most are told."""
+"""Warnings about a file that are shown, at most."""
 
 
 def load(domain: Path | str | Domain | None, problem: Path | str | Problem | Any) -> Problem:
@@ -33,10 +36,26 @@ def load(domain: Path | str | Domain | None, problem: Path | str | Problem | Any
     return read_problem(Path(problem), domain if isinstance(domain, Domain) else read_domain(Path(domain)))
 
 
-def told(warnings: Iterable[Tolerated]) -> Iterator[str]:
+def bindings_for(domain: Path | None, file: Path | None, known: Vocabulary | None) -> Bindings:
+    """Return bindings from a file; without one, from ``bindings.yaml`` beside the domain if that exists.
+
+    Args:
+        domain: the file of the domain, None if there is no domain.
+        file: the file of the bindings.
+        known: the declared names that bindings may use, None for any.
+
+    Raises:
+        InputError: the file is wrong, or cannot be read.
+    """
+    beside = domain.parent / "bindings.yaml" if domain else None
+    chosen = file or (beside if beside and beside.is_file() else None)
+    return read_bindings(chosen, known) if chosen else Bindings()
+
+
+def warning_lines(warnings: Iterable[Tolerated]) -> Iterator[str]:
     """Yield a line for each warning, and for each file with many of them how many more there are."""
     for file, group in groupby(warnings, key=lambda warning: warning.position.file):
-        found = list(group)
-        yield from map(str, found[:_SHOWN])
-        if len(found) > _SHOWN:
-            yield f"{file}: {len(found) - _SHOWN} more warnings"
+        of_file = list(group)
+        yield from map(str, of_file[:_SHOWN])
+        if len(of_file) > _SHOWN:
+            yield f"{file}: {len(of_file) - _SHOWN} more warnings"

@@ -8,7 +8,8 @@ from planner_bridge.model.grounding import dynamic_names, initial_knowledge
 from planner_bridge.model.problem import Problem
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Faults
-from pnm.actions.simulated_robots import SimulatedRobots, simulated_robots
+from pnm.actions.simulated_robots import SimulatedRobots
+from pnm.actions.simulated_world import SimulatedWorld
 from pnm.core.logic.effects import names_written
 from pnm.core.machine.bindings import Bindings
 
@@ -24,12 +25,19 @@ def simulated_backend(described: Problem | HandWrittenPlan, bindings: Bindings, 
 def robots_of(described: Problem | HandWrittenPlan, bindings: Bindings, faults: Faults, *, speed: float = 1.0) -> SimulatedRobots:
     """Return simulated robots in a world that begins as the problem or plan says."""
     if isinstance(described, Problem):
-        changing, lasting, capacities = dynamic_names(described), described.is_timed, None
+        changing, lasting = dynamic_names(described), described.is_timed
     else:
         calls = described.graph.calls
         changing = names_written(tuple(effect for call in calls for effect in (*call.action.start_effects, *call.action.end_effects)))
         changing |= {fluent[0] for change in described.timed for fluent in change.changes}
         lasting = bool(described.timed) or any(call.action.duration is not None for call in calls)
-        capacities = described.graph.capacities
-    truth = initial_knowledge(described)
-    return simulated_robots(truth, changing, bindings, faults, described.timed, lasting=lasting, speed=speed, capacities=capacities)
+    hidden = {fluent[0] for change in faults.changes for fluent in change.changes}
+    return SimulatedRobots(
+        SimulatedWorld(initial_knowledge(described), changing | hidden),
+        faults,
+        bindings,
+        described.timed,
+        untimed=0.0 if lasting else 1.0,  # beside actions that last, others take no time at all
+        speed=speed,
+        capacities={} if isinstance(described, Problem) else described.graph.capacities,
+    )

@@ -13,7 +13,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import selectors
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Awaitable, Callable, Coroutine, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext
 from math import isfinite
@@ -98,7 +98,7 @@ class TimeLimit:
             self._timer = None
 
 
-async def stop_then_cancel(work: Coroutine[Any, Any, T], stop: Callable[[], object]) -> T:
+async def stop_then_cancel(work: Awaitable[T], stop: Callable[[], object]) -> T:
     """Await work that can be ended in order, in a task of its own, and return its result.
 
     Cancelling the caller once calls `stop`, which asks the work to come to its end, and goes on waiting for that; cancelling

@@ -34,7 +34,7 @@ class InputError(PnmError):
 
 @dataclass(frozen=True, slots=True)
 class Tolerated:
-    """Something in a file that is not as it should be but was understood; told as a warning."""
+    """A mistake in a file that was understood all the same; shown as a warning."""
 
     message: str
     position: Position
@@ -61,6 +61,6 @@ class RosError(PnmError):
 
 
 def suggestion(name: str, known: Collection[str]) -> str:
-    """Return a question about the nearest of the known names, or nothing when none is near; of equally near ones, the first."""
+    """Return a suggestion of the nearest known name ("did you mean …?"), or nothing when none is near; the first of equally near ones."""
     near = get_close_matches(name, known, 1)
     return f"did you mean {near[0]!r}?" if near else ""

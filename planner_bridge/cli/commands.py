@@ -1,12 +1,12 @@
 """The `pnm` command. Exit status: 0 the goal holds, 1 it does not, 2 the input is wrong.
 
-Commands import what they need themselves: the first thing a person notices is how long a command
-takes to begin.
+Commands import what they need in their functions, so that each starts as fast as it can.
 """
 
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,14 +37,14 @@ if TYPE_CHECKING:
 
 
 class Commands(click.Group):
-    """The commands, of which `serve` is looked for only when somebody asks for it: its options tell of much that others do not need."""
+    """The commands. `serve` is imported when it is looked up: its options come from modules that no other command needs."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return their names."""
+        """Return the names of the commands."""
         return sorted((*super().list_commands(ctx), "serve"))
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Return a command by its name."""
+        """Return a command by name."""
         if cmd_name != "serve":
             return super().get_command(ctx, cmd_name)
         from planner_bridge.cli.serve import serve
@@ -107,7 +107,7 @@ def net(
     timeout: float,
 ) -> int:
     """Plan, and write the machine; or write that of a plan that somebody has written."""
-    from planner_bridge.cli.options import bindings_for
+    from planner_bridge.loading import bindings_for
     from planner_bridge.ordering.plan_to_graph import plan_graph
     from planner_bridge.planning.solve import solve
     from pnm.core.machine.export import to_dot, to_json
@@ -120,7 +120,7 @@ def net(
         machine = machine_of(chosen, name, bindings)
     else:
         loaded = problem_in(*chosen)
-        bound = bindings_for(loaded, chosen[0], bindings)
+        bound = bindings_for(chosen[0], bindings, loaded.vocabulary)
         found = solve(loaded, planner=planner, timeout=timeout)
         if found.plan is None:
             print(f"no plan: {found.reason}", file=sys.stderr)
@@ -202,12 +202,13 @@ def run(
 @command
 def simulate(domain: Path, problem: Path, bindings: Path | None, faults: Path | None, speed: float | None, log: Path | None) -> int:
     """Play the robots: offer a ROS 2 action server per action, and publish what sensors see."""
-    from planner_bridge.cli.options import bindings_for, faults_for
+    from planner_bridge.cli.options import faults_for
+    from planner_bridge.loading import bindings_for
     from planner_bridge.node.simulate import play
 
     loaded = problem_in(domain, problem)
-    bound, wrong = bindings_for(loaded, domain, bindings), faults_for(loaded, faults)
-    return play(loaded, bound, wrong, speed or (1.0 if loaded.timed else 20.0), log)
+    bound = bindings_for(domain, bindings, loaded.vocabulary)
+    return play(loaded, bound, faults_for(loaded, faults), speed or (1.0 if loaded.timed else 20.0), log)
 
 
 @app.command()
@@ -275,4 +276,7 @@ def demo(story: str) -> int:
 
 def main() -> None:
     """Run the command line."""
+    # Shells without job control start background processes with SIGINT ignored; whoever sends it all the same wants us to stop in order.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     app()

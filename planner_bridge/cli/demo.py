@@ -9,9 +9,8 @@ from rich.console import Console
 
 from planner_bridge.cli.console import ConsoleObserver, print_result
 from planner_bridge.loading import load
-from planner_bridge.pipeline import pursue
+from planner_bridge.pipeline import achieve_at
 from planner_bridge.simulation import simulated_backend
-from planner_bridge.tasks.result import Stopwatch
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import read_faults
@@ -41,7 +40,7 @@ def show(console: Console) -> int:
             f"The robots are simulated, and something will go wrong: {fault.what} fails, {fault.message}.", highlight=False, soft_wrap=True
         )
     console.print(f"[bold]goal[/]     {' '.join(map(str, conjuncts(problem.goal)))}", highlight=False, soft_wrap=True)
-    result = run_async(pursue(problem, site, settings, ConsoleObserver(console), Stopwatch()), virtual=True)
+    result = run_async(achieve_at(site, problem, settings, ConsoleObserver(console)), virtual=True)
     print_result(console, result)
     console.print("In the simulated world, which nobody but the simulation sees:", soft_wrap=True)
     for part in conjuncts(problem.goal):

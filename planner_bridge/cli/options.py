@@ -1,7 +1,4 @@
-"""What commands share: options, and how their results become exit statuses and their errors messages.
-
-The files that commands are given besides those of a problem or of a plan.
-"""
+"""Options, files and exit statuses that commands share."""
 
 from __future__ import annotations
 
@@ -17,11 +14,9 @@ from typing import Any, ParamSpec
 
 import click
 
-from planner_bridge.loading import load, told
+from planner_bridge.loading import load, warning_lines
 from planner_bridge.model.problem import Problem
-from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import NO_FAULTS, Faults, read_faults
-from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError, PnmError, Tolerated
 
 P = ParamSpec("P")
@@ -31,7 +26,7 @@ FILE = click.Path(path_type=Path)
 
 
 class Seconds(click.FloatRange):
-    """A finite number."""
+    """A finite number of seconds."""
 
     name = "number"
 
@@ -44,7 +39,7 @@ class Seconds(click.FloatRange):
 
 
 def command(function: Callable[P, int]) -> Callable[P, None]:
-    """Turn the returned status into the exit status, and errors into one message without a traceback."""
+    """Make a command of a function: its status is the exit status, an error becomes one message without a traceback."""
 
     @wraps(function)
     def run(*args: P.args, **kwargs: P.kwargs) -> None:
@@ -57,13 +52,13 @@ def command(function: Callable[P, int]) -> Callable[P, None]:
         except PnmError as error:
             print(error, file=sys.stderr)
             status = 1
-        except BrokenPipeError:  # nobody reads what we print: not our fault, and no more can be said
+        except BrokenPipeError:  # the reader of our output has gone, so nothing can be reported either
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             status = 1
         except KeyboardInterrupt:
             print("cancelled", file=sys.stderr)
             status = 1
-        except Exception as error:  # a fault of ours, but nobody wants to read our stack
+        except Exception as error:  # a bug; its place is enough for a report
             where = traceback.extract_tb(error.__traceback__)[-1]
             place = f"{Path(where.filename).name}:{where.lineno}"
             print(f"internal error, please report it: {type(error).__name__} at {place}: {error}", file=sys.stderr)
@@ -74,7 +69,7 @@ def command(function: Callable[P, int]) -> Callable[P, None]:
 
 
 def options(*options: Decorator) -> Decorator:
-    """Combine options that several commands share."""
+    """Combine options, for several commands."""
 
     def add(function: Callable[..., Any]) -> Callable[..., Any]:
         for option in reversed(options):
@@ -103,10 +98,10 @@ faults_option = click.option("--faults", type=FILE, help="what goes wrong in sim
 
 
 def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | None) -> Path | tuple[Path, Path]:
-    """Return the file of a plan, or DOMAIN and PROBLEM.
+    """Return the file of a hand-written plan, or DOMAIN and PROBLEM.
 
     Raises:
-        InputError: there is neither, or both.
+        InputError: neither is given, or both.
     """
     if plan_file is not None:
         if domain is not None:
@@ -118,18 +113,14 @@ def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | No
 
 
 def problem_in(domain: Path, problem: Path) -> Problem:
-    """Read a problem, and say on stderr what in its files was not as it should be.
-
-    Raises:
-        InputError: a file is wrong, or cannot be read.
-    """
+    """Read a problem; warnings about its files go to stderr."""
     loaded = load(domain, problem)
     tell(loaded.warnings)
     return loaded
 
 
 def write(path: Path | None, text: str) -> None:
-    """Write a file, or on the terminal when there is none.
+    """Write a text to a file, or to stdout without one.
 
     Raises:
         InputError: it cannot be written.
@@ -146,13 +137,13 @@ def write(path: Path | None, text: str) -> None:
 
 def tell(warnings: Iterable[Tolerated]) -> None:
     """Say on stderr what in files was not as it should be."""
-    for line in told(warnings):
+    for line in warning_lines(warnings):
         print(line, file=sys.stderr)
 
 
 @dataclass(frozen=True, slots=True)
 class Files:
-    """Those that options name."""
+    """The files of a run besides its problem or plan, None for those that are not given."""
 
     bindings: Path | None = None
     faults: Path | None = None
@@ -160,22 +151,6 @@ class Files:
     sensing: Path | None = None
 
 
-def bindings_for(problem: Problem, domain: Path, file: Path | None) -> Bindings:
-    """Read bindings from a file, or from ``bindings.yaml`` beside the domain if that is there.
-
-    Raises:
-        InputError: the file is wrong, or cannot be read.
-    """
-    beside = domain.parent / "bindings.yaml"
-    if file is None and not beside.is_file():
-        return Bindings()
-    return read_bindings(file or beside, problem.vocabulary)
-
-
 def faults_for(problem: Problem, file: Path | None) -> Faults:
-    """Read what goes wrong in simulation.
-
-    Raises:
-        InputError: the file is wrong, or cannot be read.
-    """
+    """Read the faults of a simulation; none without a file."""
     return read_faults(file, problem.vocabulary) if file else NO_FAULTS

@@ -1,22 +1,18 @@
-"""What `pnm run` does with DOMAIN and PROBLEM, and what it prints in the end.
-
-What `pnm run --plan` and `pnm net --plan` do.
-"""
+"""`pnm run` of a goal or of a hand-written plan, and `pnm net --plan`."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 
 from planner_bridge.cli.console import ConsoleObserver, SafeConsole, print_result
-from planner_bridge.cli.options import Files, bindings_for, faults_for, problem_in, tell
-from planner_bridge.pipeline import Where, achieve
+from planner_bridge.cli.options import Files, faults_for, problem_in, tell
+from planner_bridge.loading import bindings_for
+from planner_bridge.pipeline import Where, achieve, carry_out
 from planner_bridge.planning.solve import check_planner
-from planner_bridge.tasks.plan_task import carry_out, chosen_plan
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.bindings_file import read_bindings
@@ -27,7 +23,7 @@ from pnm.errors import InputError
 from pnm.files.yaml_nodes import parse_value
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import NO_SENSING
-from pnm.language.plan import read_plans
+from pnm.language.plan import chosen_plan, read_plans
 
 
 def run_problem(domain: Path, problem: Path, files: Files, *, actions: Where, settings: Settings, as_json: bool) -> int:
@@ -40,26 +36,20 @@ def run_problem(domain: Path, problem: Path, files: Files, *, actions: Where, se
     with stopwatch.of("parse"):
         loaded = problem_in(domain, problem)
         sensors = read_sensing(files.sensing, loaded.vocabulary) if files.sensing else NO_SENSING
-        settings = replace(settings, bindings=bindings_for(loaded, domain, files.bindings), sensing=sensors)
+        settings = replace(settings, bindings=bindings_for(domain, files.bindings, loaded.vocabulary), sensing=sensors)
         faults = faults_for(loaded, files.faults)
     observer = TaskObserver() if as_json else ConsoleObserver(console)
     result = achieve(None, loaded, actions=actions, faults=faults, settings=settings, observer=observer, stopwatch=stopwatch)
-    return print_ending(result, console, result.as_json() if as_json else None)
+    return print_ending(result, console, as_json=as_json)
 
 
-def print_ending(task: TaskResult, console: Console, told: Mapping[str, object] | None) -> int:
-    """Print how a task ended, for people or as one JSON object; return the exit status.
-
-    Args:
-        task: what has ended.
-        console: where people read.
-        told: the object, if it is to be printed in place of words.
-    """
-    if told is None:
-        print_result(console, task)
+def print_ending(result: TaskResult, console: Console, *, as_json: bool) -> int:
+    """Print the result of a task, for people or as one JSON object; return the exit status."""
+    if as_json:
+        print(json.dumps(result.as_json(), default=str), flush=True)
     else:
-        print(json.dumps(told, default=str), flush=True)
-    return 0 if task.goal_reached else 1
+        print_result(console, result)
+    return 0 if result.goal_reached else 1
 
 
 def machine_of(file: Path, name: str | None, bindings: Path | None) -> PetriNetMachine:
@@ -108,7 +98,7 @@ def run_written(
         knowledge=files.knowledge,
         warn=tell,
     )
-    return print_ending(result.task, console, result.as_json() if as_json else None)
+    return print_ending(result, console, as_json=as_json)
 
 
 def _parameters(given: tuple[str, ...]) -> dict[str, object]:

@@ -15,16 +15,17 @@ ROS_ARGUMENTS: Final = "--ros-args"
 
 
 class RosCommand(click.Command):
-    """A command that leaves everything from ``--ros-args`` on to ROS 2, as `ros2 run` and `ros2 launch` give it."""
+    """A command whose arguments from ``--ros-args`` on are for ROS 2, as `ros2 run` and `ros2 launch` pass them."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Keep those arguments apart."""
+        """Split off the arguments for ROS 2."""
         end = args.index(ROS_ARGUMENTS) if ROS_ARGUMENTS in args else len(args)
         ctx.meta[ROS_ARGUMENTS] = args[end:]
         return super().parse_args(ctx, args[:end])
 
 
 def _option(parameter: NodeParameter) -> Callable[[Any], Any]:
+    """Return the option for a parameter. It has no default: only what is given overrides that of the parameter."""
     name = (parameter.option or parameter.name).replace("_", "-")
     default = f"  [default: {parameter.default}]" if parameter.default not in ("", True) else ""
     about: dict[str, Any] = {"help": parameter.description + default, "default": None}
@@ -44,7 +45,7 @@ def _option(parameter: NodeParameter) -> Callable[[Any], Any]:
 @click.command(cls=RosCommand)
 @click.argument("domain", required=False)
 @click.argument("problem", required=False)
-@options(*(_option(one) for one in PARAMETERS if one.name not in ("domain", "problem")))
+@options(*(_option(parameter) for parameter in PARAMETERS if parameter.name not in ("domain", "problem")))
 @command
 def serve(**given: ParameterValue | None) -> int:
     """Take goals over ROS 2, and pursue them until interrupted: the node that a robot runs.

@@ -1,4 +1,4 @@
-"""Calls that no plan may use any more."""
+"""Forbidden actions: ground actions that no plan may use any more, compiled into the problem as preconditions."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
 
 ANY: Final = "?"
-"""In the place of an argument: whatever it is."""
+"""In the place of an argument: any object."""
 
 
 @dataclass(frozen=True, slots=True)
 class ForbiddenCall:
-    """A ground action that no plan may use any more, or all that have these arguments."""
+    """A ground action that no plan may use any more, or all ground actions with these arguments."""
 
     action: str
     arguments: tuple[str, ...]
 
     @staticmethod
     def of(action: GroundAction) -> ForbiddenCall:
-        """Return what forbids this ground action."""
+        """Return the value that forbids this ground action."""
         return ForbiddenCall(action.name, action.arguments)
 
     def covers(self, action: GroundAction) -> bool:
-        """Tell whether the ground action is forbidden."""
+        """Whether the ground action is forbidden."""
         return self.action == action.name and all(mine in (ANY, its) for mine, its in zip(self.arguments, action.arguments, strict=True))
 
     @property
     def fixed(self) -> tuple[int, ...]:
-        """The positions of the arguments that matter."""
+        """The positions of the arguments that are given."""
         return tuple(number for number, argument in enumerate(self.arguments) if argument != ANY)
 
     def __str__(self) -> str:
@@ -52,29 +52,29 @@ def forbid(problem: Problem, forbidden: frozenset[ForbiddenCall]) -> Problem:
     predicates, actions = dict(domain.predicates), dict(domain.actions)
     facts: dict[tuple[str, tuple[int, ...]], str] = {}
     for name, fixed in sorted({(call.action, call.fixed) for call in forbidden}):
-        fact = facts[name, fixed] = unused(f"forbidden-{name}", replace(domain, predicates=predicates))
+        fact = facts[name, fixed] = unused_name(f"forbidden-{name}", replace(domain, predicates=predicates))
         parameters = tuple(actions[name].parameters[number] for number in fixed)
         predicates[fact] = Declaration(fact, parameters)
         actions[name] = guarded(actions[name], Not(Holds((fact, *(variable.name for variable in parameters)))))
     for call in forbidden:
         init[(facts[call.action, call.fixed], *(call.arguments[number] for number in call.fixed))] = True
-    return replace(problem, domain=changed(domain, predicates, actions), init=init)
+    return replace(problem, domain=with_guards(domain, predicates, actions), init=init)
 
 
-def users(domain: Domain, bindings: Bindings, names: Collection[str]) -> frozenset[ForbiddenCall]:
-    """Return the calls that have one of these resources for themselves."""
+def calls_acquiring(domain: Domain, bindings: Bindings, names: Collection[str]) -> frozenset[ForbiddenCall]:
+    """Return the calls that acquire one of these resources, by the patterns of the bindings."""
     found: set[ForbiddenCall] = set()
     for schema in domain.actions.values():
         for pattern in bindings.of(schema.name).resources:
             for name in names:
-                if (values := _values(pattern, name)) is not None:
+                if (values := _match_pattern(pattern, name)) is not None:
                     arguments = (values.get(variable.name.removeprefix("?"), ANY) for variable in schema.parameters)
                     found.add(ForbiddenCall(schema.name, tuple(arguments)))
     return frozenset(found)
 
 
-def _values(pattern: str, name: str) -> dict[str, str] | None:
-    """Return for which values of the parameters in braces the pattern becomes the name; None if for none."""
+def _match_pattern(pattern: str, name: str) -> dict[str, str] | None:
+    """Return the values of the parameters in braces for which the pattern becomes the name; None if there are none."""
     parts = list(Formatter().parse(pattern))
     expression = "".join(re.escape(text) + ("" if parameter is None else "(.+)") for text, parameter, _, _ in parts)
     match = re.fullmatch(expression, name)
@@ -87,8 +87,8 @@ def _values(pattern: str, name: str) -> dict[str, str] | None:
     return values
 
 
-def unused(name: str, domain: Domain) -> str:
-    """Return a name for a predicate that begins so and is not in the domain."""
+def unused_name(name: str, domain: Domain) -> str:
+    """Return a name for a new predicate: this one, lengthened until the domain does not have it."""
     while name in domain.predicates or name in domain.functions:
         name += "-"
     return name
@@ -99,7 +99,7 @@ def guarded(schema: ActionSchema, guard: Not) -> ActionSchema:
     return replace(schema, precondition=All((guard, schema.precondition)))
 
 
-def changed(domain: Domain, predicates: dict[str, Declaration], actions: dict[str, ActionSchema]) -> Domain:
-    """Return the domain with these predicates and actions, and the requirement that negated preconditions ask for."""
+def with_guards(domain: Domain, predicates: dict[str, Declaration], actions: dict[str, ActionSchema]) -> Domain:
+    """Return the domain with these predicates and guarded actions, and the requirement for negative preconditions."""
     requirements = tuple(dict.fromkeys((*domain.requirements, ":negative-preconditions")))
     return replace(domain, requirements=requirements, predicates=predicates, actions=actions)

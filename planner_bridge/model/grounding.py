@@ -1,7 +1,4 @@
-"""An action schema and objects → a ground action of the neutral plan.
-
-Knowledge ↔ initial state: what a problem says at first, and the problem as the world now is.
-"""
+"""Grounding: an action schema and objects → a ground action; and the initial state of a problem ↔ a knowledge base."""
 
 from __future__ import annotations
 
@@ -12,11 +9,11 @@ from typing import TYPE_CHECKING
 
 from planner_bridge.model.problem import Problem
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import ground
 from pnm.core.logic.domain import ActionSchema
-from pnm.core.logic.effects import TimedChange, ground_effects, names_written
-from pnm.core.logic.expressions import DURATION, UNKNOWN, Environment, Fluent, State, Unknown, Value, fluent_text, value_of
-from pnm.core.logic.rules import Rule, Rules
+from pnm.core.logic.effects import TimedChange, names_written
+from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, State, Unknown, Value, fluent_text, value_of
+from pnm.core.logic.rules import DerivationRule, Rules
+from pnm.core.machine.grounding import ground_schema
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError
 
@@ -33,20 +30,9 @@ def ground_action(schema: ActionSchema, arguments: tuple[str, ...], duration: fl
     if len(arguments) != len(schema.parameters):
         expected = " ".join(variable.name for variable in schema.parameters) or "none"
         raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(arguments)}")
-    env: dict[str, object] = {variable.name: argument for variable, argument in zip(schema.parameters, arguments, strict=True)}
-    if duration is not None:
-        env[DURATION[0]] = duration
-    return GroundAction(
-        name=schema.name,
-        arguments=arguments,
-        parameters=tuple(variable.name[1:] for variable in schema.parameters),
-        precondition=ground(schema.precondition, env),
-        invariant=ground(schema.invariant, env),
-        end_condition=ground(schema.end_condition, env),
-        start_effects=ground_effects(schema.start_effects, env),
-        end_effects=ground_effects(schema.end_effects, env),
-        duration=duration if schema.duration is not None else None,
-    )
+    env: Environment = {variable.name: argument for variable, argument in zip(schema.parameters, arguments, strict=True)}
+    action = ground_schema(schema, arguments, env, duration)
+    return action if schema.duration is not None or duration is None else replace(action, duration=None)
 
 
 def modelled_duration(schema: ActionSchema, arguments: tuple[str, ...], state: State) -> float | None:
@@ -54,7 +40,7 @@ def modelled_duration(schema: ActionSchema, arguments: tuple[str, ...], state: S
     if schema.duration is None:
         return None
     env: Environment = {variable.name: argument for variable, argument in zip(schema.parameters, arguments, strict=True)}
-    bounds = [value_of(one.bound, state, env) for one in schema.duration if one.operation in ("=", ">=")]
+    bounds = [value_of(constraint.bound, state, env) for constraint in schema.duration if constraint.operation in ("=", ">=")]
     numbers = [float(bound) for bound in bounds if bound is not UNKNOWN and not isinstance(bound, str)]
     return max(numbers, default=0.0)
 
@@ -71,7 +57,7 @@ def initial_knowledge(*described: Problem | HandWrittenPlan) -> KnowledgeBase:
         return KnowledgeBase(facts, objects=objects, rules=rules)
     values: dict[Fluent, tuple[Value, str]] = {}
     members: dict[str, tuple[str, ...]] = {}
-    shared: dict[str, Rule] = {}
+    shared: dict[str, DerivationRule] = {}
     for name, facts, objects, rules in beginnings:
         for fluent, value in facts.items():
             before, other = values.setdefault(fluent, (value, name))
@@ -98,9 +84,9 @@ def dynamic_names(problem: Problem) -> frozenset[str]:
 
 
 def problem_now(problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0) -> Problem:
-    """Return the problem that starts from what is known, so many seconds after the original one.
+    """Return the problem whose initial state is the knowledge, `elapsed` seconds after the original one.
 
-    What sensors report about things that the problem does not declare is left out, and so are numbers that are none.
+    Fluents of undeclared things, which sensors may report, are left out, and so are numbers that are not finite.
     """
     is_declared = _Declared(problem)
     known = knowledge.facts().items()
@@ -110,7 +96,7 @@ def problem_now(problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0
 
 
 class _Declared:
-    """Tells what an initial state of a problem may say. The mutable state is what was looked up so far."""
+    """Whether an initial state of a problem may have a fluent with a value. The mutable state is a cache of the objects of types."""
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem

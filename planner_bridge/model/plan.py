@@ -1,4 +1,4 @@
-"""Plans as planners return them, and what else planners answer."""
+"""Plans and planning results, as planners return them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Plan:
 
     steps: tuple[PlanStep, ...] = ()
     temporal: bool = False
-    """Whether starts and durations are times; otherwise the steps are meant one after the other."""
+    """Whether starts and durations are times; otherwise the steps follow one another."""
     cost: float | None = None
 
     def __str__(self) -> str:
@@ -68,16 +68,16 @@ class PlanningResult:
     plan: Plan | None = None
     message: str = ""
     planner: str = ""
-    """Which found the plan, or did not; several that raced, joined by commas."""
+    """The planner that found the plan, or did not; the members of a portfolio, joined by commas."""
 
     @property
     def reason(self) -> str:
-        """The status, and what the planner said about it."""
+        """The status and the planner's message."""
         return f"{self.status.value}{f': {self.message}' if self.message else ''}"
 
 
-class Stop(Protocol):
-    """Tells a search when nobody wants its plan any more; a `threading.Event` does."""
+class CancelToken(Protocol):
+    """Set from another thread to end a search; a `threading.Event` is one."""
 
     def is_set(self) -> bool:
-        """Tell whether to stop."""
+        """Whether to stop."""

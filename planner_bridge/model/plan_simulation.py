@@ -1,6 +1,6 @@
-"""The course of a plan: the states that the starts and ends of its calls lead through.
+"""Plan simulation: the progression of a state through the starts and ends of a plan's actions (PDDL 2.1, section 8).
 
-The world as it will be after what is under way, if that goes well.
+Besides, the projected state after the running actions have ended, and the progression of trajectory constraints.
 """
 
 from __future__ import annotations
@@ -16,55 +16,57 @@ from pnm.core.logic.effects import Changes, Effects, changes, decided
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.explain import failing, observed
 from pnm.core.logic.expressions import Fluent, Value
+from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
 from pnm.errors import PnmError
 
-Deed = Literal["start", "end", "go on"]
+Stage = Literal["start", "end", "go on"]
 _NOTHING: Final[Mapping[Fluent, Value]] = {}
 
 
-class Denied(PnmError):
-    """A call cannot start, end or go on, because a condition does not hold."""
+class NotApplicable(PnmError):
+    """An action cannot start, end or go on in a state, because a condition does not hold."""
 
-    def __init__(self, call: int, deed: Deed, condition: Condition, state: KnowledgeBase) -> None:
+    def __init__(self, call: int, stage: Stage, condition: Condition, state: KnowledgeBase) -> None:
         super().__init__(expected_and_observed(condition, state))
         self.call = call
-        self.deed = deed
-        self.observed = seen_instead(condition, state)
+        self.stage = stage
+        self.observed = observed_instead(condition, state)
 
 
 def snapshot(knowledge: KnowledgeBase) -> KnowledgeBase:
-    """Return a copy of what is known about the world, which changes on its own."""
+    """Return a copy of the knowledge about the world, which changes on its own."""
     return KnowledgeBase(knowledge.facts(), objects=knowledge.objects_by_type(), rules=knowledge.rules)
 
 
-def seen_instead(condition: Condition, state: KnowledgeBase) -> str:
-    """Say what is so in place of those parts of the condition that do not hold."""
+def observed_instead(condition: Condition, state: KnowledgeBase) -> str:
+    """Describe the state in place of those parts of the condition that do not hold."""
     return "; ".join(observed(part, state) for part in failing(condition, state))
 
 
 def expected_and_observed(condition: Condition, state: KnowledgeBase) -> str:
-    """Say which parts of the condition do not hold, and what is so in their place."""
-    return f"expected {' '.join(map(str, failing(condition, state)))}; observed {seen_instead(condition, state)}"
+    """Describe the parts of the condition that do not hold, and the state in their place."""
+    return f"expected {' '.join(map(str, failing(condition, state)))}; observed {observed_instead(condition, state)}"
 
 
 @dataclass
-class Course:
-    """The state that a plan has led to so far, and the calls that are going on in it.
+class PlanSimulation:
+    """The state that a plan has led to so far, and the actions running in it.
 
-    What happens at one time happens at once: every condition is evaluated in the state before, the
+    The events of one time happen at once: every condition is evaluated in the state before, the
     effects are simultaneous, and over-all conditions must hold in the state after (PDDL 2.1, section 8).
     Both fields change.
     """
 
     state: KnowledgeBase
     running: dict[int, GroundAction] = field(default_factory=dict)
+    """By the number of the call."""
 
-    def happen(self, events: Iterable[tuple[PlanEvent, GroundAction]], timed: Mapping[Fluent, Value] = _NOTHING) -> Changes:
-        """Let calls start and end, each start before its own end, and facts change by themselves; return what that changes.
+    def advance(self, events: Iterable[tuple[PlanEvent, GroundAction]], timed: Mapping[Fluent, Value] = _NOTHING) -> Changes:
+        """Let actions start and end, each start before its own end, and facts change by themselves; return the changed fluents.
 
         Raises:
-            Denied: a condition does not hold; nothing has changed unless it is an over-all condition.
+            NotApplicable: a condition does not hold; nothing has changed unless it is an over-all condition.
         """
         effects: list[Effects] = []
         running = dict(self.running)
@@ -76,33 +78,51 @@ class Course:
             else:
                 self._demand(event.call, "end", action.end_condition)
                 effects.append(running.pop(event.call).end_effects)
-        found = {**changes(tuple(one for many in effects for one in many), self.state), **timed}
+        changed = {**changes(tuple(effect for many in effects for effect in many), self.state), **timed}
         self.running = running
-        self.state.update(found)
+        self.state.update(changed)
         for call, action in running.items():
             self._demand(call, "go on", action.invariant)
-        return found
+        return changed
 
-    def _demand(self, call: int, deed: Deed, condition: Condition) -> None:
+    def _demand(self, call: int, stage: Stage, condition: Condition) -> None:
         if evaluate(condition, self.state) is not True:
-            raise Denied(call, deed, condition, self.state)
+            raise NotApplicable(call, stage, condition, self.state)
 
 
-class Unforeseeable(PnmError):
-    """Something that is under way cannot come to its end as things are."""
+class NotProjectable(PnmError):
+    """An action that is running cannot end in the projected state."""
 
 
-def after(world: KnowledgeBase, under_way: Iterable[UnderWay]) -> KnowledgeBase:
-    """Return what will be known of the world once these calls have ended.
+def projected_state(state: KnowledgeBase, running: Iterable[UnderWay]) -> KnowledgeBase:
+    """Return the state once these calls have ended with their modelled effects.
 
     Raises:
-        Unforeseeable: one of them cannot end well.
+        NotProjectable: one of them cannot end well.
     """
-    going_on = {one.call.index: one.call.action for one in under_way}
-    course = Course(snapshot(world), dict(going_on))
+    actions = {request.call.index: request.call.action for request in running}
+    simulation = PlanSimulation(snapshot(state), dict(actions))
     try:
-        for number, action in going_on.items():
-            course.happen([(PlanEvent(number, Moment.END), action)])
-    except Denied as denied:
-        raise Unforeseeable(f"{going_on[denied.call]} would {denied.deed} although {denied.observed}") from denied
-    return course.state
+        for number, action in actions.items():
+            simulation.advance([(PlanEvent(number, Moment.END), action)])
+    except NotApplicable as error:
+        raise NotProjectable(f"{actions[error.call]} would {error.stage} although {error.observed}") from error
+    return simulation.state
+
+
+class ConstraintProgression:
+    """Trajectory constraints, progressed through the states of a simulation. The mutable state is what is left of each."""
+
+    def __init__(self, constraints: Iterable[Constraint], state: KnowledgeBase, time: float = 0.0) -> None:
+        self._remaining = {
+            ground: progressed((ground,), state, time) for constraint in constraints for ground in instances(constraint, state)
+        }
+
+    def advance(self, state: KnowledgeBase, time: float = 0.0) -> Constraint | None:
+        """Progress the constraints to the next state; return one that is violated, if any is."""
+        self._remaining = {constraint: progressed(rest, state, time) for constraint, rest in self._remaining.items()}
+        return next((constraint for constraint, rest in self._remaining.items() if IMPOSSIBLE in rest), None)
+
+    def unfulfilled(self, state: KnowledgeBase, time: float = 0.0) -> list[Constraint]:
+        """Return the constraints that are not fulfilled if this is the last state."""
+        return [constraint for constraint, rest in self._remaining.items() if not is_fulfilled(rest, state, time)]

@@ -12,8 +12,7 @@ from pnm.core.logic.computed_values import fluents_in
 from pnm.core.logic.conditions import Compare, Computed, Condition, Holds, every_part
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Effects, Set, When, every_effect
-from pnm.core.logic.expressions import DURATION, UNDEFINED, Constant, Expression, Fluent, Value, Variable, expression_fluents
-from pnm.core.logic.rules import Rule
+from pnm.core.logic.expressions import DURATION, UNDEFINED, Constant, Fluent, Value, Variable, expression_fluents
 from pnm.core.machine.plan_graph import Choice, Loop
 from pnm.errors import InputError
 from pnm.language.plan import HandWrittenPlan
@@ -21,31 +20,31 @@ from pnm.language.plan import HandWrittenPlan
 _WORD: Final = re.compile(r"[^\s()]+")
 
 Use: TypeAlias = tuple[Fluent, Value | None]
-"""A fluent as it is spoken of, and a value of its kind: true for a fact; None when it may be of any."""
+"""A fluent that a plan uses, and a value of its kind: True for a fact, None if the kind is unknown."""
 
 
 def world_of_plans(plans: Iterable[HandWrittenPlan]) -> Problem:
-    """Return what the plans declare, and the names that they use where they declare none."""
+    """Return a problem with the declarations of the plans, and inferred ones for names that they use without a declaration."""
     plans = tuple(plans)
-    spoken = _Spoken()
+    declarations = _Declarations()
     types: dict[str, tuple[str, ...]] = {}
     objects: dict[str, tuple[str, ...]] = {}
     for plan in plans:
-        spoken.declare(plan)
-        types |= plan.declared.types
+        declarations.declare(plan)
+        types |= plan.declared.domain.types
         objects |= plan.declared.objects
     for fluent, value in (use for plan in plans for use in _uses(plan)):
-        spoken.use(fluent, value)
+        declarations.use(fluent, value)
     rules = tuple({str(rule): rule for plan in plans for rule in plan.rules.rules}.values())
-    domain = Domain("plans", types=types, predicates=spoken.predicates, functions=spoken.functions, rules=rules)
-    return Problem("plans", domain, objects or dict.fromkeys(spoken.objects, ("object",)))
+    domain = Domain("plans", types=types, predicates=declarations.predicates, functions=declarations.functions, rules=rules)
+    return Problem("plans", domain, objects or dict.fromkeys(declarations.objects, ("object",)))
 
 
 def with_names_of(problem: Problem, plans: Iterable[HandWrittenPlan], texts: Iterable[str]) -> Problem:
-    """Return the problem with all words of the texts among its objects, if the plans declare none: where none are, any may be.
+    """Return the problem with all words of the texts as objects, unless the plans declare objects.
 
     Raises:
-        InputError: a text speaks of all objects, or of some.
+        InputError: a text has a quantifier, but the plans declare no objects.
     """
     if any(plan.declared.objects for plan in plans):
         return problem
@@ -58,23 +57,22 @@ def with_names_of(problem: Problem, plans: Iterable[HandWrittenPlan], texts: Ite
 
 
 @dataclass
-class _Spoken:
-    """The predicates and functions that plans declare or use, and the objects in them. Everything in it is mutable state."""
+class _Declarations:
+    """Declarations collected from plans, and inferred from what they use. All fields are mutable state."""
 
     predicates: dict[str, Declaration] = field(default_factory=dict)
     functions: dict[str, Declaration] = field(default_factory=dict)
     objects: dict[str, None] = field(default_factory=dict)
 
     def declare(self, plan: HandWrittenPlan) -> None:
-        for name, parameters in plan.declared.fluents.items():
-            is_fact = name in plan.declared.predicates
-            (self.predicates if is_fact else self.functions)[name] = Declaration(name, parameters, plan.declared.values.get(name, ()))
+        self.predicates |= plan.declared.domain.predicates
+        self.functions |= plan.declared.domain.functions
 
     def use(self, fluent: Fluent, value: Value | None) -> None:
         name, *arguments = fluent
         values = ("object",) if isinstance(value, str) else ()
-        named = (*arguments, value) if isinstance(value, str) else arguments
-        self.objects |= dict.fromkeys(one for one in named if _WORD.fullmatch(one) and one[0] != "?" and one != UNDEFINED)
+        names = (*arguments, value) if isinstance(value, str) else arguments
+        self.objects |= dict.fromkeys(name for name in names if _WORD.fullmatch(name) and name[0] != "?" and name != UNDEFINED)
         if value is None or name in self.predicates or name == DURATION[0]:
             return
         parameters = tuple(Variable(f"?x{number}") for number in range(len(arguments)))
@@ -85,10 +83,8 @@ class _Spoken:
             self.functions[name] = Declaration(name, declared.parameters if declared else parameters, values)
 
 
-# --- what a plan speaks of -----------------------------------------------------------------
-
-
 def _uses(plan: HandWrittenPlan) -> Iterator[Use]:
+    """Yield the fluents of facts, actions, control steps, goal and rules."""
     yield from plan.facts.items()
     for change in plan.timed:
         yield from change.changes.items()
@@ -103,12 +99,8 @@ def _uses(plan: HandWrittenPlan) -> Iterator[Use]:
             yield from _in_condition(step.condition)
     yield from _in_condition(plan.goal)
     for rule in plan.rules.rules:
-        yield from _in_rule(rule)
-
-
-def _in_rule(rule: Rule) -> Iterator[Use]:
-    yield (rule.name, *(variable.name for variable in rule.variables)), True
-    yield from _in_condition(rule.condition)
+        yield (rule.name, *(variable.name for variable in rule.variables)), True
+        yield from _in_condition(rule.condition)
 
 
 def _in_condition(condition: Condition) -> Iterator[Use]:
@@ -117,17 +109,14 @@ def _in_condition(condition: Condition) -> Iterator[Use]:
             case Holds(fluent):
                 yield fluent, True
             case Compare(_, left, right):
-                yield from _in_equation(left, right)
+                # A function is compared with an object, or else with numbers.
+                objects = [side.value for side in (left, right) if isinstance(side, Constant) and isinstance(side.value, str)]
+                kind = objects[0] if objects else 0.0
+                yield from ((fluent, kind) for side in (left, right) for fluent in expression_fluents(side))
             case Computed(data):
                 yield from ((fluent, None) for fluent in fluents_in(data))
             case _:
                 pass
-
-
-def _in_equation(left: Expression, right: Expression) -> Iterator[Use]:
-    """Yield the functions that are compared: with an object, or else with numbers."""
-    named = [side.value for side in (left, right) if isinstance(side, Constant) and isinstance(side.value, str)]
-    yield from ((fluent, named[0] if named else 0.0) for side in (left, right) for fluent in expression_fluents(side))
 
 
 def _in_effects(effects: Effects) -> Iterator[Use]:
@@ -135,7 +124,7 @@ def _in_effects(effects: Effects) -> Iterator[Use]:
         match effect:
             case Set(fluent, value):
                 yield fluent, value.value if isinstance(value, Constant) else 0.0
-                yield from ((one, 0.0) for one in expression_fluents(value))
+                yield from ((read, 0.0) for read in expression_fluents(value))
             case When(condition):
                 yield from _in_condition(condition)
             case _:

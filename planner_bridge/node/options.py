@@ -1,4 +1,4 @@
-"""What `pnm serve` is told when it starts: parameters of the node, which are options of the command as well."""
+"""The parameters of `pnm serve`, which are options of the command as well."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ PARAMETERS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The values of the parameters."""
+    """The values of the parameters, as types of Python."""
 
     domain: Path | None
     problem: Path | None
@@ -72,10 +72,10 @@ class Options:
 
     @classmethod
     def of(cls, values: Mapping[str, ParameterValue]) -> Options:
-        """Return what the parameters say, which have the right types.
+        """Convert the values of parameters, which have the right types.
 
         Raises:
-            InputError: they do not go together.
+            InputError: they contradict each other.
         """
         given: dict[str, Any] = dict(values)
         for name in ("domain", "problem", "bindings", "sensing", "goals", "problems", "world", "knowledge"):

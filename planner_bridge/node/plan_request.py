@@ -1,4 +1,4 @@
-"""Looks for plans that nobody carries out, from the world as it is."""
+"""Plan requests: plans for a goal from the current state, without execution."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from planner_bridge.tasks.result import code_of_planning
 from planner_bridge.tasks.settings import Settings
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
-from pnm.tasks import Code, MadePlan, Step, StepState
+from pnm.tasks import Code, MadePlan, StepState, TaskStep
 
 
 @dataclass(frozen=True)
 class Maker:
-    """Looks for plans, as `pnm.tasks.Make`.
+    """Answers plan requests, as `pnm.tasks.Make`.
 
     Args:
         problem: the domain and the objects.
-        knowledge: what is known of the world.
-        settings: planner and limit, if nothing else is said.
-        read_goal: finds out what a text means as a goal; raises InputError.
-        began: when the problem was as it says, on the clock of the event loop.
+        knowledge: the current state.
+        settings: planner and time limit of requests that name none.
+        read_goal: reads a text as a goal; raises InputError.
+        began: the time of the problem's initial state, on the clock of the event loop.
     """
 
     problem: Problem
@@ -39,10 +39,10 @@ class Maker:
     began: float
 
     async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:
-        """Look for a plan.
+        """Search for a plan; cancelling this ends the planner.
 
         Raises:
-            InputError: the goal or the planner makes no sense.
+            InputError: the goal is none, or there is no such planner.
         """
         elapsed = asyncio.get_running_loop().time() - self.began
         problem = replace(problem_now(self.problem, self.knowledge, elapsed), goal=self.read_goal(goal))
@@ -56,19 +56,20 @@ class Maker:
             executor=self.settings.executor,
         )
         try:
-            found = await asyncio.to_thread(search)
+            result = await asyncio.to_thread(search)
         finally:
             stop.set()
-        if found.plan is None:
-            return MadePlan(code_of_planning(found.status, ()), found.reason, str(problem.goal))
-        return MadePlan(Code.GOAL_REACHED, f"found by {found.planner}", str(problem.goal), _steps(problem, found.plan))
+        if result.plan is None:
+            return MadePlan(code_of_planning(result.status, ()), result.reason, str(problem.goal))
+        return MadePlan(Code.GOAL_REACHED, f"found by {result.planner}", str(problem.goal), _steps(problem, result.plan))
 
 
-def _steps(problem: Problem, plan: Plan) -> tuple[Step, ...]:
+def _steps(problem: Problem, plan: Plan) -> tuple[TaskStep, ...]:
+    """Return the steps of a plan, each with the steps that are ordered before it."""
     before: dict[int, set[int]] = {}
     for ordering in plan_graph(problem, plan).orderings:
         before.setdefault(ordering.after.call, set()).add(ordering.before.call)
     return tuple(
-        Step(step.action, step.arguments, step.start, step.duration, StepState.WAITING, tuple(sorted(before.get(number, ()))))
+        TaskStep(step.action, step.arguments, step.start, step.duration, StepState.WAITING, tuple(sorted(before.get(number, ()))))
         for number, step in enumerate(plan.steps)
     )

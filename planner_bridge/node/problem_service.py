@@ -1,6 +1,6 @@
-"""The problem of a node, as its services tell of it: `pnm.tasks.ServedWorld`.
+"""The problem of a node and the services about it, as `pnm.tasks.ServedWorld`.
 
-Files of domains and problems that others name: inside one folder, and never half written.
+Clients name files of domains and problems; these stay inside one folder, and are never half written.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from pnm.tasks import MadePlan
 
 
 def inside(folder: Path, name: str) -> Path:
-    """Return the path of a file in the folder, whatever links are on the way.
+    """Return the path of a file in the folder, symbolic links resolved.
 
     Raises:
-        InputError: it is none, or is outside of the folder.
+        InputError: this is no path, or one outside of the folder.
     """
     root = folder.resolve()
     if not name.strip() or "\0" in name:
@@ -47,7 +47,7 @@ def inside(folder: Path, name: str) -> Path:
 
 
 def write_inside(folder: Path, name: str, text: str) -> Path:
-    """Write a file in the folder, whole or not at all, and return its path.
+    """Write a file in the folder atomically, and return its path.
 
     Raises:
         InputError: the path leads out of the folder, or cannot be written.
@@ -75,13 +75,13 @@ def write_inside(folder: Path, name: str, text: str) -> Path:
 
 
 def load_texts(domain: str, problem: str, folder: Path, loaded: Domain) -> Problem:
-    """Return a problem, of which domain and problem are each given as PDDL or as the path of a file in the folder.
+    """Return a problem, given as a domain and a problem: each as PDDL, or as the path of a file in the folder.
 
     Args:
-        domain: empty for the one that is loaded.
+        domain: empty for `loaded`.
         problem: the problem.
-        folder: what paths are relative to.
-        loaded: the domain that is loaded.
+        folder: the folder of all paths.
+        loaded: the current domain.
 
     Raises:
         InputError: one of them cannot be read.
@@ -91,20 +91,20 @@ def load_texts(domain: str, problem: str, folder: Path, loaded: Domain) -> Probl
             raise InputError(f"{len(text)} characters; expected {MAX_BYTES} at most")
     chosen = loaded
     if domain.strip():
-        chosen = parse_domain(domain, "domain") if _is_text(domain) else read_domain(inside(folder, domain))
-    return parse_problem(problem, chosen, "problem") if _is_text(problem) else read_problem(inside(folder, problem), chosen)
+        chosen = parse_domain(domain, "domain") if _is_pddl(domain) else read_domain(inside(folder, domain))
+    return parse_problem(problem, chosen, "problem") if _is_pddl(problem) else read_problem(inside(folder, problem), chosen)
 
 
-def _is_text(given: str) -> bool:
-    return given.lstrip()[:1] in ("(", ";")
+def _is_pddl(text: str) -> bool:
+    return text.lstrip()[:1] in ("(", ";")
 
 
 NOTHING: Final = Problem("nothing", Domain("nothing"))
-"""The problem of a node that has none, and carries out plans only."""
+"""The problem of a node that has only hand-written plans."""
 
 
-class CurrentProblem:
-    """The problem that goals are read in, until another one is loaded: reads goals, and answers plan requests.
+class LoadedProblem:
+    """The problem that is loaded: goals are read in it, plan requests answered, facts queried and updated.
 
     The mutable state is the problem, in `world` and `_maker`, and when it began.
 
@@ -142,8 +142,8 @@ class CurrentProblem:
         self._maker = Maker(problem, self.knowledge, self._settings, self.read_goal, began)
 
     @property
-    def loaded(self) -> SharedWorld:
-        """The world of the problem.
+    def problem_world(self) -> SharedWorld:
+        """The world, if it is that of a problem.
 
         Raises:
             InputError: there are only plans, no problem.
@@ -164,7 +164,7 @@ class CurrentProblem:
         Raises:
             InputError: it is no goal of this problem.
         """
-        return self.loaded.read_goal(text)
+        return self.problem_world.read_goal(text)
 
     async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:
         """Answer a plan request."""
@@ -175,44 +175,44 @@ class ServedProblem:
     """The services about knowledge and problem of a node, as `pnm.tasks.ServedWorld`.
 
     Args:
-        current: the problem, which `load` replaces.
+        loaded: the problem, which `load` replaces.
         folder: where problems are saved, and loaded from.
         begin_anew: has the task manager take over another problem; raises an `InputError` if it cannot, and nothing changes.
     """
 
-    def __init__(self, current: CurrentProblem, folder: Path, begin_anew: Callable[[Problem], None]) -> None:
-        self._current = current
+    def __init__(self, loaded: LoadedProblem, folder: Path, begin_anew: Callable[[Problem], None]) -> None:
+        self._loaded = loaded
         self._folder = folder
         self._begin_anew = begin_anew
 
     async def query(self, questions: Sequence[str], /) -> list[tuple[str, str]]:
         """Return the answer to each question, in order; without questions, all facts."""
-        return self._current.world_of(questions).query(questions)
+        return self._loaded.world_of(questions).query(questions)
 
     async def update(self, add: Sequence[str], remove: Sequence[str], forget: Sequence[str], /) -> int:
         """Record all changes or none; return how many facts changed."""
-        return self._current.world_of((*add, *remove, *forget)).update(add, remove, forget)
+        return self._loaded.world_of((*add, *remove, *forget)).update(add, remove, forget)
 
     async def get(self) -> tuple[str, str]:
         """Return domain and problem in PDDL, the problem with the current state as its initial state."""
-        return self._current.loaded.domain_text(), self._current.loaded.problem_text()
+        return self._loaded.problem_world.domain_text(), self._loaded.problem_world.problem_text()
 
     async def save(self, file: str, /) -> str:
         """Write the problem with the current state to a file in the folder; return its whole path."""
-        return str(await asyncio.to_thread(write_inside, self._folder, file, self._current.loaded.problem_text()))
+        return str(await asyncio.to_thread(write_inside, self._folder, file, self._loaded.problem_world.problem_text()))
 
     async def load(self, domain: str, problem: str, /) -> None:
         """Replace domain or problem, and the facts; goals with names must make sense in the new ones as well."""
-        current = self._current
-        known = current.world.problem.domain if domain.strip() else current.loaded.problem.domain
-        loaded = await asyncio.to_thread(load_texts, domain, problem, self._folder, known)
-        initial = initial_knowledge(loaded)
-        SharedWorld(loaded, initial, current.goals)  # raises what is wrong with the goals
-        self._begin_anew(loaded)  # may refuse, so it comes before the first change
-        current.knowledge.begin_anew(initial.facts(), initial.objects_by_type(), initial.rules)
-        current.begin(loaded)
+        loaded = self._loaded
+        known = loaded.world.problem.domain if domain.strip() else loaded.problem_world.problem.domain
+        new = await asyncio.to_thread(load_texts, domain, problem, self._folder, known)
+        initial = initial_knowledge(new)
+        SharedWorld(new, initial, loaded.goals)  # raises what is wrong with the goals
+        self._begin_anew(new)  # may refuse, so it comes before the first change
+        loaded.knowledge.begin_anew(initial.facts(), initial.objects_by_type(), initial.rules)
+        loaded.begin(new)
 
     def follow(self, tell: Callable[[Mapping[str, object]], None], /) -> Callable[[], None]:
         """Pass on every change from now on, as fields of a message; return a function that ends that."""
-        self._current.world.attend()
-        return self._current.knowledge.listen(lambda batch: tell(self._current.world.changes(batch)) if batch else None)
+        self._loaded.world.attend()
+        return self._loaded.knowledge.listen(lambda batch: tell(self._loaded.world.changes(batch)) if batch else None)

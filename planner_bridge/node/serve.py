@@ -13,18 +13,16 @@ from pathlib import Path
 from typing import Any, Final
 from uuid import UUID
 
-from planner_bridge.loading import load
+from planner_bridge.loading import bindings_for, load
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.node.options import PARAMETERS, Options
-from planner_bridge.node.problem_service import NOTHING, CurrentProblem, ServedProblem
+from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ServedProblem
 from planner_bridge.node.world_queries import read_goals
 from planner_bridge.planning.solve import check_planner
-from planner_bridge.tasks.plan_task import merge_bindings, sources_of
 from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.scheduling.task_manager import Room, TaskMaster
+from planner_bridge.tasks.scheduling.task_manager import TaskLimits, TaskManager
 from planner_bridge.tasks.settings import Settings
-from pnm.actions.bindings_file import read_bindings
 from pnm.clock import short_pauses
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
@@ -35,7 +33,7 @@ from pnm.knowledge.sensor_model import NO_SENSING
 from pnm.knowledge.sources.registry import Surroundings, open_sources
 from pnm.knowledge.sources.router import Sources
 from pnm.knowledge.sources.source import Asker
-from pnm.language.plan import read_world
+from pnm.language.plan import merge_bindings, read_world, sources_of
 from pnm.language.runner import Performer, Program
 from pnm.ros.backend import Ros2Backend
 from pnm.ros.node.parameters import ParameterValue
@@ -117,21 +115,21 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
     goals = read_goals(options.goals) if options.goals else {}
     plans = [program.plan for program in context.performer.programs.values()]
     try:
-        current = CurrentProblem(context.problem or NOTHING, context.knowledge, goals, settings, plans)
+        loaded = LoadedProblem(context.problem or NOTHING, context.knowledge, goals, settings, plans)
     except InputError as error:
         raise InputError(f"{options.goals}: {error}") from error
-    manager = TaskMaster(
-        current.problem,
+    manager = TaskManager(
+        loaded.problem,
         context.knowledge,
         context.site,
         settings,
-        current.read_goal,
+        loaded.read_goal,
         source=context.sources,
-        room=Room(options.max_tasks, options.max_queue, options.on_conflict),
+        limits=TaskLimits(options.max_tasks, options.max_queue, options.on_conflict),
         performer=context.performer,
     )
-    world = ServedProblem(current, options.problems, manager.begin_anew)
-    return NodeApi(manager, current.make, world, manager.knowledge_of, manager.close)
+    world = ServedProblem(loaded, options.problems, manager.begin_anew)
+    return NodeApi(manager, loaded.make, world, manager.knowledge_of, manager.close)
 
 
 def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], observer: NodeObserver) -> None:
@@ -230,7 +228,7 @@ class ServingNode:
         programs = {plan.name: Program.of(plan) for plan in plans}
         for name, program in programs.items():
             self._observer.proved(name, program.proof)
-        bindings = _bindings(options, problem).before(merge_bindings(plans))
+        bindings = bindings_for(options.domain, options.bindings, problem.vocabulary if problem else None).before(merge_bindings(plans))
         knowledge = initial_knowledge(*((problem,) if problem else ()), *plans)
         sensing = read_sensing(options.sensing, problem.vocabulary if problem else None) if options.sensing else NO_SENSING
         site = Ros2Backend(bindings, sensing, self._ros)
@@ -296,9 +294,3 @@ async def _close_in_time(close: Callable[[], Awaitable[None]]) -> None:
     with suppress(TimeoutError):
         async with asyncio.timeout(_CLOSING):
             await close()
-
-
-def _bindings(options: Options, problem: Problem | None) -> Bindings:
-    beside = options.domain.parent / "bindings.yaml" if options.domain else None
-    file = options.bindings or (beside if beside and beside.is_file() else None)
-    return read_bindings(file, problem.vocabulary if problem else None) if file else Bindings()

@@ -1,7 +1,7 @@
-"""`pnm simulate`: the robots of a problem as real ROS 2 action servers, in a process of their own.
+"""`pnm simulate`: the robots of a problem as ROS 2 action servers, in a process of their own.
 
-One server per action, or per robot where the binding's server name has a parameter in braces. The
-process has its own true world and publishes what sensors see of it.
+There is one server per action, or one per robot where the binding's server name has a parameter in braces. The
+process has a simulated world of its own, and publishes what sensors see of it.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ async def _serve(problem: Problem, bindings: Bindings, faults: Faults, speed: fl
 
 @dataclass(frozen=True)
 class ServerModel:
-    """One action server and the schemas it may perform, each with the arguments its name fixes."""
+    """The model of one action server: the schemas that it executes, each with the arguments that the server's name fixes."""
 
     server: str
     type: str
@@ -84,12 +84,12 @@ class ServerModel:
     bindings: Bindings
 
     def decode(self, data: Mapping[str, object]) -> GroundAction:
-        """Find the ground action that a goal means: by the field `action`, by field names, by the goal mapping backwards.
+        """Return the ground action of a goal: by the field `action`, by field names, by the goal mapping backwards.
 
         Raises:
-            InputError: no argument, or no known object, for some parameter.
+            InputError: a parameter has no argument, or one that is no object.
         """
-        schema, fixed = self._meant(data)
+        schema, fixed = self._choice(data)
         known = {**_arguments(schema, self.bindings, data), **fixed}
         missing = [variable.name for variable in schema.parameters if known.get(variable.name[1:]) not in self.problem.objects]
         if missing:
@@ -101,10 +101,10 @@ class ServerModel:
         duration = modelled_duration(schema, arguments, initial_knowledge(self.problem))
         return ground_action(schema, arguments, duration)
 
-    def _meant(self, data: Mapping[str, object]) -> tuple[ActionSchema, Mapping[str, str]]:
-        """Return the schema that the goal names, or the only one there is."""
+    def _choice(self, data: Mapping[str, object]) -> tuple[ActionSchema, Mapping[str, str]]:
+        """Return the schema that the goal names, or the only one, with its fixed arguments."""
         named = data.get("action")
-        choices = [one for one in self.choices if named in (None, one[0].name)]
+        choices = [choice for choice in self.choices if named in (None, choice[0].name)]
         if len(choices) != 1:
             known = ", ".join(schema.name for schema, _ in self.choices)
             raise InputError(f"the goal's field `action` must name one of {known}; found {named!r}")
@@ -112,31 +112,31 @@ class ServerModel:
 
 
 def _arguments(schema: ActionSchema, bindings: Bindings, data: Mapping[str, object]) -> dict[str, object]:
+    """Return the arguments in a goal, by the parameter: of the field `arguments`, of fields by name, of the goal mapping."""
     names = [variable.name[1:] for variable in schema.parameters]
-    found = {name: data[name] for name in names if name in data}
     listed = data.get("arguments")
-    if isinstance(listed, list):
-        found = {**dict(zip(names, listed, strict=False)), **found}
+    arguments = dict(zip(names, listed, strict=False)) if isinstance(listed, list) else {}
+    arguments |= {name: data[name] for name in names if name in data}
     for field_name, source in (bindings.of(schema.name).goal or {}).items():
         if isinstance(source, str) and source.startswith("?") and field_name in data:
-            found[source[1:]] = data[field_name]
-    return found
+            arguments[source[1:]] = data[field_name]
+    return arguments
 
 
 def server_models(problem: Problem, bindings: Bindings) -> list[ServerModel]:
-    """Return every action server that performs an action of the problem."""
-    found: dict[str, list[tuple[ActionSchema, Mapping[str, str]]]] = {}
+    """Return the models of all servers that execute actions of the problem."""
+    choices: dict[str, list[tuple[ActionSchema, Mapping[str, str]]]] = {}
     types: dict[str, str] = {}
     for schema in problem.domain.actions.values():
         for fixed in _fixed(problem, schema, bindings):
             server = (bindings.of(schema.name).server or schema.name).format_map(fixed)
-            found.setdefault(server, []).append((schema, fixed))
+            choices.setdefault(server, []).append((schema, fixed))
             types.setdefault(server, bindings.of(schema.name).type or DEFAULT_TYPE)
-    return [ServerModel(server, types[server], tuple(choices), problem, bindings) for server, choices in found.items()]
+    return [ServerModel(server, types[server], tuple(served), problem, bindings) for server, served in choices.items()]
 
 
 def _fixed(problem: Problem, schema: ActionSchema, bindings: Bindings) -> Iterator[dict[str, str]]:
-    """Yield the arguments that each server of the action has in its name."""
+    """Yield the arguments in the name of each server of the action."""
     pattern = bindings.of(schema.name).server or schema.name
     types = {variable.name[1:]: variable.types for variable in schema.parameters}
     names = list(dict.fromkeys(placeholders(pattern)))
@@ -150,37 +150,37 @@ def _fixed(problem: Problem, schema: ActionSchema, bindings: Bindings) -> Iterat
 
 @dataclass
 class LoggedRobots:
-    """Simulated robots that write down what truly happens, a JSON object per line."""
+    """Simulated robots with a log of the true events, a JSON object per line. The last two fields change."""
 
     robots: SimulatedRobots
     log: TextIO | None
     _clashes: int = 0
-    """How many have been written down."""
+    """How many are in the log."""
     _began: float = field(default_factory=lambda: asyncio.get_running_loop().time())
 
     def __post_init__(self) -> None:
         self.robots.world.truth.listen(self._changed)
 
     def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
-        """Return what the robots need to know."""
+        """Return the fields of the action's goal."""
         return self.robots.goal_fields(action)
 
     def send(self, request: Request, report: Reporter, /) -> None:
-        """Pass the request on and note what becomes of it."""
+        """Pass the request on, and log its reports."""
 
-        def noting(what: Report) -> None:
+        def log(what: Report) -> None:
             match what:
                 case Accepted():
                     self.write("start", action=str(request.action))
-                    asyncio.get_running_loop().call_soon(self._note_clashes)  # the robots begin right after they have accepted
+                    asyncio.get_running_loop().call_soon(self._log_clashes)  # the robots begin right after they have accepted
                 case Ended(_, outcome):
                     self.write("end", action=str(request.action), outcome=outcome.kind.value, message=outcome.message)
             report(what)
 
-        self.robots.send(request, noting)
+        self.robots.send(request, log)
 
     def cancel(self, request: object, /) -> None:
-        """Pass the wish on."""
+        """Pass the cancellation on."""
         self.robots.cancel(request)  # type: ignore[arg-type]
 
     def write(self, event: str, **data: object) -> None:
@@ -190,7 +190,7 @@ class LoggedRobots:
             self.log.write(json.dumps({"time": time, "event": event, **data}) + "\n")
             self.log.flush()
 
-    def _note_clashes(self) -> None:
+    def _log_clashes(self) -> None:
         for text in self.robots.clashes[self._clashes :]:
             self.write("clash", text=text)
         self._clashes = len(self.robots.clashes)

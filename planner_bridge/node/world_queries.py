@@ -1,12 +1,11 @@
-"""The world that all tasks share, as texts: questions and their answers, changes, goals, and domain and problem as they now are.
+"""Queries and updates of facts as PDDL texts; goals, and the domain and the problem of the current state.
 
-Everything is written as in PDDL. A text that is wrong is refused with the line and column in it, and the nearest word.
+A text that is wrong is refused with the line and column in it, and the nearest word.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 from typing import Final
@@ -16,8 +15,8 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import write_domain, write_problem
 from planner_bridge.pddl.read.formulas import condition
 from planner_bridge.pddl.read.requirements import Requirements
-from planner_bridge.pddl.read.symbols import Names
-from planner_bridge.pddl.read.terms import Scope
+from planner_bridge.pddl.read.symbols import SymbolTable
+from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Group, Node, parse, wrong
 from planner_bridge.pddl.syntax.words import number, number_text, operands
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
@@ -30,30 +29,21 @@ from pnm.files.yaml_nodes import load_yaml
 MAX_TEXTS: Final = 10_000
 """Questions or changes at once."""
 MAX_LENGTH: Final = 100_000
-"""Characters of one of them, or of a goal."""
+"""Characters of a question, a change or a goal."""
 MAX_CHOICES: Final = 1_000_000
-"""Choices of objects that the quantifiers of a condition range over."""
-
-
-@dataclass(frozen=True, slots=True)
-class Function:
-    """The value of a function is asked for."""
-
-    fluent: Fluent
-    otherwise: Value | Unknown
-    """Its value when nothing is recorded."""
+"""Choices of objects that the quantifiers of a condition may range over."""
 
 
 class SharedWorld:
-    """A problem, and what is known of its world; nothing here waits for anything.
+    """The facts of a problem's world, read and written as PDDL.
 
-    The mutable state is which functions are known to have which objects for their values, for `changes`.
+    The mutable state is the object values of functions that `changes` has seen last.
 
     Args:
-        problem: the domain and the objects, and the goal that is meant when none is given.
-        knowledge: what is known.
+        problem: the domain, the objects, and the default goal.
+        knowledge: the facts.
         goals: texts of goals by name.
-        elapsed: returns how many seconds ago the problem began: facts that change by themselves do so that much earlier.
+        elapsed: returns the seconds since the problem's initial state, by which timed facts of `problem_text` are earlier.
 
     Raises:
         InputError: a goal cannot be read.
@@ -70,7 +60,7 @@ class SharedWorld:
         self._knowledge = knowledge
         self._elapsed = elapsed
         derived = frozenset(rule.name for rule in problem.domain.rules)
-        self._scope = Scope(Names(problem.domain, problem.objects, Requirements(problem.domain.requirements), derived=derived))
+        self._scope = TermScope(SymbolTable(problem.domain, problem.objects, Requirements(problem.domain.requirements), derived=derived))
         self._goals = {name: self._condition(text, f"goal {name}") for name, text in (goals or {}).items()}
         self._objects: dict[Fluent, str] = {}
         self.attend()
@@ -83,26 +73,25 @@ class SharedWorld:
     def query(self, questions: Sequence[str]) -> list[tuple[str, str]]:
         """Return each question with its answer: ``true``, ``false``, ``unknown``, a number or an object.
 
-        A question is a condition, or a function whose value is asked for; ``undefined`` is the value of one that has no
-        object. Without any question, everything that is recorded is returned.
+        A question is a condition or a function; ``undefined`` is the value of a function that has no object. Without
+        questions, all recorded facts are returned.
 
         Raises:
             InputError: a question cannot be read, or there are too many.
         """
         _bounded(questions, "questions")
         if not questions:
-            return [(fluent_text(fluent), _said(value)) for fluent, value in self._knowledge.facts().items()]
-        read = [self._question(_single(text, f"questions[{index}]")) for index, text in enumerate(questions)]
-        return [(text, _said(self._answer(question))) for text, question in zip(questions, read, strict=True)]
+            return [(fluent_text(fluent), _value_text(value)) for fluent, value in self._knowledge.facts().items()]
+        return [(text, _value_text(self._answer(_single(text, f"questions[{index}]")))) for index, text in enumerate(questions)]
 
     def update(self, add: Sequence[str] = (), remove: Sequence[str] = (), forget: Sequence[str] = ()) -> int:
-        """Record facts that are so, that are not so, and of which nothing is known; return how many of them are news.
+        """Record facts as true, as false, and as unknown; return how many have changed.
 
         Functions are written with their value: ``(= (battery r1) 0.8)``; to remove ``(= (location r1) hall)`` changes
         nothing while the location is another one.
 
         Raises:
-            InputError: a text cannot be read, speaks of a derived fact, or two speak of the same; nothing is recorded.
+            InputError: a text is malformed, a fact is derived, or two texts contradict each other; nothing is recorded.
         """
         _bounded((*add, *remove, *forget), "changes")
         changes: dict[Fluent, Value | Unknown] = {}
@@ -119,13 +108,13 @@ class SharedWorld:
         return len(self._knowledge.update(changes))
 
     def attend(self) -> None:
-        """Note which functions have which objects now: what is told to `changes` follows it."""
+        """Note the object values of all functions, which the next batch of `changes` is compared with."""
         self._objects = {
             fluent: value for fluent, value in self._knowledge.facts().items() if isinstance(value, str) and value != UNDEFINED
         }
 
     def changes(self, batch: Mapping[Fluent, Value | Unknown]) -> dict[str, object]:
-        """Return what has changed as fields of a ``pnm_interfaces/msg/KnowledgeChange``; to be called with every batch in order."""
+        """Return a batch of changes as fields of a ``KnowledgeChange`` message; to be called with every batch, in order."""
         added: list[str] = []
         removed: list[str] = []
         unknown: list[str] = []
@@ -142,7 +131,7 @@ class SharedWorld:
                 case str():
                     if value != UNDEFINED:
                         self._objects[fluent] = value
-                    if value != UNDEFINED or before == UNDEFINED:  # nobody knew whether it has an object: it has none
+                    if value != UNDEFINED or before == UNDEFINED:  # its value was unknown; now it is known to have none
                         added.append(statement_text(fluent, value))
                 case _:
                     numbers[fluent_text(fluent)] = float(value)
@@ -155,11 +144,11 @@ class SharedWorld:
         return write_domain(self.problem.domain)
 
     def problem_text(self) -> str:
-        """Return the problem that begins with the world as it is known now, as PDDL."""
+        """Return the problem with the current state as its initial state, as PDDL."""
         return write_problem(problem_now(self.problem, self._knowledge, self._elapsed()))
 
     def read_goal(self, text: str) -> Condition:
-        """Return the goal that is meant: a condition, the name of a goal, or nothing for the goal of the problem.
+        """Return the goal of a text: a condition, the name of a goal, or nothing for the goal of the problem.
 
         Raises:
             InputError: there is no goal of this name, or it is no condition over the objects of the problem.
@@ -180,11 +169,13 @@ class SharedWorld:
     def _condition(self, text: str, origin: str) -> Condition:
         return self._checked(_single(text, origin))
 
-    def _question(self, node: Node) -> Condition | Function:
-        declared = self._scope.names.find_function(node)
+    def _answer(self, node: Node) -> Value | Unknown:
+        """Return whether a condition holds, or the value of a function."""
+        declared = self._scope.symbols.find_function(node)
         if declared is None:
-            return self._checked(node)
-        return Function(self._scope.function(node), UNDEFINED if declared.values else UNKNOWN)
+            return evaluate(self._checked(node), self._knowledge)
+        value = self._knowledge.value(self._scope.function(node))
+        return (UNDEFINED if declared.values else UNKNOWN) if value is None else value
 
     def _checked(self, node: Node) -> Condition:
         found = condition(node, self._scope)
@@ -199,17 +190,11 @@ class SharedWorld:
             return inner * prod(len(self._knowledge.objects(variable.types)) for variable in condition.variables)
         return inner
 
-    def _answer(self, question: Condition | Function) -> Value | Unknown:
-        if not isinstance(question, Function):
-            return evaluate(question, self._knowledge)
-        found = self._knowledge.value(question.fluent)
-        return question.otherwise if found is None else found
-
     def _added(self, node: Node) -> tuple[Fluent, Value]:
         if not isinstance(node, Group) or node.head != "=":
             return self._fact(node), True
         target, value = operands(node, 2)
-        fluent, types = self._scope.function(target), self._scope.names.function(target).values
+        fluent, types = self._scope.function(target), self._scope.symbols.function(target).values
         if not types:
             return fluent, number(value)
         found = self._scope.value(value, types)
@@ -226,14 +211,14 @@ class SharedWorld:
         return fluent, value
 
     def _forgotten(self, node: Node) -> tuple[Fluent, Unknown]:
-        is_function = self._scope.names.find_function(node) is not None
+        is_function = self._scope.symbols.find_function(node) is not None
         return self._scope.function(node) if is_function else self._fact(node), UNKNOWN
 
     def _fact(self, node: Node) -> Fluent:
-        if self._scope.names.find_function(node) is not None:
+        if self._scope.symbols.find_function(node) is not None:
             raise wrong(node, f"{node} is a function; expected it with its value, such as (= (battery r1) 0.8)")
         fluent = self._scope.fact(node)
-        if fluent[0] in self._scope.names.derived:
+        if fluent[0] in self._scope.symbols.derived:
             raise wrong(node, f"{fluent[0]!r} is a derived predicate; it follows from others and cannot be set")
         return fluent
 
@@ -277,7 +262,7 @@ def _single(text: str, origin: str) -> Node:
             raise InputError("the text is empty; expected something such as (at r1 kitchen)", start)
 
 
-def _said(value: Value | Unknown) -> str:
+def _value_text(value: Value | Unknown) -> str:
     match value:
         case Unknown():
             return value.value

@@ -1,17 +1,17 @@
-"""Who must wait for whom: the last writers and the readers of every fluent, as events come in the order of a plan.
+"""Causal links: which event of a plan must wait for which, by the reads and writes of every fluent.
 
-For every ground fluent we remember who wrote it last and who has read it since; a reader waits
-for the last writer, a writer waits for the last writer and for every reader since. That keeps
-exactly the orders that matter: the plan may be executed in any order that keeps them, as soon as
-they allow. Who reads a derived fact reads what it rests on: whatever the plan changes that can
-make a difference to it.
+For every ground fluent the last writer is remembered, and the readers since; a reader waits for the last
+writer (a causal link), a writer for the last writer and for every reader since (else it would threaten their
+links). The result is a deordering of the plan (Bäckström 1998, *Computational Aspects of Reordering Plans*): it
+may be executed in any order that keeps these orderings, as soon as they allow. The reader of a derived fact
+reads whatever that rests on: every fluent that the plan changes and that can make a difference to it.
 
 An over-all condition is read from just after the start until just before the end. Fluents that
 nothing changes, and counters that only a metric reads (`total-cost`), order nothing.
 
-A constraint over the course of states is kept by the order in which its fluents change, and a
-network of tasks by the order of everything. So all that has to do with one of these keeps the
-order it has in the plan; and its time, if the constraint says more of times than how late is too late.
+A trajectory constraint depends on the order in which its fluents change, and a network of tasks on the order
+of everything. So all events that have to do with one of these keep the order they have in the plan; and their
+times, if the constraint depends on times other than a deadline.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ from pnm.core.logic.expressions import UNKNOWN, Fluent, State, Unknown, Value
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
 
 
-class Kind(IntEnum):
-    """What can happen; at one time, in this order."""
+class HappeningKind(IntEnum):
+    """The kinds of happenings; at one time, in this order."""
 
     TIMED = 0
     """Facts change by themselves."""
     END = 1
     START = 2
     INSTANT_END = 3
-    """The rank of an end of what lasts no time."""
+    """The rank of the end of an action that takes no time."""
     OPEN = 4
     """An over-all condition begins to be read."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Reader:
-    """Who has read a fluent: a point event, or an over-all condition until it closes."""
+class _FluentReader:
+    """A reader of a fluent: a point event, or an over-all condition until it closes."""
 
     call: int
     event: PlanEvent
@@ -52,80 +52,82 @@ class _Reader:
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
-    """What besides its causes depends on the order of a plan: a constraint, or a network of tasks."""
+class OrderKept:
+    """A part of a plan that must keep its order whatever the causal links: a constraint, or a network of tasks."""
 
-    stand_in: Fluent
-    """Stands for a fluent that changes with each of the others, which gives them an order."""
-    changing: frozenset[Fluent] | None = None
-    """None for whatever happens."""
+    token: Fluent
+    """Stands for a fluent that every such event writes, which gives them an order."""
+    fluents: frozenset[Fluent] | None = None
+    """Events that write one of these are concerned; None for every event."""
     timed: bool = False
-    """It also depends on the times."""
+    """Whether it also depends on the times."""
 
 
 @dataclass
-class Causes:
-    """Last writers, readers since, and the orderings found so far."""
+class CausalLinks:
+    """Last writers, readers since, and the orderings so far, while the happenings of a plan are added in their order."""
 
     knowledge: KnowledgeBase
-    """Tells objects, and what derived facts rest on."""
+    """Has the objects, and the rules of derived facts."""
     relevant: frozenset[str]
-    kept: tuple[Kept, ...] = ()
+    """The predicates and functions that can order anything."""
+    kept: tuple[OrderKept, ...] = ()
     writer: dict[Fluent, PlanEvent] = field(default_factory=dict)
     """The event that wrote the fluent last."""
     changed_at: dict[Fluent, float] = field(default_factory=dict)
     """When the fluent changed by itself since."""
-    readers: dict[Fluent, list[_Reader]] = field(default_factory=dict)
-    watched: list[tuple[int, frozenset[Fluent], float]] = field(default_factory=list)
-    """The parts of over-all conditions on several fluents: whose, on which, and until when."""
+    readers: dict[Fluent, list[_FluentReader]] = field(default_factory=dict)
+    open_conditions: list[tuple[int, frozenset[Fluent], float]] = field(default_factory=list)
+    """Parts of over-all conditions on several fluents: of which call, on which fluents, and until when."""
     orderings: dict[tuple[PlanEvent, PlanEvent], list[Fluent]] = field(default_factory=dict)
     releases: dict[int, float] = field(default_factory=dict)
     deadlines: dict[int, float] = field(default_factory=dict)
     actions: dict[int, GroundAction] = field(default_factory=dict)
     lasting: dict[int, frozenset[Fluent]] = field(default_factory=dict)
-    by_the_clock: set[int] = field(default_factory=set)
+    """For every call, the start effects that nothing overwrites before its end."""
+    clocked: set[int] = field(default_factory=set)
     """The calls that must not start before their planned time."""
 
-    def timed(self, time: float, changed: Mapping[Fluent, Value]) -> None:
-        """Note that fluents change by themselves, and which calls that were over by then could not have gone on."""
-        concerned = [one.stand_in for one in self.kept if one.changing is not None and one.changing & changed.keys()]
-        self.changed_at.update(dict.fromkeys((*changed, *concerned), time))
-        for stand_in in concerned:
-            if stand_in in self.writer and self.writer[stand_in].moment is Moment.END:
-                self.deadlines.setdefault(self.writer[stand_in].call, time)
-        after = _Only(self.knowledge, changed)
+    def add_timed_change(self, time: float, changed: Mapping[Fluent, Value]) -> None:
+        """Add a change of fluents by themselves; calls that end before it and could not have gone on get a deadline."""
+        tokens = [kept.token for kept in self.kept if kept.fluents is not None and kept.fluents & changed.keys()]
+        self.changed_at.update(dict.fromkeys((*changed, *tokens), time))
+        for token in tokens:
+            if token in self.writer and self.writer[token].moment is Moment.END:
+                self.deadlines.setdefault(self.writer[token].call, time)
+        after = _PartialState(self.knowledge, changed)
         for fluent in changed:
             for reader in self.readers.get(fluent, ()):
                 action = self.actions[reader.call]
                 if action.duration is not None and evaluate(All((action.invariant, action.end_condition)), after) is False:
                     self.deadlines.setdefault(reader.call, time)
 
-    def happen(self, kind: Kind, called: ActionCall, end: float, now: float) -> None:
-        """Note what one happening reads and writes."""
+    def add_happening(self, kind: HappeningKind, called: ActionCall, end: float, now: float) -> None:
+        """Add the reads and writes of one happening of a call, which ends at `end`."""
         call, action = called.index, called.action
         self.actions[call] = action
         start_event, end_event = PlanEvent(call, Moment.START), PlanEvent(call, Moment.END)
         start, ending = action.start_effects, action.end_effects
         match kind:
             case _ if action.duration is None:
-                if kind is not Kind.START:
+                if kind is not HappeningKind.START:
                     return
-                self._point(start_event, end_event, self._reads(action.precondition, ending), self._writes(ending), now)
-            case Kind.START:
+                self._add_point(start_event, end_event, self._reads(action.precondition, ending), self._writes(ending), now)
+            case HappeningKind.START:
                 reads = self._reads(action.precondition, start) | self.knowledge.rests_on(read_early(ending, self.knowledge))
-                self._point(start_event, start_event, reads, self._writes(start), now)
-            case Kind.OPEN:
-                for fluent in self._only(self._reads(action.invariant)):
+                self._add_point(start_event, start_event, reads, self._writes(start), now)
+            case HappeningKind.OPEN:
+                for fluent in self._relevant(self._reads(action.invariant)):
                     self._after_writer(fluent, start_event)
-                    self.readers.setdefault(fluent, []).append(_Reader(call, end_event, end))
+                    self.readers.setdefault(fluent, []).append(_FluentReader(call, end_event, end))
                 for part in conjuncts(action.invariant):
-                    group = frozenset(self._only(self._reads(part)))
+                    group = frozenset(self._relevant(self._reads(part)))
                     if len(group) > 1:
-                        self.watched.append((call, group, end))
-            case Kind.END:
-                mine = (fluent for fluent in self._writes(start) if self.writer.get(fluent) == start_event)
-                self.lasting[call] = frozenset(mine)
-                self._point(end_event, end_event, self._reads(action.end_condition, ending), self._writes(ending), now)
+                        self.open_conditions.append((call, group, end))
+            case HappeningKind.END:
+                own = (fluent for fluent in self._writes(start) if self.writer.get(fluent) == start_event)
+                self.lasting[call] = frozenset(own)
+                self._add_point(end_event, end_event, self._reads(action.end_condition, ending), self._writes(ending), now)
 
     def _reads(self, condition: Condition, effects: Effects = ()) -> frozenset[Fluent]:
         return self.knowledge.rests_on(fluents(condition, self.knowledge) | read(effects, self.knowledge))
@@ -133,32 +135,29 @@ class Causes:
     def _writes(self, effects: Effects) -> frozenset[Fluent]:
         return written(effects, self.knowledge)
 
-    def _only(self, found: frozenset[Fluent]) -> list[Fluent]:
-        return sorted(fluent for fluent in found if fluent[0] in self.relevant)
+    def _relevant(self, fluents: frozenset[Fluent]) -> list[Fluent]:
+        return sorted(fluent for fluent in fluents if fluent[0] in self.relevant)
 
-    def _touched(self, call: int, writes: frozenset[Fluent]) -> list[Fluent]:
-        """Return what stands for the constraints that are concerned."""
-        touched = [one for one in self.kept if one.changing is None or one.changing & writes]
-        if any(one.timed for one in touched):
-            self.by_the_clock.add(call)
-        return [one.stand_in for one in touched]
-
-    def _point(self, waits: PlanEvent, releases: PlanEvent, reads: frozenset[Fluent], writes: frozenset[Fluent], now: float) -> None:
-        # A write that leaves an over-all condition true may do so only because of what its other fluents are.
-        relied = [group - writes for call, group, until in self.watched if until > now and call != waits.call and group & writes]
-        for fluent in self._only(reads.union(*relied)):
+    def _add_point(self, waits: PlanEvent, releases: PlanEvent, reads: frozenset[Fluent], writes: frozenset[Fluent], now: float) -> None:
+        """Add reads and writes at one point in time: `waits` comes after earlier events, later events after `releases`."""
+        # A write that leaves an over-all condition true may do so only because of the values of its other fluents.
+        relied = [group - writes for call, group, until in self.open_conditions if until > now and call != waits.call and group & writes]
+        for fluent in self._relevant(reads.union(*relied)):
             self._after_writer(fluent, waits)
-            self.readers.setdefault(fluent, []).append(_Reader(releases.call, releases, now))
-        for fluent in (*self._only(writes), *self._touched(waits.call, writes)):
+            self.readers.setdefault(fluent, []).append(_FluentReader(releases.call, releases, now))
+        concerned = [kept for kept in self.kept if kept.fluents is None or kept.fluents & writes]
+        if any(kept.timed for kept in concerned):
+            self.clocked.add(waits.call)
+        for fluent in (*self._relevant(writes), *(kept.token for kept in concerned)):
             self._after_writer(fluent, waits)
-            still = []
+            still_open = []
             for reader in self.readers.get(fluent, ()):
                 if reader.until > now:  # an over-all condition that this write leaves true
-                    still.append(reader)
+                    still_open.append(reader)
                     self._order(PlanEvent(reader.call, Moment.START), waits, fluent)
                 else:
                     self._order(reader.event, waits, fluent)
-            self.readers[fluent] = still
+            self.readers[fluent] = still_open
             self.writer[fluent] = releases
             self.changed_at.pop(fluent, None)
 
@@ -175,24 +174,24 @@ class Causes:
             if fluent not in protected:
                 protected.append(fluent)
 
-    def graph(self, calls: Iterable[ActionCall], goal: Condition) -> PlanGraph:
+    def plan_graph(self, calls: Iterable[ActionCall], goal: Condition) -> PlanGraph:
         """Return the plan graph; of two orderings between the same calls only the stronger is kept."""
-        told = tuple(
+        timed = tuple(
             replace(
                 call,
-                release=max(call.release, self.releases.get(call.index, 0.0), call.planned if call.index in self.by_the_clock else 0.0),
+                release=max(call.release, self.releases.get(call.index, 0.0), call.planned if call.index in self.clocked else 0.0),
                 deadline=min(call.deadline, self.deadlines.get(call.index, inf)),
                 lasting=self.lasting.get(call.index, frozenset()),
             )
             for call in calls
         )
         due = max((self.changed_at.get(fluent, 0.0) for fluent in self._reads(goal)), default=0.0)
-        return PlanGraph(told, tuple(_strongest(self.orderings)), goal, self.knowledge.rules, due)
+        return PlanGraph(timed, tuple(_strongest(self.orderings)), goal, self.knowledge.rules, due)
 
 
 @dataclass(frozen=True, slots=True)
-class _Only:
-    """A state of which only some values are known; what is not false in it may still be true."""
+class _PartialState:
+    """A state of which only some values are known; a condition that is not false in it may still be true."""
 
     whole: State
     known: Mapping[Fluent, Value]
@@ -204,16 +203,16 @@ class _Only:
         return self.whole.objects(types)
 
 
-def _strongest(found: dict[tuple[PlanEvent, PlanEvent], list[Fluent]]) -> list[Ordering]:
+def _strongest(orderings: dict[tuple[PlanEvent, PlanEvent], list[Fluent]]) -> list[Ordering]:
     """Merge `start of a < x` into `end of a < x`, and `x < end of b` into `x < start of b`."""
     merged: dict[tuple[PlanEvent, PlanEvent], list[Fluent]] = {}
-    for (before, after), protected in sorted(found.items(), key=_by_call):
+    for (before, after), protected in sorted(orderings.items(), key=_by_call):
         for stronger in (
             (PlanEvent(before.call, Moment.END), PlanEvent(after.call, Moment.START)),
             (PlanEvent(before.call, Moment.END), after),
             (before, PlanEvent(after.call, Moment.START)),
         ):
-            if stronger in found:
+            if stronger in orderings:
                 merged.setdefault(stronger, []).extend(protected)
                 break
         else:

@@ -1,7 +1,8 @@
-"""What plans need of the world and change in it, and whether two of them can go on side by side.
+"""Interference of plans: the fluents that a plan reads and writes, and whether two plans can be executed concurrently.
 
-A plan *needs* the facts that its calls and its goal read, as they must be. Two plans are in conflict when one may
-write what the other needs otherwise. That is careful: a fact that a plan makes true for itself is needed like any other.
+A plan *reads* the facts that its calls and its goal need, with the values that they must have. Two plans interfere when one may
+write another value to a fluent that the other reads (as for actions in PDDL 2.1, section 8). That is conservative: a fact that a
+plan makes true for itself counts like any other.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
-from planner_bridge.model.forbidden_actions import changed, guarded, unused
+from planner_bridge.model.forbidden_actions import guarded, unused_name, with_guards
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from pnm.core.knowledge_base import KnowledgeBase
@@ -21,18 +22,18 @@ from pnm.core.machine.plan_graph import ActionCall
 
 
 @dataclass(frozen=True)
-class Footprint:
-    """What the rest of a plan needs and changes."""
+class ReadWriteSets:
+    """The fluents that the rest of a plan reads and writes."""
 
     facts: Mapping[Fluent, frozenset[bool]] = field(default_factory=dict)
     """Facts that must be true, false, or each at some time."""
     reads: frozenset[Fluent] = frozenset()
-    """What else is read, such as numbers: no other value will do."""
+    """Other fluents that are read, such as numbers: no other value will do."""
     writes: Mapping[Fluent, frozenset[bool | None]] = field(default_factory=dict)
-    """What may become of fluents: true, false, or, as None, another value."""
+    """For every fluent, the values that it may get: true, false, or, as None, another value."""
 
-    def disturbed_by(self, other: Footprint) -> Fluent | None:
-        """Return something that this plan needs and that the other may change, if there is anything."""
+    def disturbed_by(self, other: ReadWriteSets) -> Fluent | None:
+        """Return a fluent that this plan reads and to which the other may write another value, if there is one."""
         for fluent, values in other.writes.items():
             if fluent in self.reads:
                 return fluent
@@ -41,8 +42,8 @@ class Footprint:
         return None
 
 
-def conflict(mine: Footprint, other: Footprint) -> str:
-    """Say what stands in the way of carrying out both plans at once; empty when nothing does."""
+def interference(mine: ReadWriteSets, other: ReadWriteSets) -> str:
+    """Return why the two plans cannot be executed concurrently; empty when they can."""
     if disturbed := other.disturbed_by(mine):
         return f"it would change {fluent_text(disturbed)}, which the other needs"
     if disturbed := mine.disturbed_by(other):
@@ -50,8 +51,8 @@ def conflict(mine: Footprint, other: Footprint) -> str:
     return ""
 
 
-def footprint(calls: Iterable[ActionCall], goal: Condition, knowledge: KnowledgeBase) -> Footprint:
-    """Return what these calls, those that are under way among them, and the goal need and change."""
+def read_write_sets(calls: Iterable[ActionCall], goal: Condition, knowledge: KnowledgeBase) -> ReadWriteSets:
+    """Return the fluents that these calls, some of which may be running, and the goal read and write."""
     facts: dict[Fluent, set[bool]] = {}
     reads: set[Fluent] = set()
     writes: dict[Fluent, set[bool | None]] = {}
@@ -67,36 +68,36 @@ def footprint(calls: Iterable[ActionCall], goal: Condition, knowledge: Knowledge
         reads |= knowledge.rests_on(read(effects, knowledge)) - written.keys()
         for fluent, values in written.items():
             writes.setdefault(fluent, set()).update(values)
-    for fluent, needed in (one for condition in conditions for one in _needed(condition, True, knowledge)):
+    for fluent, needed in (one for condition in conditions for one in _values_needed(condition, True, knowledge)):
         if needed is None or fluent[0] in derived:
             reads |= knowledge.rests_on(frozenset({fluent}))
         else:
             facts.setdefault(fluent, set()).add(needed)
-    return Footprint(
+    return ReadWriteSets(
         {fluent: frozenset(values) for fluent, values in facts.items()},
         frozenset(reads),
         {fluent: frozenset(values) for fluent, values in writes.items()},
     )
 
 
-def _needed(condition: Condition, value: bool, state: State, env: Environment = NOTHING) -> Iterator[tuple[Fluent, bool | None]]:
-    """Yield the fluents that a condition mentions, and which value of theirs helps to make it this; None when that depends."""
+def _values_needed(condition: Condition, value: bool, state: State, env: Environment = NOTHING) -> Iterator[tuple[Fluent, bool | None]]:
+    """Yield the fluents of a condition, each with the truth value that helps to give the condition this value; None when that depends."""
     match condition:
         case Holds(fluent):
             yield bind(fluent, env), value
         case Not(inner):
-            yield from _needed(inner, not value, state, env)
+            yield from _values_needed(inner, not value, state, env)
         case Implies(condition, then):
-            yield from _needed(condition, not value, state, env)
-            yield from _needed(then, value, state, env)
+            yield from _values_needed(condition, not value, state, env)
+            yield from _values_needed(then, value, state, env)
         case ForAll(variables, body) | Exists(variables, body):
             for chosen in choices(variables, state, env):
-                yield from _needed(body, value, state, chosen)
+                yield from _values_needed(body, value, state, chosen)
         case Compare() | Computed():
             yield from ((fluent, None) for fluent in fluents(condition, state, env))
         case _:
             for part in operands_of(condition):
-                yield from _needed(part, value, state, env)
+                yield from _values_needed(part, value, state, env)
 
 
 def _written(effects: Effects, state: State) -> dict[Fluent, set[bool | None]]:
@@ -107,22 +108,22 @@ def _written(effects: Effects, state: State) -> dict[Fluent, set[bool | None]]:
     return found
 
 
-def around(problem: Problem, others: Iterable[Footprint]) -> Problem:
-    """Return a problem whose plans leave other plans alone, as far as PDDL can say that.
+def avoid_interference(problem: Problem, others: Iterable[ReadWriteSets]) -> Problem:
+    """Return a problem whose plans do not interfere with other plans, as far as PDDL can express that.
 
-    What others are going to change is taken for changed already, so no plan relies on it; no action may change the facts
-    that they need. Effects under quantifiers are not looked at: whether a plan that is found is in no conflict is still to be seen.
+    Facts that others may change count as changed already, so that no plan relies on them; no action may change the facts
+    that others read. Effects under quantifiers are ignored: whether a plan interferes has still to be checked.
     """
     for other in others:
-        init = {fluent: value for fluent, value in problem.init.items() if not _is_lost(fluent, value, other)}
-        problem = _kept(replace(problem, init=init), other)
+        init = {fluent: value for fluent, value in problem.init.items() if not _may_be_lost(fluent, value, other)}
+        problem = _protect(replace(problem, init=init), other)
     return problem
 
 
 def optimistic_state(problem: Problem, under_way: Iterable[ActionCall]) -> Problem:
-    """Return a problem that begins when these calls are over, with every fact that may be so then.
+    """Return a problem that begins after these running calls, with every fact that may be true then.
 
-    That is what they make true when they end well, and what they had made false when they do not.
+    These are the facts that they make true when they succeed, and those that they had made false when they are undone.
     """
     init, world = dict(problem.init), initial_knowledge(problem)
     for call in under_way:
@@ -133,12 +134,12 @@ def optimistic_state(problem: Problem, under_way: Iterable[ActionCall]) -> Probl
     return replace(problem, init=init)
 
 
-def _is_lost(fluent: Fluent, value: object, other: Footprint) -> bool:
+def _may_be_lost(fluent: Fluent, value: object, other: ReadWriteSets) -> bool:
     return fluent in other.writes and (isinstance(value, str) or (value is True and not {False, None}.isdisjoint(other.writes[fluent])))
 
 
-def _kept(problem: Problem, other: Footprint) -> Problem:
-    """Guard every action that makes a fact other than it is needed."""
+def _protect(problem: Problem, other: ReadWriteSets) -> Problem:
+    """Guard every action that gives a fact another value than the other plan reads."""
     domain, init = problem.domain, dict(problem.init)
     predicates, actions = dict(domain.predicates), dict(domain.actions)
     for needed in (True, False):
@@ -146,26 +147,28 @@ def _kept(problem: Problem, other: Footprint) -> Problem:
             fluent for fluent, values in other.facts.items() if needed in values and (problem.init.get(fluent, False) is True) == needed
         ]
         for name in sorted({fluent[0] for fluent in kept} & domain.predicates.keys()):
-            guard = unused(f"kept-{name}-{needed}".lower(), replace(domain, predicates=predicates))
-            makers = [(action, _makes(name, not needed, (*action.start_effects, *action.end_effects))) for action in actions.values()]
+            guard = unused_name(f"kept-{name}-{needed}".lower(), replace(domain, predicates=predicates))
+            makers = [
+                (action, _arguments_written(name, not needed, (*action.start_effects, *action.end_effects))) for action in actions.values()
+            ]
             if any(made for _, made in makers):
                 predicates[guard] = Declaration(guard, domain.predicates[name].parameters)
                 init |= {(guard, *fluent[1:]): True for fluent in kept if fluent[0] == name}
             for action, made in makers:
                 for arguments in made:
                     actions[action.name] = guarded(actions[action.name], Not(Holds((guard, *arguments))))
-    return replace(problem, domain=changed(domain, predicates, actions), init=init)
+    return replace(problem, domain=with_guards(domain, predicates, actions), init=init)
 
 
-def _makes(predicate: str, value: bool, effects: Effects) -> list[tuple[str, ...]]:
-    """Return the arguments for which effects give the predicate this value, whatever their conditions."""
+def _arguments_written(predicate: str, value: bool, effects: Effects) -> list[tuple[str, ...]]:
+    """Return the arguments for which effects may give the predicate this value, whatever their conditions."""
     found: list[tuple[str, ...]] = []
     for effect in effects:
         match effect:
             case Set(fluent, Constant(new)) if fluent[0] == predicate and new is value:
                 found.append(fluent[1:])
             case When(_, inner):
-                found += _makes(predicate, value, inner)
+                found += _arguments_written(predicate, value, inner)
             case Set() | ForEach():
                 pass
     return list(dict.fromkeys(found))

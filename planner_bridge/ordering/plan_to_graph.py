@@ -1,7 +1,7 @@
-"""Plan → PlanGraph: which event must wait for which, and for the sake of which facts.
+"""Plan → plan graph: a deordering of the plan, by its causal links.
 
-The happenings of the plan are walked through in time; what each reads and writes says what it
-must wait for (`planner_bridge.ordering.causal_links`).
+The happenings of the plan are added to the causal links in the order of time (`planner_bridge.ordering.causal_links`);
+then actions that enclose others get their delays (`planner_bridge.ordering.enclosing_actions`).
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Final
 from planner_bridge.model.grounding import dynamic_names, ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
-from planner_bridge.ordering.causal_links import Causes, Kept, Kind
-from planner_bridge.ordering.enclosing_actions import tightened
+from planner_bridge.ordering.causal_links import CausalLinks, HappeningKind, OrderKept
+from planner_bridge.ordering.enclosing_actions import delay_enclosing_starts
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import fluents, names
 from pnm.core.logic.effects import Effects, Set, When, every_effect, written
@@ -28,48 +28,48 @@ _DIGITS: Final = 5
 
 _BEGUN: Final = -2.0
 _OVER: Final = -1.0
-"""When, on the clock of the plan, calls that are under way begin and end as far as their order to the others matters."""
+"""When, on the clock of the plan, running calls begin and end as far as their order to the others matters."""
 
 _NETWORK: Final[Fluent] = ("order of tasks",)
-"""Stands for a fluent that everything changes."""
+"""Stands for a fluent that every event writes."""
 
 
 def plan_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = ()) -> PlanGraph:
-    """Return the calls of the plan with the orderings that its causes demand.
+    """Return the calls of the plan with the orderings that its causal links demand.
 
     Args:
         problem: what the plan solves.
-        plan: what a planner has found.
-        under_way: calls of a plan before that go on beside it; the problem begins with the state that their ends lead to.
+        plan: a valid plan for it.
+        under_way: running calls of an earlier plan; the problem begins with the state after their ends.
     """
-    going_on = [replace(call, index=index, planned=0.0, under_way=True) for index, call in enumerate(under_way)]
-    steps = calls_of(problem, plan, len(going_on))
-    calls = [*going_on, *steps]
-    causes = _causes(problem, [call.action for call in calls])
-    for kind in (Kind.START, Kind.OPEN, Kind.END):
-        for call in going_on:
-            causes.happen(kind, call, _OVER, _OVER if kind is Kind.END else _BEGUN)
+    running = [replace(call, index=index, planned=0.0, under_way=True) for index, call in enumerate(under_way)]
+    steps = calls_of(problem, plan, len(running))
+    calls = [*running, *steps]
+    links = _causal_links(problem, [call.action for call in calls])
+    for kind in (HappeningKind.START, HappeningKind.OPEN, HappeningKind.END):
+        for call in running:
+            links.add_happening(kind, call, _OVER, _OVER if kind is HappeningKind.END else _BEGUN)
     for time, _, index, kind in sorted(_happenings(problem, plan)):
-        if kind == Kind.TIMED:
-            causes.timed(time, problem.timed[index].changes)
+        if kind == HappeningKind.TIMED:
+            links.add_timed_change(time, problem.timed[index].changes)
         else:
-            causes.happen(kind, steps[index], round(plan.steps[index].start + plan.steps[index].duration, _DIGITS), time)
-    return tightened(causes.graph(calls, problem.goal))
+            links.add_happening(kind, steps[index], round(plan.steps[index].start + plan.steps[index].duration, _DIGITS), time)
+    return delay_enclosing_starts(links.plan_graph(calls, problem.goal))
 
 
-def in_causal_order(problem: Problem, calls: tuple[ActionCall, ...], order: Iterable[PlanEvent]) -> PlanGraph:
-    """Return the calls with the orderings that their causes demand, given one order of their events that works."""
+def deordered(problem: Problem, calls: tuple[ActionCall, ...], order: Iterable[PlanEvent]) -> PlanGraph:
+    """Return the calls with the orderings that their causal links demand, given one executable order of their events."""
     positions = {event: float(position) for position, event in enumerate(order)}
-    causes = _causes(problem, [call.action for call in calls])
+    links = _causal_links(problem, [call.action for call in calls])
     for event, now in positions.items():
         call = calls[event.call]
         end = positions[PlanEvent(event.call, Moment.END)]
         if event.moment is Moment.START:
-            causes.happen(Kind.START, call, end, now)
-            causes.happen(Kind.OPEN, call, end, now)
+            links.add_happening(HappeningKind.START, call, end, now)
+            links.add_happening(HappeningKind.OPEN, call, end, now)
         else:
-            causes.happen(Kind.END, call, end, now)
-    return tightened(causes.graph(calls, problem.goal))
+            links.add_happening(HappeningKind.END, call, end, now)
+    return delay_enclosing_starts(links.plan_graph(calls, problem.goal))
 
 
 def calls_of(problem: Problem, plan: Plan, first: int = 0) -> list[ActionCall]:
@@ -77,8 +77,8 @@ def calls_of(problem: Problem, plan: Plan, first: int = 0) -> list[ActionCall]:
     return [ActionCall(first + index, ground_step(problem, plan, step), step.start) for index, step in enumerate(plan.steps)]
 
 
-def one_by_one(problem: Problem, plan: Plan) -> PlanGraph:
-    """Return the calls of a sequential plan, each after the one before."""
+def total_order(problem: Problem, plan: Plan) -> PlanGraph:
+    """Return the calls of a sequential plan in their total order."""
     calls = calls_of(problem, plan)
     ends = (Ordering(PlanEvent(one, Moment.END), PlanEvent(one + 1, Moment.START)) for one in range(len(calls) - 1))
     return PlanGraph(tuple(calls), tuple(ends), problem.goal, Rules(problem.domain.rules))
@@ -89,33 +89,33 @@ def ground_step(problem: Problem, plan: Plan, step: PlanStep) -> GroundAction:
     return ground_action(problem.domain.actions[step.action], step.arguments, step.duration if plan.temporal else None)
 
 
-def _happenings(problem: Problem, plan: Plan) -> list[tuple[float, Kind, int, Kind]]:
-    """Return (time, rank, index, kind) for everything that happens."""
-    found = [(round(change.time, _DIGITS), Kind.TIMED, index, Kind.TIMED) for index, change in enumerate(problem.timed)]
+def _happenings(problem: Problem, plan: Plan) -> list[tuple[float, HappeningKind, int, HappeningKind]]:
+    """Return (time, rank, index, kind) of every happening."""
+    found = [(round(change.time, _DIGITS), HappeningKind.TIMED, index, HappeningKind.TIMED) for index, change in enumerate(problem.timed)]
     for index, step in enumerate(plan.steps):
         start = round(step.start if plan.temporal else float(index), _DIGITS)
-        found.append((start, Kind.START, index, Kind.START))
+        found.append((start, HappeningKind.START, index, HappeningKind.START))
         if problem.domain.actions[step.action].duration is None:
             continue
         end = round(step.start + step.duration, _DIGITS)
-        found.append((end, Kind.END if end > start else Kind.INSTANT_END, index, Kind.END))
-        found.append((start, Kind.OPEN if end > start else Kind.START, index, Kind.OPEN))
+        found.append((end, HappeningKind.END if end > start else HappeningKind.INSTANT_END, index, HappeningKind.END))
+        found.append((start, HappeningKind.OPEN if end > start else HappeningKind.START, index, HappeningKind.OPEN))
     return found
 
 
-def _causes(problem: Problem, actions: Iterable[GroundAction]) -> Causes:
-    knowledge, relevant = _lasting_knowledge(problem, actions), _relevant(problem)
-    kept = [Kept(_NETWORK)] if problem.network else []
+def _causal_links(problem: Problem, actions: Iterable[GroundAction]) -> CausalLinks:
+    knowledge, relevant = _static_knowledge(problem, actions), _relevant(problem)
+    kept = [OrderKept(_NETWORK)] if problem.network else []
     for constraint in (*problem.domain.constraints, *problem.constraints):
         for one in instances(constraint, knowledge):
             mentioned = frozenset().union(*(fluents(condition, knowledge) for condition in one.conditions))
             changing = frozenset(fluent for fluent in knowledge.rests_on(mentioned) if fluent[0] in relevant)
-            kept.append(Kept((str(one)[1:-1],), changing, problem.is_timed and bool(one.times) and one.operator != "within"))
-    return Causes(knowledge, relevant, tuple(kept))
+            kept.append(OrderKept((str(one)[1:-1],), changing, problem.is_timed and bool(one.times) and one.operator != "within"))
+    return CausalLinks(knowledge, relevant, tuple(kept))
 
 
-def _lasting_knowledge(problem: Problem, actions: Iterable[GroundAction]) -> KnowledgeBase:
-    """Return what is so at first, and as far as rules read it, stays so: what the plan or time may change is unknown."""
+def _static_knowledge(problem: Problem, actions: Iterable[GroundAction]) -> KnowledgeBase:
+    """Return the initial state as far as it is static: where rules read fluents that the plan or time may change, these are unknown."""
     knowledge = initial_knowledge(problem)
     if not knowledge.rules.rules:
         return knowledge
@@ -127,7 +127,7 @@ def _lasting_knowledge(problem: Problem, actions: Iterable[GroundAction]) -> Kno
 
 
 def _relevant(problem: Problem) -> frozenset[str]:
-    """Return the names that can change and that something besides the metric reads."""
+    """Return the names of fluents that can change and that something besides the metric reads."""
     asked = set(names(problem.goal)) | {fluent[0] for change in problem.timed for fluent in change.changes}
     asked = asked.union(*map(names_in, (*problem.domain.constraints, *problem.constraints)))
     for schema in problem.domain.actions.values():
@@ -135,13 +135,13 @@ def _relevant(problem: Problem) -> frozenset[str]:
             asked |= names(condition)
         for constraint in schema.duration or ():
             asked |= {fluent[0] for fluent in expression_fluents(constraint.bound)}
-        asked |= set(_asked((*schema.start_effects, *schema.end_effects)))
+        asked |= set(_read_names((*schema.start_effects, *schema.end_effects)))
     predicates = frozenset(problem.domain.predicates)
     return dynamic_names(problem) & (predicates | Rules(problem.domain.rules).base(asked))
 
 
-def _asked(effects: Effects) -> list[str]:
-    """Return the names that effects read, a number's own increase left out."""
+def _read_names(effects: Effects) -> list[str]:
+    """Return the names of fluents that effects read, a number's own increase left out."""
     found: list[str] = []
     for effect in every_effect(effects):
         match effect:

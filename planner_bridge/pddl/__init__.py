@@ -1,8 +1,8 @@
 """PDDL text to models and back.
 
-`sexpr` → `sections` → `declarations`, `scope`, `conditions`, `effects`, ... → `reader`; `writer` is the way back.
-Errors say file, line and column, what was found and what was expected. What is not as it should be but can
-be understood is read with a warning.
+`syntax.expressions` → `read.sections` → `read.declarations`, `terms`, `formulas`, `actions`, ... → `read.reader`;
+`write.writer` is the way back. Every error has file, line and column, what was found and what was expected.
+`read.requirements` is the table of everything that is refused, or tolerated with a warning.
 """
 
 from planner_bridge.pddl.read.reader import parse_domain, parse_problem, read_domain, read_problem

@@ -1,8 +1,6 @@
-"""The planners that come with the extra `planners`: what they are good for, and whether they are there.
+"""Which planner suits which problem: the kind of a problem, and the engines that come with the extra `planners`.
 
 Any other engine of unified-planning can be named as well; of those nothing is known here.
-
-What a problem asks of a planner, besides actions that happen at once and change facts.
 """
 
 from __future__ import annotations
@@ -15,13 +13,13 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Final
 
 from planner_bridge.model.problem import Problem
-from planner_bridge.planning.normal_form import conditions_of, doings, functions_in_use, is_whole
+from planner_bridge.planning.normal_form import action_assignments, conditions_of, functions_in_use, is_whole
 from pnm.core.logic.conditions import Exists, ForAll, every_part
 from pnm.errors import InputError
 
 
 class Feature(Enum):
-    """Something that not every planner can do."""
+    """Something a problem may use that not every planner can handle, besides instantaneous actions that change facts."""
 
     TIME = "actions that last, or facts that change by themselves"
     NUMBERS = "numeric functions"
@@ -35,8 +33,8 @@ class Feature(Enum):
     TASKS = "task networks"
 
 
-def features(problem: Problem) -> frozenset[Feature]:
-    """Return what a planner must be able to do to find a plan, whatever the metric."""
+def problem_kind(problem: Problem) -> frozenset[Feature]:
+    """Return what a planner must handle to find a plan, whatever the metric (unified-planning's `ProblemKind`)."""
     return frozenset(_features(replace(problem, metric=None)))
 
 
@@ -53,7 +51,8 @@ def _features(problem: Problem) -> Iterator[Feature]:
         yield Feature.OBJECT_FLUENTS
     if any(isinstance(part, ForAll | Exists) for condition in conditions_of(problem) for part in every_part(condition)):
         yield Feature.QUANTIFIERS
-    if not all(one.is_plain for one in doings(problem) if one.fluent[0] in domain.predicates or one.fluent[0] in used):
+    relevant = (change for change in action_assignments(problem) if change.fluent[0] in domain.predicates or change.fluent[0] in used)
+    if not all(change.is_plain for change in relevant):
         yield Feature.CONDITIONAL_EFFECTS
     if domain.rules:
         yield Feature.DERIVED
@@ -66,38 +65,38 @@ def _features(problem: Problem) -> Iterator[Feature]:
 
 
 @dataclass(frozen=True, slots=True)
-class Engine:
-    """An engine of unified-planning."""
+class PlanningEngine:
+    """An engine of unified-planning, and the features it handles."""
 
     name: str
     package: str
-    """Brings it, on PyPI."""
-    takes: frozenset[Feature]
+    """The PyPI package that brings it."""
+    supports: frozenset[Feature]
     program: str = ""
-    """Which must be there to start it."""
-    proves: bool = False
-    """Whether there is no plan when it says so."""
+    """A program that must be installed to start it."""
+    proves_unsolvability: bool = False
+    """Whether its answer that there is no plan is a proof."""
     undeclared: frozenset[str] = frozenset()
-    """What it can do although it does not tell unified-planning so, in the words of unified-planning."""
+    """Features, in unified-planning's words, that it handles although it does not declare them there."""
 
     @property
-    def is_there(self) -> bool:
+    def is_installed(self) -> bool:
         """Whether its package is installed, and the program that it needs."""
-        return _is_installed(self.package) and (not self.program or shutil.which(self.program) is not None)
+        return _has_package(self.package) and (not self.program or shutil.which(self.program) is not None)
 
 
 ENGINES: Final = {
     engine.name: engine
     for engine in (
-        Engine(
+        PlanningEngine(
             "fast-downward",
             "up-fast-downward",
             frozenset({Feature.QUANTIFIERS, Feature.CONDITIONAL_EFFECTS}),
-            proves=True,
+            proves_unsolvability=True,
             undeclared=frozenset({"UNDEFINED_INITIAL_NUMERIC"}),  # the costs of actions that are never applicable
         ),
-        Engine("aries", "up-aries", frozenset({Feature.TIME, Feature.NUMBERS, Feature.OBJECT_FLUENTS, Feature.TASKS})),
-        Engine(  # ends without a plan, and unified-planning takes that for a proof
+        PlanningEngine("aries", "up-aries", frozenset({Feature.TIME, Feature.NUMBERS, Feature.OBJECT_FLUENTS, Feature.TASKS})),
+        PlanningEngine(  # ends without a plan, and unified-planning takes that for a proof
             "enhsp",
             "up-enhsp",
             frozenset({Feature.QUANTIFIERS, Feature.CONDITIONAL_EFFECTS, Feature.NUMBERS, Feature.FRACTIONS}),
@@ -107,21 +106,21 @@ ENGINES: Final = {
 }
 
 
-def require(name: str) -> None:
-    """See to it that the engine is there, as far as that can be told without starting it.
+def require_installed(name: str) -> None:
+    """Refuse one of `ENGINES` that is not installed, as far as that shows without starting it.
 
     Raises:
         InputError: something has to be installed first.
     """
     engine = ENGINES.get(name)
-    if engine is None or engine.is_there:
+    if engine is None or engine.is_installed:
         return
-    if not _is_installed(engine.package):
+    if not _has_package(engine.package):
         raise InputError(f"the planner {name} is not installed: pip install {engine.package}, or 'petri-net-machines[planners]'")
     raise InputError(f"the planner {name} needs {engine.program}, which is not installed")
 
 
-def _is_installed(package: str) -> bool:
+def _has_package(package: str) -> bool:
     try:
         version(package)
     except PackageNotFoundError:

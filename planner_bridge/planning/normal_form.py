@@ -1,14 +1,14 @@
-"""Effects and numbers in the plain form in which other planners take them: the same plans, fewer constructs.
+"""Compilation of effects and numbers into a normal form for other planners: the same plans, fewer constructs.
 
-Kairos needs none of this. Other planners differ in what they do with nested quantifiers, with a
-fact that is deleted and added at once, with scaling, and with counters that nobody reads.
+Kairos needs none of this. Other planners differ in how they treat nested quantifiers, a fact that is
+deleted and added at once, scaling effects, and counters that no condition reads.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import count
+from itertools import chain, count
 from typing import Final
 
 from planner_bridge.model.problem import Metric, Problem
@@ -23,7 +23,7 @@ _FALSE: Final = Constant(False)
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """One fluent gets a value, for every choice of objects for the variables, where the condition holds."""
+    """An effect in normal form: a fluent gets a value, for every choice of objects for the variables, where the condition holds."""
 
     fluent: Fluent
     value: Expression
@@ -41,18 +41,20 @@ class Assignment:
 
 
 def assignments(effects: Effects, parameters: Iterable[Variable] = ()) -> tuple[Assignment, ...]:
-    """Return what the effects of one moment of an action do, without nesting, deletes that an add undoes and scaling.
+    """Return the effects of one moment of an action without nesting, scaling, and deletes that an add undoes.
 
     Two facts that differ in nothing but parameters are taken for different ones: whether they
     are is known only when the action is ground.
     """
     taken = {variable.name for variable in parameters}
     flat = list(_flat(effects, (), TRUE, False, taken))
-    added = [one for one in flat if one.value == _TRUE]
-    return tuple(left for one in flat if (left := _unless_added(one, added) if one.value == _FALSE else one) is not None)
+    adds = [change for change in flat if change.value == _TRUE]
+    needed = (_unless_added(change, adds) if change.value == _FALSE else change for change in flat)
+    return tuple(change for change in needed if change is not None)
 
 
 def _flat(effects: Effects, variables: tuple[Variable, ...], condition: Condition, early: bool, taken: set[str]) -> Iterator[Assignment]:
+    """Yield the assignments of effects inside these quantifiers and conditions; bound variables get names that are not taken."""
     for effect in effects:
         match effect:
             case Set(fluent, value, "scale-up" | "scale-down" as scaling):
@@ -62,51 +64,50 @@ def _flat(effects: Effects, variables: tuple[Variable, ...], condition: Conditio
                 yield Assignment(fluent, value, operation, condition, variables, early)
             case When(inner, then):
                 yield from _flat(then, variables, _both(condition, inner), early or effect.early, taken)
-            case ForEach(chosen, every):
-                own = {variable.name: _unused(variable.name, taken) for variable in chosen}
-                taken |= {*own.values()}
-                renamed = tuple(replace(variable, name=own[variable.name]) for variable in chosen)
-                yield from _flat(ground_effects(every, own), (*variables, *renamed), condition, early, taken)
+            case ForEach(bound, body):
+                fresh: dict[str, str] = {}
+                for variable in bound:
+                    names = chain((variable.name,), (f"{variable.name}-{number}" for number in count(1)))
+                    fresh[variable.name] = next(name for name in names if name not in taken)
+                taken |= {*fresh.values()}
+                renamed = tuple(replace(variable, name=fresh[variable.name]) for variable in bound)
+                yield from _flat(ground_effects(body, fresh), (*variables, *renamed), condition, early, taken)
 
 
-def _unused(name: str, taken: set[str]) -> str:
-    return name if name not in taken else next(other for number in count(1) if (other := f"{name}-{number}") not in taken)
-
-
-def _both(one: Condition, other: Condition) -> Condition:
-    parts = tuple(part for part in (*conjuncts(one), *conjuncts(other)) if part != TRUE)
+def _both(left: Condition, right: Condition) -> Condition:
+    parts = tuple(part for part in (*conjuncts(left), *conjuncts(right)) if part != TRUE)
     return parts[0] if len(parts) == 1 else All(parts)
 
 
-def _unless_added(deleted: Assignment, added: Iterable[Assignment]) -> Assignment | None:
+def _unless_added(delete: Assignment, adds: Iterable[Assignment]) -> Assignment | None:
     """Return the delete where no add of the same moment undoes it; None if one always does (PDDL 2.1, section 8)."""
-    for add in added:
-        if add.fluent == deleted.fluent and add.condition in (TRUE, deleted.condition):
+    for add in adds:
+        if add.fluent == delete.fluent and add.condition in (TRUE, delete.condition):
             return None
-        if add.fluent[0] != deleted.fluent[0]:
+        if add.fluent[0] != delete.fluent[0]:
             continue
-        apart = {variable.name: f"{variable.name}-added" for variable in add.variables}
-        pairs = [pair for pair in zip(deleted.fluent, bind(add.fluent, apart), strict=True) if pair[0] != pair[1]]
-        if pairs and not deleted.variables and not add.variables:
+        renamed = {variable.name: f"{variable.name}-added" for variable in add.variables}
+        different = [pair for pair in zip(delete.fluent, bind(add.fluent, renamed), strict=True) if pair[0] != pair[1]]
+        if different and not delete.variables and not add.variables:
             continue
-        if any(not one.startswith("?") and not other.startswith("?") for one, other in pairs):
+        if any(not deleted.startswith("?") and not added.startswith("?") for deleted, added in different):
             continue
-        equal = (Compare("=", Constant(one), Constant(other)) for one, other in pairs)
-        undone = _both(ground(add.condition, apart), All(tuple(equal)))
+        equal = (Compare("=", Constant(deleted), Constant(added)) for deleted, added in different)
+        undone = _both(ground(add.condition, renamed), All(tuple(equal)))
         if add.variables:
-            undone = Exists(tuple(replace(variable, name=apart[variable.name]) for variable in add.variables), undone)
-        deleted = replace(deleted, condition=_both(deleted.condition, Not(undone)))
-    return deleted
+            undone = Exists(tuple(replace(variable, name=renamed[variable.name]) for variable in add.variables), undone)
+        delete = replace(delete, condition=_both(delete.condition, Not(undone)))
+    return delete
 
 
-def moments(schema: ActionSchema) -> tuple[tuple[Assignment, ...], tuple[Assignment, ...]]:
-    """Return what the action does at its start and at its end."""
+def schema_assignments(schema: ActionSchema) -> tuple[tuple[Assignment, ...], tuple[Assignment, ...]]:
+    """Return the assignments at the start and at the end of the action."""
     return assignments(schema.start_effects, schema.parameters), assignments(schema.end_effects, schema.parameters)
 
 
-def doings(problem: Problem) -> Iterator[Assignment]:
-    """Yield what the actions do at any of their moments."""
-    return (one for schema in problem.domain.actions.values() for moment in moments(schema) for one in moment)
+def action_assignments(problem: Problem) -> Iterator[Assignment]:
+    """Yield the assignments of all actions, at their starts and ends."""
+    return (change for schema in problem.domain.actions.values() for moment in schema_assignments(schema) for change in moment)
 
 
 # --- functions and numbers -----------------------------------------------------------------
@@ -114,49 +115,31 @@ def doings(problem: Problem) -> Iterator[Assignment]:
 
 def functions_in_use(problem: Problem) -> frozenset[str]:
     """Return the functions on which the validity or the metric of a plan depends; others only count."""
-    done = [*doings(problem)]
-    found = {name for condition in conditions_of(problem) for name in names(condition)}
-    found |= {fluent[0] for bound in _bounds(problem) for fluent in expression_fluents(bound)}
+    changes = [*action_assignments(problem)]
+    used = {name for condition in conditions_of(problem) for name in names(condition)}
+    used |= {fluent[0] for bound in _duration_bounds(problem) for fluent in expression_fluents(bound)}
     if problem.metric:
-        found |= {fluent[0] for fluent in expression_fluents(problem.metric.expression)}
+        used |= {fluent[0] for fluent in expression_fluents(problem.metric.expression)}
     before = -1
-    while len(found) > before:
-        before = len(found)
-        found |= {fluent[0] for one in done if one.fluent[0] in found for fluent in expression_fluents(one.value)}
-    return frozenset(found) & frozenset(problem.domain.functions)
+    while len(used) > before:
+        before = len(used)
+        used |= {fluent[0] for change in changes if change.fluent[0] in used for fluent in expression_fluents(change.value)}
+    return frozenset(used) & frozenset(problem.domain.functions)
 
 
 def is_whole(problem: Problem, functions: frozenset[str]) -> bool:
-    """Tell whether all numbers are and stay whole that have to do with these functions."""
+    """Whether all numbers that have to do with these functions are whole and stay so."""
     stated = [*problem.init.items(), *(pair for change in problem.timed for pair in change.changes.items())]
+    parts = (part for condition in conditions_of(problem) for part in every_part(condition))
     expressions = [
         *(Constant(value) for fluent, value in stated if fluent[0] in functions),
         *(Constant(change.time) for change in problem.timed),
-        *(one.value for one in doings(problem) if one.fluent[0] in functions),
-        *(side for condition in conditions_of(problem) for side in _sides(condition)),
-        *_bounds(problem),
+        *(change.value for change in action_assignments(problem) if change.fluent[0] in functions),
+        *(side for part in parts if isinstance(part, Compare) for side in (part.left, part.right)),
+        *_duration_bounds(problem),
         *((problem.metric.expression,) if problem.metric else ()),
     ]
     return all(map(_is_whole, expressions))
-
-
-def conditions_of(problem: Problem) -> Iterator[Condition]:
-    """Yield every condition that decides about a plan."""
-    yield problem.goal
-    for schema in problem.domain.actions.values():
-        yield from (schema.precondition, schema.invariant, schema.end_condition)
-    yield from (one.condition for one in doings(problem))
-    for constraint in (*problem.domain.constraints, *problem.constraints):
-        yield from constraint.conditions
-
-
-def _bounds(problem: Problem) -> Iterator[Expression]:
-    return (constraint.bound for schema in problem.domain.actions.values() for constraint in schema.duration or ())
-
-
-def _sides(condition: Condition) -> Iterator[Expression]:
-    """Yield what the condition compares."""
-    return (side for part in every_part(condition) if isinstance(part, Compare) for side in (part.left, part.right))
 
 
 def _is_whole(expression: Expression) -> bool:
@@ -169,16 +152,29 @@ def _is_whole(expression: Expression) -> bool:
             return True
 
 
+def conditions_of(problem: Problem) -> Iterator[Condition]:
+    """Yield every condition that decides about the validity of a plan."""
+    yield problem.goal
+    for schema in problem.domain.actions.values():
+        yield from (schema.precondition, schema.invariant, schema.end_condition)
+    yield from (change.condition for change in action_assignments(problem))
+    for constraint in (*problem.domain.constraints, *problem.constraints):
+        yield from constraint.conditions
+
+
+def _duration_bounds(problem: Problem) -> Iterator[Expression]:
+    return (constraint.bound for schema in problem.domain.actions.values() for constraint in schema.duration or ())
+
+
 def cost_function(problem: Problem) -> str | None:
-    """Return the function that the metric minimises if all that happens to it is that actions add to it."""
+    """Return the function that the metric minimises, if nothing reads it and actions only add to it; else None."""
     match problem.metric:
         case Metric("minimize", ValueOf((name,))) if name in problem.domain.functions:
-            if name not in functions_in_use(replace(problem, metric=None)) and all(
-                _is_cost(one) for one in doings(problem) if one.fluent[0] == name
-            ):
+            changes = [change for change in action_assignments(problem) if change.fluent[0] == name]
+            only_added = all(
+                change.is_plain and change.operation == "increase" and change.fluent not in expression_fluents(change.value)
+                for change in changes
+            )
+            if only_added and name not in functions_in_use(replace(problem, metric=None)):
                 return name
     return None
-
-
-def _is_cost(one: Assignment) -> bool:
-    return one.is_plain and one.operation == "increase" and one.fluent not in expression_fluents(one.value)

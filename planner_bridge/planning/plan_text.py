@@ -1,8 +1,9 @@
-"""Plans as planners print them: one call a line, such as ``0.0: (move r1 hall kitchen) [5.0]``, times optional."""
+"""Plans as text, as planners print them: one call a line, such as ``0.0: (move r1 hall kitchen) [5.0]``, times optional."""
 
 from __future__ import annotations
 
 import re
+from operator import attrgetter
 from typing import Final
 
 from planner_bridge.model.grounding import initial_knowledge, modelled_duration
@@ -12,7 +13,7 @@ from pnm.core.logic.domain import ActionSchema
 from pnm.errors import InputError, Position, suggestion
 
 _LINE: Final = re.compile(r"\s*(?:(?P<time>[0-9.eE+-]+)\s*:)?\s*\((?P<call>[^()]*)\)\s*(?:\[(?P<duration>[0-9.eE+-]+)\])?\s*")
-_APART: Final = 0.001
+_GAP: Final = 0.001
 """Seconds between the end of a call and the start of the next one, where the text has no times."""
 LONGEST: Final = 1_000_000
 """Characters of a plan."""
@@ -22,12 +23,12 @@ def read_plan(text: str, problem: Problem, name: str = "plan") -> Plan:
     """Read a plan for the problem.
 
     Args:
-        text: the lines; what follows a semicolon, and empty lines, do not count.
-        problem: whose actions and objects it names.
-        name: what errors call the text.
+        text: the lines; comments, from a semicolon on, and empty lines do not count.
+        problem: has the actions and objects.
+        name: the name of the text in errors.
 
     Raises:
-        InputError: a line is not a call, or names what the problem does not have.
+        InputError: a line is not a call, or names an action or object that the problem does not have.
     """
     if len(text) > LONGEST:
         raise InputError(f"{name}: {len(text)} characters; a plan may have {LONGEST}")
@@ -38,15 +39,15 @@ def read_plan(text: str, problem: Problem, name: str = "plan") -> Plan:
         if content.strip():
             step = _step(content, problem, Position(name, number, len(content) - len(content.lstrip()) + 1), now)
             steps.append(step)
-            now = step.start + step.duration + _APART
-    return Plan(tuple(sorted(steps, key=lambda one: one.start)), problem.is_timed)
+            now = step.start + step.duration + _GAP
+    return Plan(tuple(sorted(steps, key=attrgetter("start"))), problem.is_timed)
 
 
 def _step(line: str, problem: Problem, position: Position, now: float) -> PlanStep:
-    found = _LINE.fullmatch(line)
-    if found is None or not found["call"].split():
+    match = _LINE.fullmatch(line)
+    if match is None or not match["call"].split():
         raise InputError(f"expected a call such as (move r1 hall kitchen), found {line.strip()[:60]!r}", position)
-    action, *arguments = found["call"].lower().split()
+    action, *arguments = match["call"].lower().split()
     schema = problem.domain.actions.get(action)
     if schema is None:
         hint = (
@@ -54,15 +55,15 @@ def _step(line: str, problem: Problem, position: Position, now: float) -> PlanSt
             or f"expected one of {', '.join(problem.domain.actions) or 'none, for there is no domain'}"
         )
         raise InputError(f"there is no action {action!r}; {hint}", position)
-    _check(schema, tuple(arguments), problem, position)
-    duration = _number(found["duration"], position)
+    _check_arguments(schema, tuple(arguments), problem, position)
+    duration = _number(match["duration"], position)
     if duration is None:
         duration = modelled_duration(schema, tuple(arguments), initial_knowledge(problem))
-    start = _number(found["time"], position)
+    start = _number(match["time"], position)
     return PlanStep(action, tuple(arguments), now if start is None else start, duration or 0.0)
 
 
-def _check(schema: ActionSchema, arguments: tuple[str, ...], problem: Problem, position: Position) -> None:
+def _check_arguments(schema: ActionSchema, arguments: tuple[str, ...], problem: Problem, position: Position) -> None:
     if len(arguments) != len(schema.parameters):
         expected = " ".join(variable.name for variable in schema.parameters) or "none"
         raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(arguments)}", position)
@@ -81,7 +82,7 @@ def _number(text: str | None, position: Position) -> float | None:
 
 
 def plan_text(plan: Plan) -> str:
-    """Write the plan in the format of the planning competitions."""
+    """Return the plan in the format of the planning competitions."""
     if not plan.temporal:
         return "".join(f"({' '.join((step.action, *step.arguments))})\n" for step in plan.steps)
     return "".join(f"{step.start:.6f}: ({' '.join((step.action, *step.arguments))}) [{step.duration:.6f}]\n" for step in plan.steps)

@@ -1,9 +1,9 @@
-"""Several planners at once on the same problem: the first valid plan counts, and the others are stopped.
+"""A portfolio of planners on the same problem: the first valid plan counts, and the other searches are stopped.
 
 The planners run in a `concurrent.futures.Executor`: by default processes of this machine, and
 any other that the caller supplies, a cluster's as well. What is submitted is a function of this
-module with plain data. That a race is over is written in a file: jobs that see the same file
-system stop at once, any other at its time limit.
+module with plain data. A stop file ends the searches: jobs that see the same file system stop at
+once, any other at its time limit.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
 
-from planner_bridge.model.plan import PlanningResult, PlanningStatus, Stop
+from planner_bridge.model.plan import CancelToken, PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pddl.write.writer import write_domain, write_problem
-from planner_bridge.planning.engine_process import START
-from planner_bridge.planning.engines import ENGINES, Feature, features, require
+from planner_bridge.planning.engine_process import START_LIMIT
+from planner_bridge.planning.engines import ENGINES, Feature, problem_kind, require_installed
 from planner_bridge.planning.kairos import DEFAULT_PLANNER
 from planner_bridge.planning.search import search
 from planner_bridge.planning.validate import validated
 from pnm.errors import InputError, suggestion
 
 _GRACE: Final = 2.0
-"""Seconds that a process gets to end by itself when the race is over."""
+"""Seconds that a process gets to end by itself once the stop file is there."""
 _POLL: Final = 0.05
 
-_TELLING: Final = (
+_FAILURES: Final = (
     PlanningStatus.DISAGREEMENT,
     PlanningStatus.TIMED_OUT,
     PlanningStatus.OUT_OF_MEMORY,
@@ -50,109 +50,75 @@ _TELLING: Final = (
     PlanningStatus.UNSUPPORTED,
     PlanningStatus.CANCELLED,
 )
-"""Reasons why there is no plan; the first that one of the planners gives is that of the race."""
+"""Reasons why there is no plan, the most telling first: the first that one of the planners gives is that of the portfolio."""
 
 
-def race(
+def solve_with_portfolio(
     problem: Problem,
     *,
     planners: tuple[str, ...] | None = None,
     timeout: float = 30.0,
     executor: Executor | None = None,
-    cancel: Stop | None = None,
+    cancel: CancelToken | None = None,
 ) -> PlanningResult:
     """Let planners search at the same time, at most `timeout` seconds, and return the first valid plan.
 
     Args:
         problem: what is to be solved.
-        planners: who takes part; by default Kairos and the engines of `ENGINES` that are there and suit the problem.
+        planners: the members; by default Kairos and the engines of `ENGINES` that are installed and suit the problem.
         timeout: seconds that each may search, besides the time to load it.
         executor: runs them; by default each gets a process of its own, which is gone when this returns.
-        cancel: set from elsewhere when nobody wants the plan any more.
+        cancel: set from another thread to end the search.
 
     Raises:
         InputError: a planner is not known, or is not installed here and would run here.
     """
-    names = entrants(problem) if planners is None else _known(planners)
+    names = suitable_planners(problem) if planners is None else _known(planners)
     if not names:
         return PlanningResult(PlanningStatus.UNSUPPORTED, message="no planner that is installed here suits the problem")
     if executor is None:
-        check_entrants(names)
+        check_members(names)
     texts = write_domain(problem.domain), write_problem(problem)
     folder = Path(tempfile.mkdtemp(prefix="pnm-race-"))
-    over = folder / "over"
-    pool = executor or _Processes(over)
-    running: dict[Future[PlanningResult], str] = {}
+    stop_file = folder / "over"
+    pool = executor or _ProcessPerJob(stop_file)
+    searches: dict[Future[PlanningResult], str] = {}
     try:
         for name in names:
-            running[_submitted(pool, compete, *texts, name, timeout, str(over))] = name
-        return _first(problem, running, time.monotonic() + timeout + START, cancel or threading.Event())
+            searches[_submit(pool, search_in_worker, *texts, name, timeout, str(stop_file))] = name
+        return _first_decisive(problem, searches, time.monotonic() + timeout + START_LIMIT, cancel or threading.Event())
     finally:
-        over.touch()
-        for future in running:
+        stop_file.touch()
+        for future in searches:
             future.cancel()
         if executor is None:
             pool.shutdown()
-        _when_all_have_ended({*running}, lambda: shutil.rmtree(folder, ignore_errors=True))
+        _when_all_have_ended({*searches}, lambda: shutil.rmtree(folder, ignore_errors=True))
 
 
-def entrants(problem: Problem) -> tuple[str, ...]:
-    """Return the planners that are there and suit the problem, Kairos first."""
-    asked = features(problem)
-    kairos = () if Feature.TASKS in asked else (DEFAULT_PLANNER,)
-    return (*kairos, *(engine.name for engine in ENGINES.values() if asked <= engine.takes and engine.is_there))
+def suitable_planners(problem: Problem) -> tuple[str, ...]:
+    """Return the planners that are installed and suit the problem, Kairos first."""
+    kind = problem_kind(problem)
+    kairos = () if Feature.TASKS in kind else (DEFAULT_PLANNER,)
+    return (*kairos, *(engine.name for engine in ENGINES.values() if kind <= engine.supports and engine.is_installed))
 
 
-def check_entrants(planners: tuple[str, ...]) -> None:
-    """See to it that these planners can take part in a race here.
+def check_members(planners: tuple[str, ...]) -> None:
+    """Refuse a portfolio one of whose planners cannot search here.
 
     Raises:
         InputError: one of them is not known, or is not installed here.
     """
     for name in _known(planners):
-        require(name)
+        require_installed(name)
 
 
-def compete(domain: str, problem: str, planner: str, timeout: float, over: str) -> PlanningResult:
-    """Search with one of the planners, until the file appears that says that the race is over."""
+def search_in_worker(domain: str, problem: str, planner: str, timeout: float, stop_file: str) -> PlanningResult:
+    """Search with one of the planners, until the stop file appears; the arguments are plain data, so that any executor can pass them."""
     try:
-        return search(parse_problem(problem, parse_domain(domain)), planner, timeout, _Over(Path(over)))
+        return search(parse_problem(problem, parse_domain(domain)), planner, timeout, _StopFile(Path(stop_file)))
     except InputError as error:
         return PlanningResult(PlanningStatus.INVALID, message=str(error))
-
-
-# --- the course of a race ------------------------------------------------------------------
-
-
-def _first(problem: Problem, running: Mapping[Future[PlanningResult], str], deadline: float, cancel: Stop) -> PlanningResult:
-    """Return the first result that decides the race, or what all results together say."""
-    results: list[PlanningResult] = []
-    waiting = {*running}
-    while waiting and time.monotonic() < deadline:
-        if cancel.is_set():
-            return PlanningResult(PlanningStatus.CANCELLED, planner=", ".join(running.values()))
-        ended, waiting = wait(waiting, timeout=_POLL, return_when=FIRST_COMPLETED)
-        for future in (one for one in running if one in ended):
-            result = validated(problem, replace(_result(future), planner=running[future]))
-            if result.plan is not None or result.status is PlanningStatus.UNSOLVABLE:
-                return replace(result, message="; ".join(filter(None, (*map(_told, results), result.message))))
-            results.append(result)
-    results += (PlanningResult(PlanningStatus.TIMED_OUT, planner=name) for future, name in running.items() if future in waiting)
-    status = min((result.status for result in results), key=_TELLING.index)
-    return PlanningResult(status, message="; ".join(map(_told, results)), planner=", ".join(running.values()))
-
-
-def _result(future: Future[PlanningResult]) -> PlanningResult:
-    try:
-        return future.result()
-    except CancelledError:
-        return PlanningResult(PlanningStatus.CANCELLED, message="by the executor")
-    except Exception as error:  # whatever befell the planner or the process it ran in
-        return PlanningResult(PlanningStatus.CRASHED, message=f"{type(error).__name__}: {error}")
-
-
-def _told(result: PlanningResult) -> str:
-    return f"{result.planner}: {result.reason}"
 
 
 def _known(planners: tuple[str, ...]) -> tuple[str, ...]:
@@ -163,39 +129,75 @@ def _known(planners: tuple[str, ...]) -> tuple[str, ...]:
     """
     for name in planners:
         if name != DEFAULT_PLANNER and name not in ENGINES:
-            able = (DEFAULT_PLANNER, *ENGINES)
-            hint = suggestion(name, able)
-            raise InputError(f"{name!r} cannot take part in a race; these can: {', '.join(able)}{f'; {hint}' if hint else ''}")
+            known = (DEFAULT_PLANNER, *ENGINES)
+            hint = suggestion(name, known)
+            raise InputError(f"{name!r} cannot take part in a race; these can: {', '.join(known)}{f'; {hint}' if hint else ''}")
     return tuple(dict.fromkeys(planners))
+
+
+# --- results -------------------------------------------------------------------------------
+
+
+def _first_decisive(
+    problem: Problem, searches: Mapping[Future[PlanningResult], str], deadline: float, cancel: CancelToken
+) -> PlanningResult:
+    """Return the first valid plan or proof that there is none; else the reasons of all planners together."""
+    failed: list[PlanningResult] = []
+    waiting = {*searches}
+    while waiting and time.monotonic() < deadline:
+        if cancel.is_set():
+            return PlanningResult(PlanningStatus.CANCELLED, planner=", ".join(searches.values()))
+        ended, waiting = wait(waiting, timeout=_POLL, return_when=FIRST_COMPLETED)
+        for future in (future for future in searches if future in ended):
+            result = validated(problem, replace(_result(future), planner=searches[future]))
+            if result.plan is not None or result.status is PlanningStatus.UNSOLVABLE:
+                return replace(result, message="; ".join(filter(None, (*map(_reason, failed), result.message))))
+            failed.append(result)
+    failed += (PlanningResult(PlanningStatus.TIMED_OUT, planner=name) for future, name in searches.items() if future in waiting)
+    status = min((result.status for result in failed), key=_FAILURES.index)
+    return PlanningResult(status, message="; ".join(map(_reason, failed)), planner=", ".join(searches.values()))
+
+
+def _result(search: Future[PlanningResult]) -> PlanningResult:
+    try:
+        return search.result()
+    except CancelledError:
+        return PlanningResult(PlanningStatus.CANCELLED, message="by the executor")
+    except Exception as error:  # whatever befell the planner or the process it ran in
+        return PlanningResult(PlanningStatus.CRASHED, message=f"{type(error).__name__}: {error}")
+
+
+def _reason(result: PlanningResult) -> str:
+    return f"{result.planner}: {result.reason}"
 
 
 # --- processes -----------------------------------------------------------------------------
 
 
-class _Over:
-    """Set as soon as the file is there, or its folder gone; never on a machine that has not seen the folder."""
+class _StopFile:
+    """A cancel token: set once the file exists or its folder is gone; never on a machine that has not seen the folder."""
 
     def __init__(self, file: Path) -> None:
         self._file = file
-        self._sees = file.parent.exists()
+        self._is_shared = file.parent.exists()
 
     def is_set(self) -> bool:
-        return self._sees and (self._file.exists() or not self._file.parent.exists())
+        return self._is_shared and (self._file.exists() or not self._file.parent.exists())
 
 
-class _Processes(Executor):
-    """A new process for every job, so that one that crashes takes no other with it.
+class _ProcessPerJob(Executor):
+    """An executor with a new process for every job, so that one that crashes takes no other with it.
 
-    A process is ended from within when the race is over or our process is gone, whatever its job does.
+    A process ends itself when the stop file appears or our process is gone, whatever its job does.
     """
 
-    def __init__(self, over: Path) -> None:
-        self._over = over
+    def __init__(self, stop_file: Path) -> None:
+        self._stop_file = stop_file
         self._pools: list[ProcessPoolExecutor] = []
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         spawn = multiprocessing.get_context("spawn")  # we may have threads, which do not survive a fork
-        pool = ProcessPoolExecutor(1, mp_context=spawn, initializer=_begin, initargs=(str(self._over),))
+        pool = ProcessPoolExecutor(1, mp_context=spawn, initializer=_begin_process, initargs=(str(self._stop_file),))
         self._pools.append(pool)
         with _no_main_module():
             return pool.submit(fn, *args, **kwargs)
@@ -216,22 +218,22 @@ def _no_main_module() -> Iterator[None]:
         sys.modules["__main__"] = main
 
 
-def _begin(over: str) -> None:
-    """Begin a process: leave Ctrl-C to the parent, and see to it that this process ends."""
+def _begin_process(stop_file: str) -> None:
+    """Leave Ctrl-C to the parent, and watch for the end of the search in a thread."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end, args=(Path(over),), daemon=True).start()
+    threading.Thread(target=_exit_when_stopped, args=(Path(stop_file),), daemon=True).start()
 
 
-def _end(over: Path) -> None:
+def _exit_when_stopped(stop_file: Path) -> None:
     parent = multiprocessing.parent_process()
-    while parent and parent.is_alive() and not over.exists():
+    while parent and parent.is_alive() and not stop_file.exists():
         parent.join(_POLL)
     if parent:
         parent.join(_GRACE)
     os._exit(1)
 
 
-def _submitted(pool: Executor, *call: Any) -> Future[PlanningResult]:
+def _submit(pool: Executor, *call: Any) -> Future[PlanningResult]:
     """Submit a call; an executor that takes none any more is as bad as one that fails."""
     try:
         return pool.submit(*call)

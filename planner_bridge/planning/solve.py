@@ -1,7 +1,7 @@
-"""Problem → Plan: Kairos in this process by default, any other engine in a child process, or several at once.
+"""Problem → plan: solve → search → Kairos in this process, or an engine in a process of its own; a portfolio searches with several.
 
-Every plan is validated before it is returned. A limit in seconds bounds every search, and a
-search can be cancelled from another thread.
+Every plan is validated before it is returned (`planner_bridge.planning.validate`). A limit in seconds bounds every
+search, and a search can be cancelled from another thread.
 """
 
 from __future__ import annotations
@@ -9,17 +9,18 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING, Final
 
-from planner_bridge.model.plan import PlanningResult, Stop
+from planner_bridge.model.plan import CancelToken, PlanningResult
 from planner_bridge.model.problem import Problem
-from planner_bridge.planning.kairos import DEFAULT_PLANNER, accepted, has_task_network, kairos_plan
+from planner_bridge.planning.kairos import DEFAULT_PLANNER, parse_for_kairos
 from planner_bridge.planning.search import search
 from planner_bridge.planning.validate import validated
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-RACE: Final = "race"
-_RACE_OF: Final = f"{RACE}:"
+PORTFOLIO: Final = "race"
+"""The planner's name for a portfolio of what is installed; ``race:kairos,aries`` names its members."""
+_PORTFOLIO_OF: Final = f"{PORTFOLIO}:"
 
 
 def solve(
@@ -27,7 +28,7 @@ def solve(
     *,
     planner: str = DEFAULT_PLANNER,
     timeout: float = 30.0,
-    cancel: Stop | None = None,
+    cancel: CancelToken | None = None,
     executor: Executor | None = None,
 ) -> PlanningResult:
     """Search for a plan, at most `timeout` seconds, and validate it.
@@ -36,51 +37,43 @@ def solve(
         problem: what is to be solved.
         planner: kairos, an engine of unified-planning, ``race`` for several at once, or ``race:kairos,aries`` for these.
         timeout: seconds that the search may take, besides the time to load a planner.
-        cancel: set from elsewhere when nobody wants the plan any more.
-        executor: runs the planners of a race; a process pool by default.
+        cancel: set from another thread to end the search.
+        executor: runs the planners of a portfolio; a process pool by default.
 
     Raises:
         InputError: the planner refuses the problem, is not known, or is not installed.
     """
     stop = cancel or threading.Event()
-    if planner == RACE or planner.startswith(_RACE_OF):
-        from planner_bridge.planning.portfolio import race  # here, because most searches are no races
+    if planner == PORTFOLIO or planner.startswith(_PORTFOLIO_OF):
+        from planner_bridge.planning.portfolio import solve_with_portfolio  # here, because most searches use one planner
 
-        named = None if planner == RACE else _named(planner)
-        return race(problem, planners=named, timeout=timeout, executor=executor, cancel=stop)
-    if planner == DEFAULT_PLANNER and not has_task_network(problem):
-        loaded = accepted(problem)
-        return validated(problem, kairos_plan(loaded, problem, timeout, stop), loaded)
-    return validated(problem, search(problem, planner, timeout, stop))
+        members = None if planner == PORTFOLIO else _portfolio_members(planner)
+        return solve_with_portfolio(problem, planners=members, timeout=timeout, executor=executor, cancel=stop)
+    parsed = parse_for_kairos(problem) if planner == DEFAULT_PLANNER else None  # once, for its search and its validator
+    return validated(problem, search(problem, planner, timeout, stop, parsed), parsed)
 
 
-def check_planner(planner: str, cancel: Stop | None = None) -> None:
-    """See to it that there is such a planner, before anybody needs it; one that we do not know ourselves takes some seconds.
+def check_planner(planner: str, cancel: CancelToken | None = None) -> None:
+    """Refuse a planner that is not known or not installed, before it is needed; looking up an unfamiliar name takes some seconds.
 
     Args:
         planner: as for `solve`.
-        cancel: set from elsewhere when nobody wants to know any more.
+        cancel: set from another thread to end the check.
 
     Raises:
         InputError: it is not known, or something has to be installed first.
     """
-    if planner in (DEFAULT_PLANNER, RACE):
+    if planner in (DEFAULT_PLANNER, PORTFOLIO):
         return
-    if planner.startswith(_RACE_OF):
-        from planner_bridge.planning.portfolio import check_entrants  # here and below, because Kairos needs neither
+    if planner.startswith(_PORTFOLIO_OF):
+        from planner_bridge.planning.portfolio import check_members  # here and below, because Kairos needs neither
 
-        check_entrants(_named(planner))
+        check_members(_portfolio_members(planner))
     else:
         from planner_bridge.planning.engine_process import check_engine
 
         check_engine(planner, cancel or threading.Event())
 
 
-def _named(race: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in race.removeprefix(_RACE_OF).split(","))
-
-
-# --- validation ----------------------------------------------------------------------------
-
-
-# --- Kairos --------------------------------------------------------------------------------
+def _portfolio_members(planner: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in planner.removeprefix(_PORTFOLIO_OF).split(","))

@@ -1,4 +1,4 @@
-"""Does a plan solve its problem? Judged by our own semantics, the one that is executed.
+"""Plan validation: our own validator, by the semantics that is executed, beside that of Kairos.
 
 The rules are those of PDDL 2.1 (section 8) and 2.2, read as Kairos' validator reads them:
 
@@ -35,7 +35,7 @@ import kairos
 
 from planner_bridge.model.grounding import ground_action, initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, PlanStep
-from planner_bridge.model.plan_simulation import Course, Denied, expected_and_observed, snapshot
+from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, expected_and_observed, snapshot
 from planner_bridge.model.problem import Problem
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.plan_text import plan_text
@@ -44,7 +44,7 @@ from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import assignments, possible_assignments
 from pnm.core.logic.evaluation import TOLERANCE, evaluate
 from pnm.core.logic.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, fluent_text, value_of
-from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, moments, observed_of, progressed
+from pnm.core.logic.trajectory import Constraint, moments, observed_of
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
 from pnm.errors import PnmError
 
@@ -64,9 +64,8 @@ def why_invalid(problem: Problem, plan: Plan) -> str:
     """Return why the plan does not solve the problem, in one sentence; empty when it does."""
     try:
         constraints = (*problem.domain.constraints, *problem.constraints)
-        looks = sorted({time for constraint in constraints for time in moments(constraint)})
-        for _ in _kept(constraints, _course(problem, plan, looks)):
-            pass
+        samples = sorted({time for constraint in constraints for time in moments(constraint)})
+        _check_constraints(constraints, _states(problem, plan, samples))
     except InvalidPlan as reason:
         return str(reason)
     return ""
@@ -78,52 +77,47 @@ def trace(problem: Problem, plan: Plan) -> tuple[tuple[float, KnowledgeBase], ..
     Raises:
         InvalidPlan: the plan does not solve the problem.
     """
-    return tuple((time, snapshot(state)) for time, state in _course(problem, plan))
+    return tuple((time, snapshot(state)) for time, state in _states(problem, plan))
 
 
-def _kept(constraints: Iterable[Constraint], course: Iterator[tuple[float, KnowledgeBase]]) -> Iterator[tuple[float, KnowledgeBase]]:
-    """Yield the course as it is while it keeps the trajectory constraints."""
-    time, state = next(course)
-    left = {one: progressed((one,), state, time) for constraint in constraints for one in instances(constraint, state)}
-    yield time, state
-    for time, state in course:
-        left = {constraint: progressed(rest, state, time) for constraint, rest in left.items()}
-        for constraint, rest in left.items():
-            if IMPOSSIBLE in rest:
-                raise InvalidPlan(f"{constraint} is violated at {time:g} s: {observed_of(constraint, state)}")
-        yield time, state
-    for constraint, rest in left.items():
-        if not is_fulfilled(rest, state, time):
-            raise InvalidPlan(f"{constraint} is not fulfilled at the end: {observed_of(constraint, state)}")
+def _check_constraints(constraints: Iterable[Constraint], states: Iterator[tuple[float, KnowledgeBase]]) -> None:
+    """Go through the states, and refuse a plan that violates a trajectory constraint."""
+    time, state = next(states)
+    progression = ConstraintProgression(constraints, state, time)
+    for time, state in states:
+        if violated := progression.advance(state, time):
+            raise InvalidPlan(f"{violated} is violated at {time:g} s: {observed_of(violated, state)}")
+    for constraint in progression.unfulfilled(state, time):
+        raise InvalidPlan(f"{constraint} is not fulfilled at the end: {observed_of(constraint, state)}")
 
 
-def _course(problem: Problem, plan: Plan, looks: Iterable[float] = ()) -> Iterator[tuple[float, KnowledgeBase]]:
+def _states(problem: Problem, plan: Plan, samples: Iterable[float] = ()) -> Iterator[tuple[float, KnowledgeBase]]:
     """Yield the initial state and the state after each happening, with their times: always the same object, which changes.
 
-    At the moments given besides, the state in force is yielded again.
+    At the sample times the state in force is yielded again.
     """
-    waiting = deque(looks)
+    waiting = deque(samples)
     steps = _steps(problem, plan)
-    course = Course(initial_knowledge(problem))
-    yield 0.0, course.state
+    simulation = PlanSimulation(initial_knowledge(problem))
+    yield 0.0, simulation.state
     for happening in _happenings(problem, steps):
         when = f" at {happening.time:g} s" if plan.temporal else ""
         while waiting and waiting[0] < happening.time - TOLERANCE:
-            yield waiting.popleft(), course.state
+            yield waiting.popleft(), simulation.state
         for event in happening.events:
             if event.moment is Moment.START:
-                steps[event.call].check_duration(course.state)
-        _check_interference(happening, steps, course, when)
+                steps[event.call].check_duration(simulation.state)
+        _check_interference(happening, steps, simulation, when)
         try:
-            changes = course.happen([(event, steps[event.call].action) for event in happening.events], happening.timed)
-        except Denied as denied:
-            raise InvalidPlan(f"{steps[denied.call]} cannot {denied.deed}{when}: {denied}") from denied
+            changes = simulation.advance([(event, steps[event.call].action) for event in happening.events], happening.timed)
+        except NotApplicable as error:
+            raise InvalidPlan(f"{steps[error.call]} cannot {error.stage}{when}: {error}") from error
         for fluent, value in changes.items():
             if value is UNKNOWN and fluent[0].lower() != _MAY_BE_UNSET:
                 raise InvalidPlan(f"{fluent_text(fluent)} is changed{when}, but it has no value, or is given none")
-        yield happening.time, course.state
-    if evaluate(problem.goal, course.state) is not True:
-        raise InvalidPlan(f"the goal does not hold at the end: {expected_and_observed(problem.goal, course.state)}")
+        yield happening.time, simulation.state
+    if evaluate(problem.goal, simulation.state) is not True:
+        raise InvalidPlan(f"the goal does not hold at the end: {expected_and_observed(problem.goal, simulation.state)}")
 
 
 # --- steps ---------------------------------------------------------------------------------
@@ -136,7 +130,7 @@ class _Step:
     action: GroundAction
     start: float
     duration: float
-    """0 when the action is instantaneous."""
+    """In seconds; 0 when the action is instantaneous."""
 
     def __str__(self) -> str:
         return f"step {self.number}, {self.action},"
@@ -154,21 +148,17 @@ class _Step:
 
 
 def _steps(problem: Problem, plan: Plan) -> list[_Step]:
-    """Return the steps with what they stand for.
-
-    Raises:
-        InvalidPlan: there is no such action, an argument or its type is wrong, or a time is no time.
-    """
-    objects = {kind: frozenset(names) for kind, names in problem.objects_by_type.items()}
-    found: list[_Step] = []
+    """Return the steps with their ground actions; a step that is none, because a name, a type or a time is wrong, is refused."""
+    objects = {name: frozenset(members) for name, members in problem.objects_by_type.items()}
+    steps: list[_Step] = []
     for index, step in enumerate(plan.steps):
         if wrong := _wrong(step, problem, objects):
             raise InvalidPlan(f"step {index + 1}, {step}, {wrong}")
         schema = problem.domain.actions[step.action]
         duration = None if schema.duration is None else step.duration
         start = step.start if plan.temporal else float(index)
-        found.append(_Step(index + 1, schema, ground_action(schema, step.arguments, duration), start, duration or 0.0))
-    return found
+        steps.append(_Step(index + 1, schema, ground_action(schema, step.arguments, duration), start, duration or 0.0))
+    return steps
 
 
 def _wrong(step: PlanStep, problem: Problem, objects: Mapping[str, frozenset[str]]) -> str:
@@ -192,96 +182,100 @@ def _wrong(step: PlanStep, problem: Problem, objects: Mapping[str, frozenset[str
 
 @dataclass(frozen=True, slots=True)
 class _Happening:
-    """What happens at one time."""
+    """The events of one time."""
 
     time: float
     events: list[PlanEvent] = field(default_factory=list)
     """Of every step its start before its end."""
     timed: dict[Fluent, Value] = field(default_factory=dict)
-    """What changes by itself."""
+    """Facts that change by themselves."""
 
 
 def _happenings(problem: Problem, steps: Sequence[_Step]) -> list[_Happening]:
-    """Return what happens, in the order of time."""
+    """Return the happenings in the order of time."""
     times = [(step.start, _START, index) for index, step in enumerate(steps)]
     times += [(step.start + step.duration, _END, index) for index, step in enumerate(steps)]
     times += [(change.time, _TIMED, index) for index, change in enumerate(problem.timed)]
-    found: list[_Happening] = []
+    happenings: list[_Happening] = []
     for time, kind, index in sorted(times):
-        if not found or time - found[-1].time > TOLERANCE:
-            found.append(_Happening(time))
+        if not happenings or time - happenings[-1].time > TOLERANCE:
+            happenings.append(_Happening(time))
         if kind == _TIMED:
-            found[-1].timed.update(problem.timed[index].changes)
+            happenings[-1].timed.update(problem.timed[index].changes)
         else:
-            found[-1].events.append(PlanEvent(index, Moment.START if kind == _START else Moment.END))
-    return found
+            happenings[-1].events.append(PlanEvent(index, Moment.START if kind == _START else Moment.END))
+    return happenings
 
 
 @dataclass(frozen=True, slots=True)
-class _Watched:
-    """A state that notes what is looked at."""
+class _ReadRecorder:
+    """A state that records which fluents are read."""
 
     state: State
-    seen: set[Fluent] = field(default_factory=set)
+    read: set[Fluent] = field(default_factory=set)
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
-        self.seen.add(fluent)
+        self.read.add(fluent)
         return self.state.value(fluent)
 
     def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
         return self.state.objects(types)
 
 
-def _check_interference(happening: _Happening, steps: Sequence[_Step], course: Course, when: str) -> None:
+def _check_interference(happening: _Happening, steps: Sequence[_Step], simulation: PlanSimulation, when: str) -> None:
+    """Refuse two steps at one happening of which one changes what the other reads, or both the same fluent in different ways."""
     if len({event.call for event in happening.events}) + bool(happening.timed) < 2:
         return
     readers: dict[Fluent, list[int]] = {}
     writers: dict[Fluent, list[tuple[int, str]]] = {}
     for event in happening.events:
-        action = course.running.get(event.call, steps[event.call].action)
+        action = simulation.running.get(event.call, steps[event.call].action)
         starts = event.moment is Moment.START
-        watched = _Watched(course.state)
-        evaluate(action.precondition if starts else action.end_condition, watched)
+        recorder = _ReadRecorder(simulation.state)
+        evaluate(action.precondition if starts else action.end_condition, recorder)
         effects = action.start_effects if starts else action.end_effects
-        for fluent, effect, _ in assignments(effects, watched):
-            writers.setdefault(fluent, []).append((event.call, _way(effect.operation, effect.value)))
-        for _, effect, env in possible_assignments(effects, watched):
-            value_of(effect.value, watched, env)
-        for fluent in watched.seen:
+        for fluent, effect, _ in assignments(effects, recorder):
+            writers.setdefault(fluent, []).append((event.call, _kind_of_change(effect.operation, effect.value)))
+        for _, effect, env in possible_assignments(effects, recorder):
+            value_of(effect.value, recorder, env)
+        for fluent in recorder.read:
             readers.setdefault(fluent, []).append(event.call)
     for fluent, value in happening.timed.items():
-        writers.setdefault(fluent, []).append((_BY_ITSELF, _way("assign", Constant(value))))
+        writers.setdefault(fluent, []).append((_BY_ITSELF, _kind_of_change("assign", Constant(value))))
     for fluent, written in writers.items():
         read = readers.get(fluent, [])
         involved = {call for call, _ in written}.union(read)
-        ways = {way for _, way in written}
-        if len(involved) > 1 and (read or len(ways) > 1 or ways == {"assign"}):
-            first, second = ("what changes by itself" if one == _BY_ITSELF else f"{steps[one]}" for one in sorted(involved)[:2])
+        kinds = {kind for _, kind in written}
+        if len(involved) > 1 and (read or len(kinds) > 1 or kinds == {"assign"}):
+            first, second = ("what changes by itself" if call == _BY_ITSELF else f"{steps[call]}" for call in sorted(involved)[:2])
             raise InvalidPlan(
                 f"{first} and {second} get in each other's way{when}: both have to do with {fluent_text(fluent)}, which changes"
             )
 
 
-def _way(operation: str, value: Expression) -> str:
-    """Return how a fluent is changed, as far as it matters to whoever changes it at the same time."""
+def _kind_of_change(operation: str, value: Expression) -> str:
+    """Return ``add`` for an increase or decrease, the truth value for a fact, else ``assign``: the first two commute with their like."""
     if operation in ("increase", "decrease"):
         return "add"
     return "assign" if operation != "assign" or not isinstance(value, Constant) or not isinstance(value.value, bool) else str(value.value)
 
 
-def validated(problem: Problem, found: PlanningResult, loaded: kairos.Problem | None = None) -> PlanningResult:
-    """Return what was found if there is no plan or all validators accept it; every plan goes through here.
+# --- all validators ------------------------------------------------------------------------
+
+
+def validated(problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None) -> PlanningResult:
+    """Return the result if it has no plan or both validators, Kairos' and ours, accept the plan; else one without a plan.
 
     Args:
         problem: what was to be solved.
-        found: what a planner says.
-        loaded: the problem, if Kairos has it already.
+        result: the answer of a planner.
+        parsed: the problem as Kairos reads it, if that is there already.
     """
-    if found.plan is None:
-        return found
-    verdicts = {"Kairos' validator": validate(problem, found.plan, loaded), "our own": why_invalid(problem, found.plan)}
+    if result.plan is None:
+        return result
+    verdicts = {"Kairos' validator": validate(problem, result.plan, parsed), "our own": why_invalid(problem, result.plan)}
     if not any(verdicts.values()):
-        return found
+        return result
     status = PlanningStatus.INVALID_PLAN if all(verdicts.values()) else PlanningStatus.DISAGREEMENT
-    said = "; ".join(f"{validator} says: {why or 'valid'}" for validator, why in verdicts.items())
-    return PlanningResult(status, message=f"{said}; the plan: {' '.join(plan_text(found.plan).split())}", planner=found.planner)
+    reasons = "; ".join(f"{validator} says: {why or 'valid'}" for validator, why in verdicts.items())
+    return PlanningResult(status, message=f"{reasons}; the plan: {' '.join(plan_text(result.plan).split())}", planner=result.planner)

@@ -1,14 +1,9 @@
-"""Watches the constraints and preferences of a problem while its goal is pursued, and says what became of them.
-
-Has no clock: whoever asks says how many seconds after the start of the task it is.
-
-What is watched while a goal is pursued: how long it takes, what time itself changes, and the constraints of the problem.
-"""
+"""Monitoring of a task: its trajectory constraints and preferences, the facts that change by themselves, and its time limit."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -18,9 +13,9 @@ from typing import Final
 from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.problem import Problem
+from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.replanning import Progress, why_not
 from planner_bridge.tasks.result import ConstraintResult, PreferenceResult, Violation
-from planner_bridge.tasks.settings import TaskObserver
 from pnm.actions.backend import schedule
 from pnm.clock import TimeLimit
 from pnm.core.knowledge_base import KnowledgeBase, Layered
@@ -34,23 +29,23 @@ SETTLING: Final = 0.01
 
 
 @dataclass(slots=True)
-class _Watched:
+class _MonitoredConstraint:
     """A ground constraint; what is known of it changes."""
 
     constraint: Constraint
     names: frozenset[str]
     """The predicates and functions it mentions."""
-    watch: ConstraintProgress
+    progress: ConstraintProgress
     violation: Violation | None = None
 
     @property
     def untouched(self) -> bool:
         """Whether all of it is left. (Whether its one time has begun, the present state says as well.)"""
-        return tuple(replace(one, begun=False) for one in self.watch.rest) == (self.constraint,)
+        return tuple(replace(one, begun=False) for one in self.progress.rest) == (self.constraint,)
 
 
-class Monitor:
-    """Watches over every choice of objects for the variables of constraints and preferences.
+class ConstraintMonitor:
+    """Monitors every instance of the constraints and preferences of a problem; it has no clock.
 
     A preference has an instance for every choice for its own variables, with all the ground constraints
     it then stands for; a wish for the goal is one for what holds at the end. The mutable state is what
@@ -64,22 +59,22 @@ class Monitor:
         self._preferences = [(one, self._instances(one)) for one in (*problem.domain.preferences, *problem.preferences)]
         self._looked = False
 
-    def _instance(self, constraint: Constraint, env: Environment = NOTHING) -> list[_Watched]:
-        return [_Watched(one, names_in(one), ConstraintProgress((one,))) for one in instances(constraint, self._knowledge, env)]
+    def _instance(self, constraint: Constraint, env: Environment = NOTHING) -> list[_MonitoredConstraint]:
+        return [_MonitoredConstraint(one, names_in(one), ConstraintProgress((one,))) for one in instances(constraint, self._knowledge, env)]
 
-    def _instances(self, preference: Preference) -> list[list[_Watched]]:
+    def _instances(self, preference: Preference) -> list[list[_MonitoredConstraint]]:
         wanted = preference.wanted
         constraints = wanted if isinstance(wanted, tuple) else (Constraint("at end", (wanted,)),)
         chosen = choices(preference.variables, self._knowledge, NOTHING)
         return [[watched for one in constraints for watched in self._instance(one, env)] for env in chosen]
 
-    def _hard(self) -> Iterator[_Watched]:
+    def _hard(self) -> Iterator[_MonitoredConstraint]:
         return (watched for _, instance in self._constraints for watched in instance)
 
-    def _soft(self) -> Iterator[_Watched]:
+    def _soft(self) -> Iterator[_MonitoredConstraint]:
         return (watched for _, instances in self._preferences for instance in instances for watched in instance)
 
-    def _all(self) -> Iterator[_Watched]:
+    def _all(self) -> Iterator[_MonitoredConstraint]:
         return chain(self._hard(), self._soft())
 
     @property
@@ -96,30 +91,32 @@ class Monitor:
             self._see(watched, now)
         return tuple(violation for watched in self._hard() if (violation := self._see(watched, now)))
 
-    def _see(self, watched: _Watched, now: float) -> Violation | None:
+    def _see(self, watched: _MonitoredConstraint, now: float) -> Violation | None:
         """Return the violation if this look finds it."""
-        before = watched.watch
-        watched.watch = before.seen(self._knowledge, now, self._lag(watched))
-        if before.violated or not watched.watch.violated:
+        before = watched.progress
+        watched.progress = before.seen(self._knowledge, now, self._lag(watched))
+        if before.violated or not watched.progress.violated:
             return None
         time = now if before.doubtful_since is None else before.doubtful_since
         watched.violation = Violation(watched.constraint, time, observed_of(watched.constraint, self._knowledge))
         return watched.violation
 
-    def _lag(self, watched: _Watched) -> float:
+    def _lag(self, watched: _MonitoredConstraint) -> float:
         return max(SETTLING, self._knowledge.world.lag(watched.names))
 
     def next_look(self, now: float) -> float:
         """Return when to look again even if nothing changes; infinity if that is not needed."""
-        return min((one.watch.next_look(now, self._lag(one)) for one in self._all()), default=inf)
+        return min((one.progress.next_look(now, self._lag(one)) for one in self._all()), default=inf)
 
     def doubtful_until(self) -> float:
         """Return when, at the latest, it will be known of everything that looks violated now whether it is; 0 if nothing does."""
-        return max((one.watch.doubtful_since + self._lag(one) for one in self._all() if one.watch.doubtful_since is not None), default=0.0)
+        return max(
+            (one.progress.doubtful_since + self._lag(one) for one in self._all() if one.progress.doubtful_since is not None), default=0.0
+        )
 
     def missing(self, now: float) -> tuple[Constraint, ...]:
         """Return the ground constraints that would not be kept if the task ended now."""
-        return tuple(one.constraint for one in self._hard() if not is_fulfilled(one.watch.rest, self._knowledge, now))
+        return tuple(one.constraint for one in self._hard() if not is_fulfilled(one.progress.rest, self._knowledge, now))
 
     def rest_of(self, problem: Problem, now: float) -> Problem:
         """Return the problem from the world as it is with those constraints and preferences that are left."""
@@ -130,12 +127,12 @@ class Monitor:
         domain = replace(problem.domain, constraints=(), preferences=())
         return replace(problem, domain=domain, constraints=tuple(constraints), preferences=tuple(preferences))
 
-    def _constraint_left(self, constraint: Constraint, instance: list[_Watched], now: float) -> Iterable[Constraint]:
+    def _constraint_left(self, constraint: Constraint, instance: list[_MonitoredConstraint], now: float) -> Iterable[Constraint]:
         if all(one.untouched for one in instance):
             return (shifted(constraint, now),)
         return _left(instance, now)
 
-    def _preference_left(self, preference: Preference, instances: list[list[_Watched]], now: float) -> Iterable[Preference]:
+    def _preference_left(self, preference: Preference, instances: list[list[_MonitoredConstraint]], now: float) -> Iterable[Preference]:
         if not isinstance(preference.wanted, tuple):
             return (preference,)
         if all(one.untouched for instance in instances for one in instance):
@@ -148,14 +145,14 @@ class Monitor:
         """Return what became of every constraint if the task ends now."""
         return tuple(self._constraint_result(*one, now) for one in self._constraints)
 
-    def _constraint_result(self, constraint: Constraint, instance: list[_Watched], now: float) -> ConstraintResult:
+    def _constraint_result(self, constraint: Constraint, instance: list[_MonitoredConstraint], now: float) -> ConstraintResult:
         if not self._looked:
             return ConstraintResult(constraint, "not monitored")
         found = tuple(violation for one in instance if (violation := self._violation(one, now)))
         return ConstraintResult(constraint, "violated" if found else "fulfilled", found)
 
-    def _violation(self, watched: _Watched, now: float) -> Violation | None:
-        if watched.violation or is_fulfilled(watched.watch.rest, self._knowledge, now):
+    def _violation(self, watched: _MonitoredConstraint, now: float) -> Violation | None:
+        if watched.violation or is_fulfilled(watched.progress.rest, self._knowledge, now):
             return watched.violation
         return Violation(watched.constraint, now, observed_of(watched.constraint, self._knowledge))
 
@@ -176,86 +173,80 @@ class Monitor:
         return PreferenceResult(name, "violated" if violated else "fulfilled", violated)
 
 
-def _left(instance: list[_Watched], now: float) -> tuple[Constraint, ...]:
-    return tuple(shifted(left, now) for one in instance for left in one.watch.rest)
+def _left(instance: list[_MonitoredConstraint], now: float) -> tuple[Constraint, ...]:
+    return tuple(shifted(left, now) for one in instance for left in one.progress.rest)
 
 
-class Supervision:
-    """The clock and the monitor of one task.
+class TaskMonitor:
+    """The clock of a task, with its time limit and the monitor of its constraints.
 
     The mutable state is what stands below "state".
 
     Args:
-        problem: what is pursued.
-        knowledge: what is known.
-        observer: is told when a constraint is violated.
-        stop: ends the task.
-        allowed: seconds that it may take, pauses left out.
+        context: of the task, which is stopped when a constraint is violated or its time is used up.
     """
 
-    def __init__(
-        self, problem: Problem, knowledge: Layered, observer: TaskObserver, stop: Callable[[Code, str], None], allowed: float
-    ) -> None:
-        self._problem = problem
-        self._knowledge = knowledge
-        self._observer = observer
-        self._stop = stop
-        self.monitor = Monitor(problem, knowledge)
+    def __init__(self, context: TaskContext) -> None:
+        self._context = context
+        self.constraints = ConstraintMonitor(context.problem, context.knowledge)
         # state
         self.began = 0.0
-        self.limit = TimeLimit(allowed, self._exceeded)
-        """The seconds that the task may take; those of pauses are not its own."""
+        self.limit = TimeLimit(context.settings.limits.allowed(), self._exceeded)
+        """The seconds that the task may take, pauses left out."""
         self._next_look: asyncio.TimerHandle | None = None
 
-    def begin(self, at_the_end: ExitStack) -> None:
-        """Begin; let those timed facts come true by themselves that nobody reports; look whenever something changes or a time comes."""
+    def begin(self, cleanup: ExitStack) -> None:
+        """Begin: schedule the timed facts that nothing reports, and look at the constraints at every change and when their time comes."""
         self.began = asyncio.get_running_loop().time()
-        world = self._knowledge.world
-        at_the_end.callback(schedule(world, self._problem.timed, self.began))
-        at_the_end.callback(self._end_looking)
-        at_the_end.callback(world.listen(self.look))
-        at_the_end.callback(self.limit.close)
+        world = self._context.world
+        cleanup.callback(schedule(world, self._context.problem.timed, self.began))
+        cleanup.callback(self._end_looking)
+        cleanup.callback(world.listen(self.look))
+        cleanup.callback(self.limit.close)
+        self._context.control.limit_time(self.limit)
         self.limit.begin()
         self.look()
 
     @property
     def elapsed(self) -> float:
-        """How many seconds the task has taken so far."""
+        """The seconds that the task has taken so far."""
         return asyncio.get_running_loop().time() - self.began
 
     def look(self, _changes: object = None) -> None:
         """Look for violated constraints, and note when to look again."""
         now = self.elapsed
-        for violation in self.monitor.look(now):
-            self._observer.violated(violation, asyncio.get_running_loop().time())
-            self._stop(Code.CONSTRAINT_VIOLATED, str(violation))
+        for violation in self.constraints.look(now):
+            self._context.observer.violated(violation, asyncio.get_running_loop().time())
+            self._context.control.stop(Code.CONSTRAINT_VIOLATED, str(violation))
         if self._next_look:
             self._next_look.cancel()
-        time = self.monitor.next_look(now)
+        time = self.constraints.next_look(now)
         self._next_look = None if time == inf else asyncio.get_running_loop().call_at(self.began + time, self.look)
 
-    @property
-    def doubtful(self) -> float:
-        """How many seconds it will take until it is known whether that is violated which looks violated now."""
-        return self.monitor.doubtful_until() - self.elapsed
+    async def settle(self) -> None:
+        """Wait out the report delay, so that an apparent constraint violation is confirmed or withdrawn."""
+        doubtful = self.constraints.doubtful_until() - self.elapsed
+        if doubtful > 0:
+            await self._context.control.wait(doubtful)
+            self.look()
 
     def now(self, world: KnowledgeBase | None = None) -> Problem:
-        """Return the problem that is left, from this world, or the one that is known."""
+        """Return the problem that is left, from this world, or from the one that is known."""
         elapsed = self.elapsed
-        return self.monitor.rest_of(problem_now(self._problem, world or self._knowledge.world, elapsed), elapsed)
+        return self.constraints.rest_of(problem_now(self._context.problem, world or self._context.world, elapsed), elapsed)
 
     @property
     def missing(self) -> tuple[Constraint, ...]:
         """The constraints that are not fulfilled yet."""
-        return self.monitor.missing(self.elapsed)
+        return self.constraints.missing(self.elapsed)
 
     def why_not(self, progress: Progress, forbidden: frozenset[ForbiddenCall]) -> str:
-        """Say why the rest of a plan does not lead from here to its goal; empty when it does."""
-        left = self.monitor.rest_of(self._problem, self.elapsed)
-        return why_not(progress, self._knowledge.world, forbidden, (*left.domain.constraints, *left.constraints))
+        """Return why the rest of a plan does not lead from here to its goal; empty when it does."""
+        left = self.constraints.rest_of(self._context.problem, self.elapsed)
+        return why_not(progress, self._context.world, forbidden, (*left.domain.constraints, *left.constraints))
 
     def _exceeded(self, seconds: float) -> None:
-        self._stop(Code.TIMED_OUT, f"the limit of {seconds:g} s is reached")
+        self._context.control.stop(Code.TIMED_OUT, f"the limit of {seconds:g} s is reached")
 
     def _end_looking(self) -> None:
         if self._next_look:

@@ -1,20 +1,19 @@
-"""What is pursued, where, and how: what all parts of a pursuit are given.
-
-What a task shares with others: resources, and a world in which their plans must get on with each other.
-"""
+"""The context of a task: its problem, where its actions are carried out, and what it shares with other tasks."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from uuid import UUID, uuid4
+from dataclasses import dataclass
+from typing import Protocol
+from uuid import UUID
 
-from planner_bridge.model.forbidden_actions import ForbiddenCall, users
+from planner_bridge.model.forbidden_actions import ForbiddenCall, calls_acquiring
 from planner_bridge.model.problem import Problem
-from planner_bridge.ordering.interference import Footprint
+from planner_bridge.ordering.interference import ReadWriteSets
+from planner_bridge.tasks.control import TaskControl
 from planner_bridge.tasks.replanning import History
-from planner_bridge.tasks.result import Stopwatch
 from planner_bridge.tasks.settings import Settings, TaskObserver
+from planner_bridge.tasks.task import Task
 from pnm.actions.backend import Backend
 from pnm.core.execution.resources import Resources
 from pnm.core.knowledge_base import KnowledgeBase, Layered
@@ -28,16 +27,16 @@ class Conflict:
     """A task beside which a plan cannot be carried out.
 
     Args:
-        task: the other one.
-        name: what people know it by.
+        task: the other task.
+        name: its name for people.
         footprint: what its plan still needs and changes.
-        why: what is in the way.
-        yields: whether it has a lower priority, and makes way.
+        why: the fact or function in the way.
+        yields: whether it has a lower priority, so that it can be preempted.
     """
 
     task: UUID
     name: str
-    footprint: Footprint
+    footprint: ReadWriteSets
     why: str
     yields: bool = False
 
@@ -46,14 +45,14 @@ class Conflict:
 
 
 @dataclass(frozen=True, slots=True)
-class Begun:
-    """What another task has begun and not brought to its end: until then the world is not what it will be.
+class RunningCalls:
+    """Calls of another task that have begun and not ended: until then the world is not what it will be.
 
     Args:
-        task: the other one.
-        name: what people know it by.
-        calls: which are under way, being cancelled, or looking for their effects.
-        yields: whether it has a lower priority, and makes way.
+        task: the other task.
+        name: its name for people.
+        calls: which are under way, being cancelled, or waiting for their effects.
+        yields: whether it has a lower priority, so that it can be preempted.
     """
 
     task: UUID
@@ -65,91 +64,76 @@ class Begun:
         return f"it has begun {', '.join(str(call.action) for call in self.calls)}"
 
 
-class Neighbours:
-    """Those of a task that is alone: nobody."""
+class Scheduler(Protocol):
+    """The other tasks, as the one that is to be planned sees them."""
 
-    def conflicts(self, footprint: Callable[[], Footprint], /) -> tuple[Conflict, ...]:
-        """Return the tasks that are going on and beside which a plan cannot be carried out whose footprint is worked out if need be."""
-        return ()
+    def conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
+        """Return the active tasks that conflict with a plan of the task. `footprint` is called only if there are any."""
 
-    def newcomers(self, footprint: Callable[[], Footprint], /) -> tuple[Conflict, ...]:
-        """Return those of the conflicts in which it is not said already who makes way."""
-        return ()
+    def new_conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
+        """Return the conflicts in which neither task has been preempted for the other yet."""
 
-    def begun(self) -> tuple[Begun, ...]:
-        """Return what others have begun and not brought to its end."""
-        return ()
+    def running_calls(self, task: Task) -> tuple[RunningCalls, ...]:
+        """Return the calls of other tasks that have begun and not ended."""
 
-    async def preempt(self, conflicts: tuple[Conflict, ...], /) -> None:
-        """Have those that yield pause until this task is over; return when nothing of theirs is under way."""
+    async def preempt(self, task: Task, conflicts: tuple[Conflict, ...]) -> None:
+        """Have the tasks of lower priority pause until this task is over; return when nothing of theirs is under way."""
 
-    async def turn(self) -> None:
-        """Wait for one's turn to look for a plan; who has looked in vain, until something has changed."""
+    async def begin_turn(self, task: Task) -> None:
+        """Wait for the turn of the task to plan; one whose attempt failed waits for a change first."""
 
-    def leave(self, *, in_vain: bool) -> None:
-        """Note that the search is over; once it is, no more is noted."""
-
-
-ALONE = Neighbours()
+    def end_turn(self, task: Task, *, failed: bool) -> None:
+        """End the turn of the task to plan."""
 
 
 @dataclass(frozen=True)
-class Circumstances:
-    """What a task shares with others, and how it is known to them.
-
-    Args:
-        id: of the task.
-        name: what people know it by.
-        priority: higher ones come first.
-        resources: what calls have for themselves.
-        source: who is asked and told what runs do not know.
-        neighbours: the other tasks.
-        on_conflict: what to do about a goal that cannot be pursued beside theirs.
-        new_identity: makes the identities of runs.
-    """
-
-    id: UUID = field(default_factory=uuid4)
-    name: str = ""
-    priority: int = 0
-    resources: Resources = field(default_factory=Resources)
-    source: Source | None = None
-    neighbours: Neighbours = ALONE
-    on_conflict: OnConflict = OnConflict.PLAN_AROUND
-    new_identity: Callable[[], UUID] = uuid4
-
-
-@dataclass(frozen=True)
-class Mission:
+class TaskContext:
     """A goal, and everything that is there to reach it.
 
     Args:
-        problem: whose goal is pursued.
+        task: the task.
+        problem: its goal is pursued.
+        knowledge: of the runs of the task, over the world that all tasks share.
         site: where actions are carried out.
         settings: planner, bindings, limits and policies.
-        observer: is told what happens.
-        seconds: measures where the time goes.
-        knowledge: what is known.
-        circumstances: what is shared with other tasks.
+        resources: shared by the calls of all tasks.
+        source: answers what runs do not know; None for none.
+        scheduler: knows the other tasks.
+        on_conflict: what to do about a goal that is in conflict with those of other tasks.
+        new_run_id: makes the identities of runs.
     """
 
+    task: Task
     problem: Problem
+    knowledge: Layered
     site: Backend
     settings: Settings
-    observer: TaskObserver
-    seconds: Stopwatch
-    knowledge: Layered
-    circumstances: Circumstances = field(default_factory=Circumstances)
+    resources: Resources
+    source: Source | None
+    scheduler: Scheduler
+    on_conflict: OnConflict
+    new_run_id: Callable[[], UUID]
 
-    def kept(self, history: History) -> frozenset[ForbiddenCall]:
-        """Return the calls that need what was waited for in vain, as far as that is still withheld."""
-        names = self.circumstances.resources.withheld_from(history.lacking)
-        return users(self.problem.domain, self.settings.bindings, names.keys())
+    @property
+    def control(self) -> TaskControl:
+        """The control of the task."""
+        return self.task.control
 
-    def forbidden(self, history: History) -> frozenset[ForbiddenCall]:
-        """Return the calls that no plan may use as things are."""
-        return history.forbidden(self.settings.limits) | self.kept(history)
+    @property
+    def observer(self) -> TaskObserver:
+        """All who listen to the task."""
+        return self.task.observer
 
     @property
     def world(self) -> KnowledgeBase:
-        """What all tasks share of what is known."""
+        """The knowledge that all tasks share."""
         return self.knowledge.world
+
+    def withheld(self, history: History) -> frozenset[ForbiddenCall]:
+        """Return the calls that need a resource that was waited for in vain and is still withheld."""
+        names = self.resources.withheld_from(history.lacking)
+        return calls_acquiring(self.problem.domain, self.settings.bindings, names.keys())
+
+    def forbidden(self, history: History) -> frozenset[ForbiddenCall]:
+        """Return the calls that no plan may use now."""
+        return history.forbidden(self.settings.limits) | self.withheld(history)

@@ -1,21 +1,25 @@
-"""How a task stands: what it is doing, and whether it has been told to pause or to stop."""
+"""Control of a task: pausing, resuming and stopping it, its time limit, and the state it shows."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable
-from contextlib import suppress
-from typing import Final
+import threading
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Final, Protocol
 
+from planner_bridge.ordering.interference import ReadWriteSets
 from planner_bridge.tasks.settings import TaskObserver
+from pnm.clock import TimeLimit
+from pnm.core.execution.run import Run
 from pnm.executor import Executor
 from pnm.tasks import Code, TaskState
 
 _ALWAYS_SHOWN: Final = frozenset({TaskState.PAUSING, TaskState.PAUSED, TaskState.CANCELLING, TaskState.OVER})
 
 
-class Over(Exception):
-    """The task has come to its end."""
+class TaskEnded(Exception):
+    """The task has come to its end, with a code and a reason."""
 
     def __init__(self, code: Code, reason: str) -> None:
         super().__init__(reason)
@@ -23,111 +27,212 @@ class Over(Exception):
         self.reason = reason
 
 
-class Standing:
-    """What whoever does a task has been told, and what others are told of it. Everything in it is mutable state.
+class Execution(Protocol):
+    """The execution of a plan."""
+
+    @property
+    def executor(self) -> Executor:
+        """The executor of its runs."""
+
+    @property
+    def footprint(self) -> ReadWriteSets:
+        """What the rest of the plan needs and changes."""
+
+    @property
+    def running(self) -> tuple[str, ...]:
+        """The calls that are under way."""
+
+    @property
+    def awaits_answers(self) -> bool:
+        """Whether nothing goes on before a person has answered."""
+
+    def resume(self) -> None:
+        """Go on after a pause of the task."""
+
+
+class TaskControl:
+    """What a task has been told, what it is doing, and what carries out its plan. Everything in it is mutable state.
 
     Args:
-        observer: is told in which state the task is.
-        first: what it does first.
+        observer: listens to the states of the task.
     """
 
-    def __init__(self, observer: TaskObserver, first: TaskState = TaskState.PLANNING) -> None:
+    def __init__(self, observer: TaskObserver) -> None:
         self._observer = observer
-        self._shown = TaskState.QUEUED, ""
-        self._doing = first, ""
-        """What it does, or will do after a pause."""
-        self.stopped: Over | None = None
-        """Why the task is over before its goal is reached."""
-        self._is_over = asyncio.Event()
-        self._may_go = asyncio.Event()
-        self._may_go.set()
+        self.state = TaskState.QUEUED
+        self.reason = ""
+        """Why the task is in this state."""
+        self._activity = TaskState.QUEUED, ""
+        """The state that a pause hides, and its reason."""
+        self.has_begun = False
+        self.stopped: TaskEnded | None = None
+        """Why the task is to end before its goal is reached."""
+        self.execution: Execution | None = None
+        self.reserved: Callable[[], ReadWriteSets] | None = None
+        """The footprint of the plan found last, computed if another task needs it: others respect it before the plan is executed."""
+        self.planner_stop = threading.Event()
+        """Ends searches for plans."""
+        self.over = asyncio.Event()
+        """Set once the task is over and its listeners know."""
+        self._last_run: Run | None = None
+        self._time_limit: TimeLimit | None = None
+        self._is_stopped = asyncio.Event()
+        self._is_unpaused = asyncio.Event()
+        self._is_unpaused.set()
+
+    # --- what others ask --------------------------------------------------------------------------
 
     @property
     def is_paused(self) -> bool:
-        """Whether it was told to pause."""
-        return not self._may_go.is_set()
+        """Whether the task was told to pause."""
+        return not self._is_unpaused.is_set()
 
-    def stop(self, over: Over) -> bool:
-        """Note why the task is to end; tell whether that is news. What cannot be made good comes before what was said first."""
-        is_worse = over.code is Code.CONSTRAINT_VIOLATED
-        if self.stopped and not (is_worse and self.stopped.code is not over.code):
-            return False
-        self.stopped = over
-        self._is_over.set()
-        self._may_go.set()
-        return True
+    @property
+    def run(self) -> Run | None:
+        """The current run, or the last one."""
+        return self.execution.executor.run if self.execution else self._last_run
 
-    async def pause(self, reason: str, executor: Executor | None, *, at_once: bool) -> None:
-        """Be paused from now on, unless the task is to end; return when nothing is under way, or it is not paused any more.
+    @property
+    def footprint(self) -> ReadWriteSets | None:
+        """What the rest of the plan needs and changes; None while there is no plan."""
+        if self.execution:
+            return self.execution.footprint
+        return self.reserved() if self.reserved else None
+
+    # --- stopping and pausing ---------------------------------------------------------------------
+
+    def stop(self, code: Code, reason: str) -> None:
+        """End the task: start nothing more and cancel what is under way.
+
+        The first reason counts, unless a constraint is violated later, which cannot be made good.
+        """
+        if self.stopped and (code is not Code.CONSTRAINT_VIOLATED or self.stopped.code is code):
+            return
+        self.stopped = TaskEnded(code, reason)
+        self._is_stopped.set()
+        self._is_unpaused.set()
+        self.planner_stop.set()
+        self.enter(TaskState.CANCELLING, reason)
+        if self.execution:
+            self.execution.executor.stop(reason=reason)
+
+    async def pause(self, reason: str, *, at_once: bool) -> None:
+        """Pause until `resume`; return when nothing is under way, or when the task is not paused any more.
+
+        The pause of a task that is being stopped ends with the task.
 
         Args:
             reason: why.
-            executor: what carries out the plan, if there is one.
-            at_once: cancel what is under way, to begin it anew later.
+            at_once: cancel the calls that are under way, to begin them anew later.
         """
+        if not self.stopped:
+            if self._time_limit:
+                self._time_limit.pause()
+            self._is_unpaused.clear()
+            if self.has_begun:
+                self.enter(TaskState.PAUSING, reason)
+            if self.execution:
+                await self._pause_execution(self.execution.executor, at_once=at_once)
+            if self.is_paused:
+                self.enter(TaskState.PAUSED, reason)
+        if self.state is TaskState.CANCELLING:
+            await self.over.wait()
+
+    async def _pause_execution(self, executor: Executor, *, at_once: bool) -> None:
+        executor.pause(at_once=at_once)
+        while self.is_paused and not (executor.paused or executor.ended):
+            await executor.happens()
+
+    def resume(self) -> None:
+        """Go on after a pause: with the rest of the plan if that still works."""
+        if self.is_paused:
+            if self._time_limit:
+                self._time_limit.go_on()
+            self._is_unpaused.set()
+            self._show(*self._activity)
+            if self.execution:
+                self.execution.resume()
+
+    def limit_time(self, limit: TimeLimit) -> None:
+        """Have pauses stop the time of this limit, in place of an earlier one."""
+        self._time_limit = limit
+        if self.is_paused:
+            limit.pause()
+
+    # --- what the task does -----------------------------------------------------------------------
+
+    def begin(self, activity: TaskState) -> None:
+        """Note that the task has begun, with an activity that is shown when it shows itself first."""
+        self.has_begun = True
+        self._activity = activity, ""
+
+    def begin_execution(self, execution: Execution) -> None:
+        """Note which execution of a plan pauses and stops are passed on to, until `end_execution`."""
+        self.execution = execution
         if self.stopped:
-            return
-        self._may_go.clear()
-        self.enter(TaskState.PAUSING, reason)
-        if executor:
-            executor.pause(at_once=at_once)
-            while self.is_paused and not (executor.paused or executor.ended):
-                await executor.happens()
+            execution.executor.stop(reason=self.stopped.reason)
         if self.is_paused:
-            self.enter(TaskState.PAUSED, reason)
+            execution.executor.pause(at_once=False)
 
-    def go_on(self) -> None:
-        """Be paused no longer."""
-        if self.is_paused:
-            self._may_go.set()
-            self._show(*self._doing)
+    def end_execution(self) -> None:
+        """Note that no plan is executed any more."""
+        self._last_run, self.execution = self.run, None
 
-    def enter(self, state: TaskState, why: str = "") -> None:
-        """Be in another state from now on; a pause or an end that is coming hides what the task would be doing."""
+    @contextmanager
+    def executing(self, execution: Execution) -> Iterator[None]:
+        """Have pauses and stops passed on to the execution of a plan."""
+        self.begin_execution(execution)
+        try:
+            yield
+        finally:
+            self.end_execution()
+
+    def enter(self, state: TaskState, reason: str = "") -> None:
+        """Show another state; a pause or a coming end hides the activity of the task."""
         if state not in _ALWAYS_SHOWN:
-            self._doing = state, why
+            self._activity = state, reason
             if self.is_paused or self.stopped:
                 return
-        self._show(state, why)
+        self._show(state, reason)
 
-    def _show(self, state: TaskState, why: str) -> None:
-        if (state, why) != self._shown:
-            self._shown = state, why
-            self._observer.entered(state, why)
+    def _show(self, state: TaskState, reason: str) -> None:
+        if (state, reason) != (self.state, self.reason) and self.state is not TaskState.OVER:
+            self.state, self.reason = state, reason
+            self._observer.entered(state, reason)
 
-    # --- waiting, which always ends when the task is to end ---------------------------------------
+    # --- waiting, which always ends when the task is stopped ----------------------------------------
 
-    async def may_go(self) -> None:
+    async def unpaused(self) -> None:
         """Wait until the task is not paused.
 
         Raises:
-            Over: nobody wants it any more.
+            TaskEnded: it was stopped.
         """
-        await self._may_go.wait()
+        await self._is_unpaused.wait()
         self.check()
 
-    async def until(self, happens: Awaitable[object]) -> None:
+    async def until(self, event: Awaitable[object]) -> None:
         """Wait for something.
 
         Raises:
-            Over: nobody wants it any more.
+            TaskEnded: the task was stopped.
         """
-        waiting = asyncio.ensure_future(happens), asyncio.ensure_future(self._is_over.wait())
+        waiting = asyncio.ensure_future(event), asyncio.ensure_future(self._is_stopped.wait())
         try:
             await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            for one in waiting:
-                one.cancel()
+            for future in waiting:
+                future.cancel()
         self.check()
         await waiting[0]  # raises what has gone wrong
 
     async def wait(self, seconds: float) -> None:
-        """Wait so many seconds, or until nobody wants the task any more."""
+        """Wait some seconds, or until the task is stopped."""
         with suppress(TimeoutError):
             async with asyncio.timeout(seconds):
-                await self._is_over.wait()
+                await self._is_stopped.wait()
 
     def check(self) -> None:
-        """Raise `Over` if nobody wants the task any more."""
+        """Raise `TaskEnded` if the task was stopped."""
         if self.stopped:
             raise self.stopped

@@ -1,269 +1,306 @@
-"""One goal, pursued with as many plans as it takes: planning, execution, replanning, pauses.
-
-What has become of a pursuit so far: its plans, its runs, and what they teach.
-"""
+"""The loop of one goal: plan, execute, and replan until the goal holds or the task ends for another reason."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import replace
-from typing import cast
+from functools import partial
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.plan import Plan
-from planner_bridge.ordering.interference import Footprint
+from planner_bridge.model.plan_simulation import NotProjectable
 from planner_bridge.ordering.plan_to_graph import plan_graph
-from planner_bridge.tasks.constraint_monitor import Supervision
-from planner_bridge.tasks.context import Mission
-from planner_bridge.tasks.control import Over, Standing
-from planner_bridge.tasks.plan_execution import Relay
-from planner_bridge.tasks.plan_search import Finding
-from planner_bridge.tasks.replanning import GiveUp, History, PlanAgain, Progress, Resume, decide
-from planner_bridge.tasks.result import TaskResult, code_of_failures
-from planner_bridge.tasks.settings import OnChange
-from planner_bridge.tasks.task_history import Chronicle, Way, sentence, tries_again
-from pnm.core.execution.call_results import RunResult
-from pnm.core.execution.run import Run
+from planner_bridge.tasks.constraint_monitor import TaskMonitor
+from planner_bridge.tasks.context import TaskContext
+from planner_bridge.tasks.control import TaskEnded
+from planner_bridge.tasks.plan_execution import PlanExecution
+from planner_bridge.tasks.plan_search import NoPlan, PlanSearch
+from planner_bridge.tasks.replanning import Decision, GiveUp, History, PlanAgain, Progress, Resume, decide, shortened, times_that_matter
+from planner_bridge.tasks.result import TaskLog, TaskResult, code_of_failures, code_of_planning, join_reasons, retry_reason
+from pnm.core.execution.resources import who_keeps
 from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.expressions import Fluent, Unknown, Value
+from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import PlanGraph, PlanGraphError
 from pnm.core.machine.verification.explore import Unsound
 from pnm.tasks import Code, TaskState
 
 
-class Pursuit:
-    """A goal with its episodes.
+class GoalLoop:
+    """Pursues the goal of a task with as many plans as it takes.
 
-    The mutable state is the relay of runs, the last run before it, whether that has ended for want of room beside others, and
-    what the parts say of themselves.
+    Whether a run is over or goes on, one method decides what follows it (`_replan`): a run that is over is a run with nothing under
+    way. The mutable state is the log, when the back-off ends before the current run is replaced, and that of the other parts.
 
     Args:
-        mission: what is pursued.
+        context: of the task.
         history: what has failed before.
         given: a plan to begin with, in place of one that would have to be found; the task ends with it.
     """
 
-    def __init__(self, mission: Mission, *, history: History | None = None, given: Plan | None = None) -> None:
-        self._mission = mission
+    def __init__(self, context: TaskContext, *, history: History | None = None, given: Plan | None = None) -> None:
+        self._context = context
+        self._control = context.control
         self._given = given
-        self._standing = Standing(mission.observer)
-        self._chronicle = Chronicle(history or History())
-        self._supervision = Supervision(mission.problem, mission.knowledge, mission.observer, self.stop, mission.settings.limits.allowed())
-        self._finding = Finding(mission, self._standing, self._supervision, self._chronicle, given)
-        self._relay: Relay | None = None
-        self._last: Run | None = None
-        self._lacks_room = False
+        self._monitor = TaskMonitor(context)
+        self._search = PlanSearch(context, self._monitor)
+        self._log = TaskLog(history or History())
+        self._retry_at: float | None = None
 
-    async def pursue(self, *, opens: bool = False) -> TaskResult:
-        """Go on until the goal holds or the task is over for another reason; nothing happens between that and the return.
-
-        Args:
-            opens: whether the site is still to be opened.
+    async def pursue(self) -> TaskResult:
+        """Plan, execute and replan until the task has come to its end.
 
         Raises:
             InputError: the planner refuses the problem; nothing was started.
         """
-        with ExitStack() as at_the_end:
+        with ExitStack() as cleanup:
             try:
-                if opens:
-                    await self._standing.until(self._mission.site.open(self._mission.world))
-                self._supervision.begin(at_the_end)
-                at_the_end.callback(self._mission.world.listen(self._changed))
-                await self._pursue()
-            except Over as over:
-                return self._ended(over.code, over.reason)
+                self._monitor.begin(cleanup)
+                await self._monitor.settle()
+                if self._given is None:
+                    plan = await self._search.in_turn(partial(self._search.plan, self._context.forbidden(self._log.history)))
+                else:
+                    plan = await self._search.in_turn(partial(self._search.given, self._given))
+                graph = self._accepted(plan)
+                while True:
+                    graph = await self._execute(graph)
+            except NoPlan as no_plan:
+                ended = self._without_plan(no_plan)
+            except TaskEnded as error:
+                ended = error
             except (PlanGraphError, Unsound) as error:  # a plan that is valid, but not by causes alone
-                return self._ended(Code.PLANNER_ERROR, f"the plan cannot be executed: {error}")
-        raise AssertionError("a pursuit ends with a reason")
+                ended = TaskEnded(Code.PLANNER_ERROR, f"the plan cannot be executed: {error}")
+            return self._result(ended)
 
-    # --- from outside ---------------------------------------------------------------------------
+    async def _execute(self, graph: PlanGraph) -> PlanGraph:
+        """Execute a plan, and those that succeed it while calls are under way; return the one that follows when the run is over."""
+        context = self._context
+        with suppress(TaskEnded):  # the run reports then that nothing of the plan was begun
+            await self._control.until(context.site.prepare({call.action: None for call in graph.calls}))
+        self._retry_at = None
+        async with PlanExecution(context, self._monitor, self._log, graph, self._search.origin) as execution:
+            while True:
+                with context.task.stopwatch.of("execute"):
+                    await execution.attention()
+                if (follower := await self._replan(execution)) is not None:
+                    return follower
+                execution.release()
 
-    @property
-    def run(self) -> Run | None:
-        """The current run, or the last one."""
-        return self._relay.run if self._relay else self._last
+    # --- replanning -----------------------------------------------------------------------------
 
-    @property
-    def is_paused(self) -> bool:
-        """Whether it was told to pause."""
-        return self._standing.is_paused
-
-    @property
-    def awaits_answers(self) -> bool:
-        """Whether nothing goes on before a person has answered."""
-        return self._relay is not None and self._relay.run.awaits_answers
-
-    @property
-    def footprint(self) -> Footprint | None:
-        """What the rest of the plan needs and changes; None while there is no plan."""
-        if self._relay is None:
-            return self._finding.reserved
-        return self._relay.footprint
-
-    def stop(self, code: Code, reason: str) -> None:
-        """End whatever is going on; what is under way is cancelled, and confirms it or is given up after its limit."""
-        if self._standing.stop(Over(code, reason)):
-            self._finding.stop()
-            self._standing.enter(TaskState.CANCELLING, reason)
-            if self._relay:
-                self._relay.stop(reason)
-
-    async def pause(self, reason: str, *, at_once: bool) -> None:
-        """Start nothing more; return when nothing is under way."""
-        if not self._standing.stopped:
-            self._supervision.limit.pause()
-        await self._standing.pause(reason, self._relay.executor if self._relay else None, at_once=at_once)
-
-    def resume(self) -> None:
-        """Go on where the task was if the rest of its plan still works, and else find another way."""
-        if self.is_paused:
-            self._supervision.limit.go_on()
-            self._standing.go_on()
-            if self._relay:
-                self._relay.go_on()
-
-    @property
-    def running(self) -> tuple[str, ...]:
-        """The calls that are under way."""
-        return tuple(str(call.action) for call in self.run.open_calls.values()) if self.run else ()
-
-    # --- the story ------------------------------------------------------------------------------
-
-    async def _pursue(self) -> None:
-        """Go on until `Over` is raised."""
-        await self._settle()
-        graph = await self._planned(self._mission.forbidden(self._chronicle.history))
-        while True:
-            result, way = await self._carry_out(graph)
-            graph = await self._next(result, way)
-
-    async def _planned(self, forbidden: frozenset[ForbiddenCall]) -> PlanGraph:
-        plan = await self._finding.find(forbidden)
-        with self._mission.seconds.of("translate"):
-            return plan_graph(self._supervision.now(), plan)
-
-    async def _carry_out(self, graph: PlanGraph) -> tuple[RunResult, Way | None]:
-        with suppress(Over):  # the run tells then that nothing of the plan was begun
-            await self._standing.until(self._mission.site.prepare({call.action: None for call in graph.calls}))
-        relay = self._relay = Relay(graph, self._mission, self._standing, self._supervision, self._finding, self._chronicle)
-        self._standing.enter(TaskState.RUNNING)
-        try:
-            with self._mission.seconds.of("execute"):
-                return await relay.carry_out()
-        finally:
-            self._last, self._lacks_room, self._relay = relay.run, relay.lacks_room, None
-
-    async def _next(self, result: RunResult, way: Way | None) -> PlanGraph:
-        """Return what follows a run that is over.
+    async def _replan(self, execution: PlanExecution) -> PlanGraph | None:
+        """Replace the run by that of another plan, or return that plan if the run is over; None if the run goes on.
 
         Raises:
-            Over: nothing does.
+            TaskEnded: the run is over and none follows.
+            NoPlan: likewise, because there is no plan.
         """
-        await self._catch_up(result)
-        machine = cast("Run", self._last).machine
-        if verdict := self._verdict(result):
-            self._chronicle.end(machine, result)
-            raise verdict
-        if way and (graph := self._still_possible(way)):
-            self._chronicle.follow(way, machine, result)
-            return graph
-        return await self._decided(result)
+        if execution.is_over:
+            await self._catch_up(execution)
+        while True:
+            if execution.is_over:
+                self._check_end(execution)
+            elif not self._is_to_be_replaced(execution):
+                return None
+            if (delay := self._backoff(execution)) > 0.0:
+                if not execution.is_over:
+                    execution.call_attention_at(asyncio.get_running_loop().time() + delay)
+                    return None
+                await self._control.wait(delay)
+                continue
+            if not execution.is_over:
+                execution.hold()
+                if not await execution.at_rest():
+                    await self._catch_up(execution)
+                    continue
+            history = self._next_history(execution)
+            decision = self._decide(execution, history)
+            if isinstance(decision, GiveUp):
+                if not execution.is_over:
+                    return None
+                self._log.end(execution.run.machine, execution.result, decision)
+                unfulfilled = self._log.unfulfilled(self._monitor.missing)
+                raise TaskEnded(Code.REPLAN_LIMIT, join_reasons(decision.reason, self._log.last_failure, unfulfilled))
+            self._context.observer.replanning(decision, execution.result)
+            if execution.is_over:
+                self._log.follow(execution.run.machine, execution.result, decision, history)
+                return await self._follower(execution, decision)
+            graph = await self._successor(execution, decision, history)
+            if graph is None or not execution.is_over:
+                return None
+            await self._catch_up(execution)  # it came to its end while its successor was planned
+            self._check_end(execution)
+            if not self._monitor.why_not(Progress.beginning(graph), self._context.forbidden(history)):
+                self._log.follow(execution.run.machine, execution.result, decision, history)
+                return graph
 
-    async def _catch_up(self, result: RunResult) -> None:
-        """Wait for reports that may still be under way."""
-        is_patient = self._mission.settings.on_change is OnChange.LAZY
-        if (is_patient and not result.goal) or not self._supervision.monitor.idle:
-            await asyncio.sleep(self._mission.world.longest_lag)
-        await self._settle()
+    async def _catch_up(self, execution: PlanExecution) -> None:
+        """Wait for reports about the run that may still be under way."""
+        if not (execution.is_eager or execution.result.goal) or not self._monitor.constraints.idle:
+            await asyncio.sleep(self._context.world.longest_lag)
+        await self._monitor.settle()
 
-    async def _settle(self) -> None:
-        """Wait until it is known whether that is violated which looks violated now."""
-        if self._supervision.doubtful > 0:
-            await self._standing.wait(self._supervision.doubtful)
-            self._supervision.look()
+    def _check_end(self, execution: PlanExecution) -> None:
+        """Raise `TaskEnded` if the task ends with this run."""
+        if ended := self._end_with(execution):
+            self._log.end(execution.run.machine, execution.result)
+            raise ended
 
-    def _still_possible(self, way: Way) -> PlanGraph | None:
-        """Return the plan that was found while the run went on, if it still works."""
-        if way.plan is None:
-            return None
-        try:
-            graph = plan_graph(self._supervision.now(), way.plan)
-        except PlanGraphError:
-            return None
-        return None if self._supervision.why_not(Progress.beginning(graph), self._mission.forbidden(way.history)) else graph
+    def _end_with(self, execution: PlanExecution) -> TaskEnded | None:
+        result, stopped, problem = execution.result, self._control.stopped, self._context.problem
+        if stopped and stopped.code is Code.CONSTRAINT_VIOLATED:
+            return stopped
+        is_complete = result.goal or not (problem.network or self._given)  # a network of tasks, or a plan, is more than its goal
+        if is_complete and self._goal_holds() and not self._monitor.missing:
+            return TaskEnded(Code.GOAL_REACHED, "the goal holds")
+        if stopped is None and self._given and (result.failures or not execution.is_blocked):
+            return TaskEnded(code_of_failures(result.failures), result.reason)
+        return stopped
 
-    async def _decided(self, result: RunResult) -> PlanGraph:
-        limits, world, machine = self._mission.settings.limits, self._mission.world, cast("Run", self._last).machine
-        history = self._chronicle.history.after(result.calls, result.failures)
-        if self._lacks_room and not result.failures:  # which speaks against nothing but the moment
-            history = replace(self._chronicle.history, failed=history.failed)
-        progress, kept = Progress(machine.plan, result.calls), self._mission.kept(history)
-        decision = decide(self._supervision.now(), progress, world, history, limits, kept)
-        if isinstance(decision, GiveUp):
-            self._chronicle.end(machine, result, decision)
-            unfulfilled = self._chronicle.unfulfilled(self._supervision.missing)
-            raise Over(Code.REPLAN_LIMIT, sentence(decision.reason, self._chronicle.last_failure, unfulfilled))
-        self._chronicle.follow(Way(decision, history), machine, result)
-        self._mission.observer.replanning(decision, result)
-        if pause := history.pause(limits):
-            self._standing.enter(TaskState.REPLANNING, tries_again(pause, result))
-            await self._standing.wait(pause)
-        if isinstance(decision, Resume) and not self._lacks_room:
+    def _goal_holds(self) -> bool:
+        return evaluate(self._context.problem.goal, self._context.knowledge) is True
+
+    def _is_to_be_replaced(self, execution: PlanExecution) -> bool:
+        """Return whether to replan while the run goes on. If it has nothing more to do, it is finished."""
+        context = self._context
+        if self._control.stopped or self._control.is_paused or execution.is_finishing:
+            return False
+        if execution.is_blocked:
+            execution.finish("others have begun with what it is in conflict with")
+            return False
+        if self._given or context.problem.network or times_that_matter(context.problem):
+            return False
+        if execution.result.failures:
+            return context.settings.on_failure is OnFailure.CONTINUE_OTHERS
+        if self._goal_holds() and not execution.waits_for_more():
+            execution.finish("the goal holds already")
+            return False
+        progress = execution.progress
+        return bool(execution.obstacle()) or shortened(progress, context.world) != progress
+
+    def _next_history(self, execution: PlanExecution) -> History:
+        """Return the history with this run, if another is to follow it."""
+        result, history = execution.result, self._log.history
+        if not (result.failures or execution.is_over):
+            return history.changed()
+        after = history.after(result.calls, result.failures)
+        if execution.is_blocked and not result.failures:  # which says nothing about the plan
+            return replace(history, failed=after.failed)
+        return after
+
+    def _backoff(self, execution: PlanExecution) -> float:
+        """Return the seconds until the run may be replaced; they begin when that is first considered."""
+        history, limits = self._next_history(execution), self._context.settings.limits
+        if not (execution.is_over or execution.result.failures) or history.given_up(limits):
+            return 0.0
+        now, backoff = asyncio.get_running_loop().time(), history.backoff(limits)
+        if self._retry_at is None:
+            is_patient = not (execution.is_over or execution.is_eager)  # reports about the failure may still be under way
+            self._retry_at = now + max(backoff, self._context.world.longest_lag if is_patient else 0.0)
+        if backoff and now < self._retry_at:
+            state = TaskState.REPLANNING if execution.is_over else TaskState.RUNNING
+            self._control.enter(state, retry_reason(backoff, execution.result))
+        return self._retry_at - now
+
+    def _decide(self, execution: PlanExecution, history: History) -> Decision:
+        """Decide what follows the run. A failure makes nothing needless, but facts that have changed may."""
+        context, progress = self._context, execution.progress
+        if not (execution.is_over or execution.result.failures):
+            progress = shortened(progress, context.world)
+        limits, withheld = context.settings.limits, context.withheld(history)
+        return decide(self._monitor.now(), progress, context.world, history, limits, withheld)
+
+    async def _follower(self, execution: PlanExecution, decision: Resume | PlanAgain) -> PlanGraph:
+        """Return the plan that follows a run that is over."""
+        if isinstance(decision, Resume) and not execution.is_blocked:
             return decision.rest
         if self._given is None:
-            return await self._planned_patiently(self._mission.forbidden(history))
+            plan = await self._find_plan(execution, self._context.forbidden(self._log.history))
+            assert plan is not None, "a plan that is searched for in turn is in no conflict"
+            return self._accepted(plan)
         if isinstance(decision, PlanAgain):
-            raise Over(Code.CONDITION_LOST, decision.why)
-        return await self._finding.room_for(decision.rest)
+            raise TaskEnded(Code.CONDITION_LOST, decision.why)
+        return await self._search.in_turn(partial(self._search.rest, decision.rest))
 
-    async def _planned_patiently(self, forbidden: frozenset[ForbiddenCall]) -> PlanGraph:
-        """Plan, and plan once more if there is no plan only because what has just happened has not been reported yet."""
-        facts = self._mission.world.facts()
+    async def _successor(self, execution: PlanExecution, decision: Resume | PlanAgain, history: History) -> PlanGraph | None:
+        """Replace a run that goes on by that of another plan. Return the plan; None if the run has to come to its end first.
+
+        If it does so meanwhile, the plan is returned all the same.
+        """
+        machine, result = execution.run.machine, execution.result
         try:
-            return await self._planned(forbidden)
-        except Over as over:
-            await asyncio.sleep(self._mission.world.longest_lag)
-            if self._standing.stopped or over.code is Code.CONFLICT or self._mission.world.facts() == facts:
-                raise
-            return await self._planned(forbidden)
+            if isinstance(decision, Resume):
+                graph = decision.rest
+            else:
+                self._control.enter(TaskState.REPLANNING, decision.why)
+                plan = await self._find_plan(execution, decision.forbidden)
+                if plan is None:
+                    return None
+                graph = self._accepted(plan, execution if await execution.at_rest() else None)
+                if self._monitor.why_not(Progress.beginning(graph), self._context.forbidden(history)):
+                    return None
+            if not execution.is_over:
+                machine, result = execution.run.machine, execution.result
+                execution.succeed(graph)
+                self._log.follow(machine, result, decision, history)
+                self._retry_at = None
+        except (NoPlan, TaskEnded, NotProjectable, PlanGraphError, Unsound):  # what is under way may not fit into any plan
+            return None
+        finally:
+            self._control.enter(TaskState.RUNNING)
+        return graph
+
+    async def _find_plan(self, execution: PlanExecution, forbidden: frozenset[ForbiddenCall]) -> Plan | None:
+        """Find a plan from the state after what is under way; None if it is in conflict with those of other tasks.
+
+        If there is none, that may be because what has just happened has not been reported yet: the second attempt is the last one.
+
+        Raises:
+            NoPlan: there is none.
+        """
+        world = self._context.world
+        for is_last in (False, True):
+            facts = world.facts()
+            try:
+                if await execution.at_rest():
+                    return (await self._search.plan(forbidden, execution.run.under_way()))[0]
+                return await self._search.in_turn(partial(self._search.plan, forbidden))
+            except NoPlan:
+                if is_last:
+                    raise
+                await self._control.wait(world.longest_lag)
+                self._control.check()
+                if world.facts() == facts:
+                    raise
+        raise AssertionError("the last attempt finds a plan or fails")
+
+    def _accepted(self, plan: Plan, execution: PlanExecution | None = None) -> PlanGraph:
+        """Note that a plan will be executed, and return its graph, with the calls of an execution that are under way."""
+        limits = self._context.settings.limits
+        self._log.plans += 1
+        self._monitor.limit.allow(limits.allowed(plan.makespan if plan.temporal else 0.0))
+        self._context.observer.planned(plan)
+        with self._context.task.stopwatch.of("translate"):
+            return plan_graph(self._monitor.now(), plan, [one.call for one in execution.run.under_way()] if execution else [])
 
     # --- the end --------------------------------------------------------------------------------
 
-    def _verdict(self, result: RunResult) -> Over | None:
-        """Return how the task ends if it ends with this run."""
-        stopped = self._standing.stopped
-        if stopped and stopped.code is Code.CONSTRAINT_VIOLATED:
-            return stopped
-        if self._is_carried_out(result) and self._holds() and not self._supervision.missing:
-            return Over(Code.GOAL_REACHED, "the goal holds")
-        if stopped is None and self._given and (result.failures or not self._lacks_room):
-            return Over(code_of_failures(result.failures), result.reason)
-        return stopped
+    def _without_plan(self, no_plan: NoPlan) -> TaskEnded:
+        withheld = who_keeps(self._context.resources.withheld)  # nobody knows what their servers have made of the world
+        unfulfilled = self._log.unfulfilled(self._monitor.missing)
+        reason = join_reasons(self._log.last_failure, str(no_plan), unfulfilled, withheld)
+        return TaskEnded(code_of_planning(no_plan.status, self._log.failures), reason)
 
-    def _is_carried_out(self, result: RunResult) -> bool:
-        """Tell whether the run has done all that was asked for; a network of tasks, or a plan, is more than its goal."""
-        return result.goal or not (self._mission.problem.network or self._given)
-
-    def _holds(self) -> bool:
-        return evaluate(self._mission.problem.goal, self._mission.knowledge) is True
-
-    def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
-        if self._relay:
-            self._relay.changed(changes)
-
-    def _ended(self, code: Code, reason: str) -> TaskResult:
-        self._finding.forget()
-        self._standing.enter(TaskState.OVER, reason)
-        monitor, now = self._supervision.monitor, self._supervision.elapsed
+    def _result(self, ended: TaskEnded) -> TaskResult:
+        self._control.reserved = None
+        monitor, now = self._monitor.constraints, self._monitor.elapsed
         return TaskResult(
-            code,
-            reason,
-            self._chronicle.plans,
-            tuple(self._chronicle.episodes),
-            self._mission.seconds.seconds,
-            self._supervision.began,
+            ended.code,
+            ended.reason,
+            self._log.plans,
+            tuple(self._log.episodes),
+            self._context.task.stopwatch.seconds,
+            self._monitor.began,
             monitor.constraint_results(now),
             monitor.preference_results(now),
         )

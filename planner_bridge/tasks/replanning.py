@@ -1,6 +1,6 @@
-"""After a failed run: does the rest of the plan still work, or must there be a new one, or is it over?
+"""Replanning decisions: does the rest of a plan still work, must there be a new plan, or is a limit reached?
 
-Pure: decides from what is known; `planner_bridge.pipeline` acts on it.
+Pure: decides from what is known; `planner_bridge.tasks.goal_loop` acts on it. A run that is over is a run with nothing under way.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from functools import cached_property
 from typing import Final
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall
-from planner_bridge.model.plan_simulation import Course, Denied, seen_instead, snapshot
+from planner_bridge.model.plan_simulation import ConstraintProgression, NotApplicable, PlanSimulation, observed_instead, snapshot
 from planner_bridge.model.problem import Problem
-from planner_bridge.ordering.plan_to_graph import in_causal_order
+from planner_bridge.ordering.plan_to_graph import deordered
 from pnm.core.execution.call_results import CallResult, Failure
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
+from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Cause, Moment, PlanEvent, PlanGraph
 
@@ -80,6 +80,10 @@ class History:
             0 if progress else self.fruitless + 1,
         )
 
+    def given_up(self, limits: Limits) -> GiveUp | None:
+        """Return why nothing follows; None if the limit of replans is not reached."""
+        return GiveUp(f"the limit of {limits.replans} replans is reached") if self.replans > limits.replans else None
+
     def changed(self) -> History:
         """Return the history with one more run that did not fail, but would have."""
         return replace(self, replans=self.replans + 1)
@@ -88,8 +92,8 @@ class History:
         """Return the calls that failed too often, or whose servers may still be at work."""
         return self.unconfirmed | {call for call, times in self.failed.items() if times >= limits.forbid_after}
 
-    def pause(self, limits: Limits) -> float:
-        """Return how many seconds to wait before trying again."""
+    def backoff(self, limits: Limits) -> float:
+        """Return the back-off: the seconds to wait before the next attempt."""
         return 0.0 if self.fruitless < 2 else min(limits.longest_backoff, limits.backoff * 2.0 ** (self.fruitless - 2))
 
 
@@ -173,7 +177,7 @@ def decide(
     knowledge: KnowledgeBase,
     history: History,
     limits: Limits,
-    kept: frozenset[ForbiddenCall] = frozenset(),
+    withheld: frozenset[ForbiddenCall] = frozenset(),
 ) -> Decision:
     """Decide what follows a run that does not lead to the goal any more, whether or not it has ended.
 
@@ -183,11 +187,11 @@ def decide(
         knowledge: what is known.
         history: of all failures, those of this run included.
         limits: how long to go on.
-        kept: calls that need what others keep.
+        withheld: calls that need a resource that is withheld.
     """
-    if history.replans > limits.replans:
-        return GiveUp(f"the limit of {limits.replans} replans is reached")
-    forbidden = history.forbidden(limits) | kept
+    if given_up := history.given_up(limits):
+        return given_up
+    forbidden = history.forbidden(limits) | withheld
     whole = "; the whole network of tasks is planned for once more" if now.network else ""
     if by_the_clock := times_that_matter(now):
         return PlanAgain(forbidden, by_the_clock + whole)
@@ -209,7 +213,7 @@ def rest_of(now: Problem, progress: Progress) -> PlanGraph:
     renumbered = tuple(replace(call, index=number[call.index], under_way=call.index in progress.under_way) for call in progress.rest)
     begun = [PlanEvent(number[one], Moment.START) for one in sorted(progress.under_way)]
     order = [*begun, *(PlanEvent(number[event.call], event.moment) for event in progress.events)]
-    return in_causal_order(now, renumbered, order)
+    return deordered(now, renumbered, order)
 
 
 def why_not(
@@ -227,21 +231,19 @@ def why_not(
     for call in progress.rest:
         if call.index not in progress.under_way and any(one.covers(call.action) for one in forbidden):
             return f"{call.action} has failed too often, or a server may still be at work on it or with what it needs"
-    course = Course(snapshot(knowledge), {number: plan.calls[number].action for number in progress.under_way})
-    left = {one: progressed((one,), course.state) for constraint in constraints for one in instances(constraint, course.state)}
+    simulation = PlanSimulation(snapshot(knowledge), {number: plan.calls[number].action for number in progress.under_way})
+    progression = ConstraintProgression(constraints, simulation.state)
     for event in progress.events:
         try:
-            course.happen([(event, plan.calls[event.call].action)])
-        except Denied as denied:
-            return f"{plan.calls[denied.call].action} would {denied.deed} although {denied.observed}"
-        left = {constraint: progressed(rest, course.state) for constraint, rest in left.items()}
-        for constraint, rest in left.items():
-            if IMPOSSIBLE in rest:
-                return f"the {event.moment.value} of {plan.calls[event.call].action} would violate {constraint}"
-    if evaluate(plan.goal, course.state) is not True:
-        return f"the rest of the plan would leave {seen_instead(plan.goal, course.state)}"
-    missing = [str(constraint) for constraint, rest in left.items() if not is_fulfilled(rest, course.state)]
-    return f"the rest of the plan would leave {', '.join(missing)} unfulfilled" if missing else ""
+            simulation.advance([(event, plan.calls[event.call].action)])
+        except NotApplicable as error:
+            return f"{plan.calls[error.call].action} would {error.stage} although {error.observed}"
+        if violated := progression.advance(simulation.state):
+            return f"the {event.moment.value} of {plan.calls[event.call].action} would violate {violated}"
+    if evaluate(plan.goal, simulation.state) is not True:
+        return f"the rest of the plan would leave {observed_instead(plan.goal, simulation.state)}"
+    missing = progression.unfulfilled(simulation.state)
+    return f"the rest of the plan would leave {', '.join(map(str, missing))} unfulfilled" if missing else ""
 
 
 def shortened(progress: Progress, knowledge: KnowledgeBase) -> Progress:

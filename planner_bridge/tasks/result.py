@@ -1,23 +1,21 @@
-"""How tasks end, in the codes that clients read.
-
-Where the time of a task goes.
-"""
+"""The result of a task: its code and reason, its episodes, where its time went; and the sentences that give reasons."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import isfinite
 from typing import Any, Final, Literal, TypeAlias
 
 from planner_bridge.model.plan import PlanningStatus
-from planner_bridge.tasks.replanning import Decision, GiveUp, PlanAgain, Resume
+from planner_bridge.tasks.replanning import Decision, GiveUp, History, PlanAgain, Resume
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.machine import CallOutcome, PetriNetMachine
-from pnm.core.machine.plan_graph import Cause
-from pnm.tasks import Code
+from pnm.core.machine.plan_graph import ActionCall, Cause
+from pnm.tasks import Code, TaskEnding
 
 _PLANNING: Final = {
     PlanningStatus.UNSOLVABLE: Code.NO_PLAN,
@@ -106,6 +104,10 @@ class TaskResult:
     preferences: tuple[PreferenceResult, ...] = ()
     """What became of the preferences, name by name."""
 
+    def ending(self) -> TaskEnding:
+        """Return the end of the task as the clients of a task manager see it."""
+        return TaskEnding(self.code, self.reason)
+
     @property
     def goal_reached(self) -> bool:
         """Whether the goal holds."""
@@ -145,6 +147,39 @@ class TaskResult:
         }
 
 
+@dataclass(frozen=True)
+class PlanResult(TaskResult):
+    """How a hand-written plan ended."""
+
+    results: Mapping[str, object] = field(default_factory=dict)
+    """The variables that the plan gives back."""
+    variables: Mapping[str, object] = field(default_factory=dict)
+    """All variables of its run."""
+    cause: str = ""
+    """Why the plan has failed, in one word."""
+
+    def ending(self) -> TaskEnding:
+        """Return the end of the task with the results of the plan."""
+        return TaskEnding(self.code, self.reason, results=self.results, cause="" if self.goal_reached else self.cause)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the result as `pnm run --plan --json` prints it."""
+        return {**super().as_json(), "results": _finite(dict(self.results)), "variables": _finite(dict(self.variables))}
+
+
+def _finite(value: object) -> object:
+    """Return the value with text for infinity and NaN: JSON has neither, but servers may answer with them."""
+    match value:
+        case float() if not isfinite(value):
+            return str(value)
+        case dict():
+            return {name: _finite(item) for name, item in value.items()}
+        case list() | tuple():
+            return [_finite(item) for item in value]
+        case _:
+            return value
+
+
 def _call_as_json(result: CallResult, began: float) -> dict[str, Any]:
     return {
         "action": result.call.action.name,
@@ -172,7 +207,7 @@ def _decision_as_json(decision: Decision) -> dict[str, Any]:
             return {"decision": "give up", "why": reason}
 
 
-Status: TypeAlias = Literal["fulfilled", "violated", "not monitored"]
+ConstraintStatus: TypeAlias = Literal["fulfilled", "violated", "not monitored"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +228,7 @@ class ConstraintResult:
     """What became of a constraint of the domain or the problem."""
 
     constraint: Constraint
-    status: Status
+    status: ConstraintStatus
     violations: tuple[Violation, ...] = ()
     """One for every choice of objects for which it was not kept."""
 
@@ -203,6 +238,69 @@ class PreferenceResult:
     """What became of the preferences of one name."""
 
     name: str
-    status: Status
+    status: ConstraintStatus
     violated: int | None = None
     """How many of their instances, which is what ``(is-violated name)`` counts; None when they are not monitored."""
+
+
+@dataclass
+class TaskLog:
+    """The record of a task: failures, runs and the number of plans. Everything in it is mutable state."""
+
+    history: History = field(default_factory=History)
+    episodes: list[Episode] = field(default_factory=list)
+    plans: int = 0
+    """How many have been found, or given."""
+
+    @property
+    def failures(self) -> list[Failure]:
+        """Everything that failed in the runs that are over."""
+        return [failure for episode in self.episodes for failure in episode.result.failures]
+
+    def end(self, machine: PetriNetMachine, result: RunResult, decision: Decision | None = None) -> None:
+        """Record a run that is over, or is succeeded by another."""
+        self.episodes.append(Episode(machine, result, decision))
+
+    def follow(self, machine: PetriNetMachine, result: RunResult, decision: Decision, history: History) -> None:
+        """Record a run that another follows, and the history from then on."""
+        self.end(machine, result, decision)
+        self.history = history
+
+    @property
+    def last_failure(self) -> str:
+        """The failure of the last run; empty when it reached its goal."""
+        return "" if not self.episodes or self.episodes[-1].result.goal else f"last failure: {self.episodes[-1].result.reason}"
+
+    def unfulfilled(self, missing: tuple[Constraint, ...]) -> str:
+        """Return which constraints are not fulfilled after the runs; empty when all are, or nothing was executed."""
+        more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
+        return f"not fulfilled: {', '.join(map(str, missing[:3]))}{more}" if self.episodes and missing else ""
+
+
+# --- reasons -------------------------------------------------------------------------------
+
+
+_HAPPENED: Final = {
+    Cause.ABORTED: "was aborted",
+    Cause.CANCELED: "was cancelled",
+    Cause.REJECTED: "was rejected",
+    Cause.TIMED_OUT: "timed out",
+    Cause.UNAVAILABLE: "found no server",
+    Cause.LOST: "lost its server",
+    Cause.WITHHELD: "has waited in vain for what others keep",
+}
+"""Predicates of sentences about calls, by the cause of the failure."""
+
+
+def retry_reason(seconds: float, result: RunResult) -> str:
+    """Return when a plan is tried again, and why its run has failed."""
+    event = result.reason
+    if result.failures:
+        call, cause = result.failures[-1].call, result.failures[-1].cause
+        event = f"{call.action if isinstance(call, ActionCall) else call} {_HAPPENED.get(cause, f'failed: {cause}')}"
+    return f"tries again in {seconds:g} s after {event}"
+
+
+def join_reasons(*parts: str) -> str:
+    """Join the reasons that are not empty."""
+    return "; ".join(filter(None, parts))

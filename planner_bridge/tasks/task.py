@@ -1,4 +1,4 @@
-"""One task among others: what is wanted, how it is doing, and what has happened to it."""
+"""A task among others: what is wanted, its control, and the record of what has happened to it."""
 
 from __future__ import annotations
 
@@ -6,21 +6,22 @@ import asyncio
 from collections import deque
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
-from typing import Final, Protocol, TypeAlias, assert_never
+from typing import Final, TypeAlias, assert_never
 from uuid import UUID
 
 from planner_bridge.model.plan import Plan, PlanningResult
-from planner_bridge.ordering.interference import Footprint
+from planner_bridge.tasks.control import TaskControl
 from planner_bridge.tasks.replanning import PlanAgain, Resume
+from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import TaskObserver
+from pnm.broadcast import broadcast
 from pnm.core.execution.call_results import Failure, RunResult
-from pnm.core.execution.run import Run
 from pnm.core.machine.machine import CallOutcome, PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Outcome, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.core.net.net import Marking
-from pnm.tasks import Code, Moment, Status, Step, StepState, TaskEnding, TaskListener, TaskState, Wanted
+from pnm.tasks import StepState, TaskEnding, TaskListener, TaskState, TaskStatus, TaskStep, TraceEvent, Wanted
 
 TRACE: Final = 200
 """The events of a task that are kept, the last ones."""
@@ -43,82 +44,58 @@ def step_state(outcome: CallOutcome) -> StepState:
             assert_never(outcome)
 
 
-class Doing(Protocol):
-    """Whoever does what a task is about."""
-
-    @property
-    def run(self) -> Run | None:
-        """The run that goes on, or that went on last."""
-
-    @property
-    def footprint(self) -> Footprint | None:
-        """What is still needed and changed; None when that is not known yet."""
-
-    @property
-    def is_paused(self) -> bool:
-        """Whether it was told to pause."""
-
-    @property
-    def running(self) -> tuple[str, ...]:
-        """The calls that are under way."""
-
-    @property
-    def awaits_answers(self) -> bool:
-        """Whether nothing goes on before a person has answered."""
-
-    def stop(self, code: Code, reason: str) -> None:
-        """End it."""
-
-    async def pause(self, reason: str, *, at_once: bool) -> None:
-        """Start nothing more; return when nothing is under way."""
-
-    def resume(self) -> None:
-        """Go on."""
-
-
-Begins: TypeAlias = Callable[[], tuple[Doing, Coroutine[None, None, TaskEnding]]]
-"""Returns who does a task, and what is to be awaited until it is over."""
+StartTask: TypeAlias = Callable[[], Coroutine[None, None, TaskResult]]
+"""Carries out a task and returns its result."""
 
 
 @dataclass(eq=False)
 class Task(TaskObserver):
-    """A task, which listens to whoever does it. The mutable state is what has a default.
+    """A task among others; it notes what happens to it. The mutable state is what has a default.
 
     Args:
         wanted: what it is about.
         order: tasks are numbered as they come in.
-        listener: is told what happens.
-        clock: tells the time.
+        listener: listens to all tasks.
+        clock: the time, in seconds.
+        observers: listen to this task besides.
+        stopwatch: measures where its time goes.
     """
 
     wanted: Wanted
     order: int
     listener: TaskListener
     clock: Callable[[], float]
-    meant: str = ""
+    observers: tuple[TaskObserver, ...] = ()
+    stopwatch: Stopwatch = field(default_factory=Stopwatch)
+    goal: str = ""
     """The goal in PDDL, when its text does not say it."""
-    begins: Begins | None = None
-    """Begins to do it."""
-    doing: Doing | None = None
-    state: TaskState = TaskState.QUEUED
-    why: str = ""
+    start: StartTask | None = None
+    observer: TaskObserver = field(init=False)
+    """The task, and all who listen to it besides."""
+    control: TaskControl = field(init=False)
     is_held: bool = False
     """Whether somebody has paused it."""
     preempted_by: set[UUID] = field(default_factory=set)
-    """The tasks of higher priority that it makes way for."""
+    """The tasks of higher priority for which it is preempted."""
     ended_calls: int = 0
     replans: int = 0
     restarts: int = 0
     plans: int = 0
     nets: int = 0
     ending: TaskEnding | None = None
-    trace: deque[Moment] = field(default_factory=lambda: deque(maxlen=TRACE))
+    result: TaskResult | None = None
+    error: Exception | None = None
+    """What went wrong, if there is no result."""
+    trace: deque[TraceEvent] = field(default_factory=lambda: deque(maxlen=TRACE))
     deadline: asyncio.TimerHandle | None = None
-    over: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def __post_init__(self) -> None:
+        self.observer = broadcast(TaskObserver, (self, *self.observers)) if self.observers else self
+        self.control = TaskControl(self.observer)
 
     @property
     def rank(self) -> tuple[int, int]:
-        """Its place among others: higher priorities first, then who came first."""
+        """Its place among others: higher priorities first, then the one that came first."""
         return -self.wanted.priority, self.order
 
     @property
@@ -128,30 +105,34 @@ class Task(TaskObserver):
 
     @property
     def name(self) -> str:
-        """What people know it by."""
+        """The name of the task for people."""
         return f"{self.wanted.text or 'the goal of the problem'} ({self.id.hex[:8]})"
 
     @property
     def is_active(self) -> bool:
-        """Whether it is being done, and not paused."""
-        return self.doing is not None and self.ending is None and not self.doing.is_paused
+        """Whether the task has begun, and is neither paused nor over."""
+        return self.control.has_begun and self.ending is None and not self.control.is_paused
 
     @property
     def goes_on(self) -> bool:
-        """Whether it is active and does not only wait for answers."""
-        return self.is_active and self.doing is not None and not self.doing.awaits_answers
+        """Whether the task is active and does not only wait for answers."""
+        execution = self.control.execution
+        return self.is_active and not (execution is not None and execution.awaits_answers)
 
     @property
-    def status(self) -> Status:
-        """How it is doing."""
-        running = self.doing.running if self.doing and self.ending is None else ()
-        counts, wanted = (self.ended_calls, self.replans, self.restarts), self.wanted
-        return Status(self.id, wanted.text or self.meant, wanted.priority, self.state, self.why, running, *counts, wanted.parameters)
+    def status(self) -> TaskStatus:
+        """The status of the task now."""
+        control, wanted = self.control, self.wanted
+        running = control.execution.running if control.execution else ()
+        counts = (self.ended_calls, self.replans, self.restarts)
+        return TaskStatus(
+            self.id, wanted.text or self.goal, wanted.priority, control.state, control.reason, running, *counts, wanted.parameters
+        )
 
     @property
-    def steps(self) -> tuple[Step, ...]:
+    def steps(self) -> tuple[TaskStep, ...]:
         """The calls of its plan, and how far they have come."""
-        run = self.doing.run if self.doing else None
+        run = self.control.run
         if run is None:
             return ()
         graph = run.machine.plan
@@ -159,16 +140,15 @@ class Task(TaskObserver):
         for ordering in graph.orderings:
             if ordering.before.call < len(graph.calls) and ordering.after.call < len(graph.calls):
                 before.setdefault(ordering.after.call, []).append(ordering.before.call)
-        told = {one.call.index: one for one in run.interim_result().calls}
-        states = {index: step_state(one.kind) for index, one in told.items()}
-        begun = {index: one.call.action.arguments for index, one in told.items() if one.started is not None}
+        results = {result.call.index: result for result in run.interim_result().calls}
+        arguments = {index: result.call.action.arguments for index, result in results.items() if result.started is not None}
         return tuple(
-            Step(
+            TaskStep(
                 call.action.name,
-                begun[call.index] if call.index in begun else run.arguments(call),
+                arguments[call.index] if call.index in arguments else run.arguments(call),
                 call.planned,
                 call.action.duration or 0.0,
-                states.get(call.index, StepState.WAITING),
+                step_state(results[call.index].kind) if call.index in results else StepState.WAITING,
                 tuple(dict.fromkeys(before.get(call.index, ()))),
             )
             for call in graph.calls
@@ -176,58 +156,33 @@ class Task(TaskObserver):
 
     @property
     def net(self) -> tuple[int, PetriNetMachine, Marking] | None:
-        """How many nets it has had before, the net it has now, and where its tokens are."""
-        run = self.doing.run if self.doing else None
+        """The number of nets it has had before, the net it has now, and its marking."""
+        run = self.control.run
         return None if run is None else (self.nets - 1, run.machine, run.marking)
-
-    # --- pausing --------------------------------------------------------------------------------
-
-    async def pause(self, reason: str, *, at_once: bool) -> None:
-        """Start nothing more; return when nothing is under way, which for a task that is being cancelled is its end."""
-        if self.doing is not None:
-            await self.doing.pause(reason, at_once=at_once)
-        else:
-            self.enter(TaskState.PAUSED, reason)
-        if self.state is TaskState.CANCELLING:
-            await self.over.wait()
-
-    def go_on(self) -> None:
-        """Be paused no longer."""
-        if self.doing is not None:
-            self.doing.resume()
-        elif self.state is TaskState.PAUSED:
-            self.enter(TaskState.QUEUED)
 
     # --- what happens ---------------------------------------------------------------------------
 
-    def enter(self, state: TaskState, why: str = "") -> None:
-        """Be in another state from now on, unless it is over: it may have come to its end while it was told to pause."""
-        if self.ending is not None:
-            return
-        self.state, self.why = state, why
-        self.note("state", "", f"{state.name.lower()}{f': {why}' if why else ''}")
-        self.listener.changed(self.id)
+    def entered(self, state: TaskState, why: str) -> None:
+        """Note that the task is in another state."""
+        if state is not TaskState.OVER:  # which is noted with the result
+            self.note("state", "", f"{state.name.lower()}{f': {why}' if why else ''}")
+            self.listener.changed(self.id)
 
     def note(self, kind: str, subject: str = "", text: str = "") -> None:
-        """Write down what has happened."""
-        moment = Moment(self.id, self.clock(), kind, subject, text)
-        self.trace.append(moment)
-        self.listener.happened(moment)
+        """Note an event of the task."""
+        event = TraceEvent(self.id, self.clock(), kind, subject, text)
+        self.trace.append(event)
+        self.listener.happened(event)
 
     def end(self, ending: TaskEnding) -> None:
-        """Be over."""
-        self.state, self.why = TaskState.OVER, ending.message
+        """End the task."""
+        self.control.enter(TaskState.OVER, ending.message)
         self.note("state", "", f"over: {ending.code.word}: {ending.message}")
         self.ending = TaskEnding(ending.code, ending.message, self.replans, tuple(self.trace), ending.results, ending.cause)
         if self.deadline:
             self.deadline.cancel()
         self.listener.ended(self.id, self.ending)
-        self.over.set()
-
-    def entered(self, state: TaskState, why: str) -> None:
-        """Be in the state of whoever does it."""
-        if state is not TaskState.OVER:  # which it is when its result is known
-            self.enter(state, why)
+        self.control.over.set()
 
     def planned(self, plan: Plan) -> None:
         """Note that a plan was found."""
@@ -242,6 +197,12 @@ class Task(TaskObserver):
         """Note that there is another net."""
         self.nets += 1
         self.listener.planned(self.id)
+
+    def resigned(self, reason: str) -> None:
+        """Note that a hand-written plan has failed, and that a planner looks for another way."""
+        self.replans += 1
+        self.note("replanned", "", f"a planner looks for another way: {reason}")
+        self.listener.changed(self.id)
 
     def replanning(self, decision: Resume | PlanAgain, result: RunResult) -> None:
         """Note that the plan is replaced."""
@@ -278,5 +239,5 @@ class Task(TaskObserver):
         if rule.restarts:
             self.restarts += 1
             self.listener.changed(self.id)
-        self.listener.happened(Moment(self.id, now, "fired", transition))
+        self.listener.happened(TraceEvent(self.id, now, "fired", transition))
         self.listener.moved(self.id)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from planner_bridge.ordering.plan_to_graph import plan_graph
-from planner_bridge.pddl import read_domain, read_problem
+from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
 from planner_bridge.pddl.comments.table import Table
 from planner_bridge.pddl.read.attach_comments import comments
 from planner_bridge.pddl.read.reader import MAX_BYTES
@@ -50,12 +50,12 @@ def exported(
         domain: a PDDL file.
         problem: a PDDL file for it, which a plan needs.
         with_plan: whether a plan is found and written, too.
-        original: whether what is written is a plan for the first implementation.
+        original: whether a plan for the first implementation is written.
         planner: which finds the plan.
         timeout: seconds that may take.
 
     Raises:
-        InputError: a file is wrong, or says what cannot be written.
+        InputError: a file is wrong, or has what cannot be written.
     """
     model = read_domain(domain)
     if problem is None:
@@ -78,13 +78,16 @@ def imported(file: Path) -> Imported:
     """Return the domain of a YAML file, and its problem, as PDDL.
 
     Raises:
-        InputError: the file is wrong, or says what PDDL cannot.
+        InputError: the file is wrong, or has what PDDL has not.
     """
     found = read(file)
     texts = {"domain.pddl": domain_text(found.domain, found.of("domain"))}
+    domain = parse_domain(texts["domain.pddl"], "domain.pddl")  # which tells of requirements that other planners will miss
+    warnings = (*found.domain.warnings, *domain.warnings)
     if found.problem:
         texts["problem.pddl"] = problem_text(found.problem, found.of("problem"))
-    return Imported(texts, (found.problem or found.domain).warnings)
+        warnings = (*found.domain.warnings, *parse_problem(texts["problem.pddl"], domain, "problem.pddl").warnings)
+    return Imported(texts, warnings)
 
 
 def _both(domain: Path, problem: Path) -> Table:

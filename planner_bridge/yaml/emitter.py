@@ -16,7 +16,7 @@ from typing import Final, TypeAlias
 
 import yaml
 
-from planner_bridge.pddl.comments.lines import Line, rendered
+from planner_bridge.pddl.comments.lines import Line, render_lines
 from planner_bridge.pddl.comments.table import NO_NOTE, Note
 
 _LETTERS: Final = frozenset("yYnN")
@@ -48,15 +48,13 @@ def quoted(text: str) -> str:
 
 
 def is_plain(text: str, *, in_flow: bool = False) -> bool:
-    """Tell whether the text needs no quotes, inside brackets and braces or elsewhere."""
+    """Return whether the text needs no quotes, inside brackets and braces or elsewhere."""
     if not any(map(str.isalnum, text)) or _PLAIN.fullmatch(text) is None or _BREAKING.search(text) or (in_flow and _IN_FLOW.search(text)):
         return False
-    return text not in _LETTERS and _NEWER.fullmatch(text) is None and not _means_something(text)
-
-
-def _means_something(text: str) -> bool:
-    """Tell whether YAML 1.1 takes the text for a number, a truth value, a date or the like."""
-    return any(pattern.match(text) for _, pattern in (*_RESOLVERS.get(text[0], ()), *_RESOLVERS.get(None, ())))
+    if text in _LETTERS or _NEWER.fullmatch(text) is not None:
+        return False
+    # what YAML 1.1 takes for a number, a truth value, a date or the like
+    return not any(pattern.match(text) for _, pattern in (*_RESOLVERS.get(text[0], ()), *_RESOLVERS.get(None, ())))
 
 
 WIDTH: Final = 100
@@ -118,7 +116,7 @@ def single(key: str, value: Value, *, short: bool = False) -> Mapping:
 
 def document(whole: Mapping) -> str:
     """Write a document."""
-    return rendered(_block(whole, 0), commented)
+    return render_lines(_block(whole, 0), commented)
 
 
 def commented(comment: str) -> str:
@@ -135,14 +133,10 @@ def _block(value: Sequence | Mapping, indent: int) -> Iterator[Line]:
         if entry.apart:
             yield Line(0, "")
         yield from _comments(entry.note.before, indent)
-        yield from _beside(_entry(entry, "-" if isinstance(value, Sequence) else f"{scalar(entry.key)}:", indent), entry.note.beside)
+        first, *others = _entry(entry, "-" if isinstance(value, Sequence) else f"{scalar(entry.key)}:", indent)
+        yield Line(first.indent, first.text, (*entry.note.beside, *first.beside))
+        yield from others
         yield from _comments(entry.note.below, indent)
-
-
-def _beside(lines: Iterator[Line], comments: tuple[str, ...]) -> Iterator[Line]:
-    first = next(lines)
-    yield Line(first.indent, first.text, (*comments, *first.beside))
-    yield from lines
 
 
 def _entry(entry: Entry, head: str, indent: int) -> Iterator[Line]:

@@ -54,10 +54,10 @@ def write_original(problem: Problem, plan: Plan) -> str:
     """Write the steps of a plan.
 
     Raises:
-        InputError: the domain, the problem or the plan has what cannot be said; the message names it.
+        InputError: the domain, the problem or the plan has something without a counterpart there; the message names it.
     """
     _refuse(problem, plan)
-    writer = _Writer(problem, initial_knowledge(problem))
+    writer = _UnrolledPlan(problem, initial_knowledge(problem))
     for step in plan.steps:
         writer.call(step)
     writer.check(problem.goal, "goal")
@@ -66,7 +66,7 @@ def write_original(problem: Problem, plan: Plan) -> str:
 
 
 def _refuse(problem: Problem, plan: Plan) -> None:
-    """Refuse what no plan in that syntax can say."""
+    """Refuse what has no counterpart in that syntax."""
     domain = problem.domain
     used = [domain.actions[name] for name in dict.fromkeys(step.action for step in plan.steps)]
     found = [
@@ -80,7 +80,7 @@ def _refuse(problem: Problem, plan: Plan) -> None:
 
 
 @dataclass
-class _Writer:
+class _UnrolledPlan:
     """Writes the steps. The mutable state is what has been written."""
 
     problem: Problem

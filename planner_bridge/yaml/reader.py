@@ -1,37 +1,43 @@
-"""Domains and problems from YAML files in the language, with the comments in them."""
+"""Domains and problems from YAML files in the language, with the comments in them.
+
+`pnm.language` reads what people and planners share; what only planners need is read here: requirements,
+constraints, preferences, metrics, and task networks, which are kept as their HDDL text.
+"""
 
 from __future__ import annotations
 
-import re
-from bisect import bisect_right
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
-
-import yaml
+from typing import Any, Final
 
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.pddl.comments.table import Item, Lines, Remark, Table, attached
-from planner_bridge.pddl.comments.table import Path as Place
-from planner_bridge.pddl.read.reader import domain_from, problem_from
-from planner_bridge.pddl.syntax.anchors import items
-from planner_bridge.pddl.syntax.expressions import Source
-from planner_bridge.yaml.sections import Definitions, definitions
-from planner_bridge.yaml.write_domain import SCHEMA_MARK
+from planner_bridge.pddl.comments.table import Table
+from planner_bridge.pddl.read.reader import HIERARCHY, NETWORK
+from planner_bridge.pddl.syntax.expressions import Group
+from planner_bridge.pddl.syntax.expressions import parse as parse_lists
+from planner_bridge.pddl.syntax.words import CONNECTIVES, NAME, NUMBER, with_article
+from planner_bridge.yaml.read_comments import comments
+from planner_bridge.yaml.read_constraints import is_about_states, read_constraint, read_metric, read_preference
+from pnm.core.logic.domain import ActionSchema, DomainModel, Preference, ProblemModel
+from pnm.core.logic.expressions import DURATION, Variable
+from pnm.errors import InputError, Position, Tolerated
 from pnm.files.text import read_text
 from pnm.files.yaml_loader import compose
-from pnm.files.yaml_nodes import MAX_BYTES, Mapped
+from pnm.files.yaml_nodes import MAX_BYTES, Mapped, Node
+from pnm.language.domain import DOMAIN_KEYS, read_model
+from pnm.language.files import ANCHORS, PLAN_KEYS, domain_document
+from pnm.language.formulas.scope import FormulaScope, shown
 
-_COMMENT: Final = re.compile(r"(?:(?<=\s)|(?<=\A)|(?<=\ufeff))#[^\r\n]*")
-_CODE: Final = re.compile(r"^([ \t]*)[^\s#]", re.MULTILINE)
-"""The beginning of a line that has more than a comment."""
-_MARK: Final = re.compile(r"#+")
+_LEFT_OUT: Final = ("instances", "external_knowledge_base", "knowledge", "action_types")
+"""The keys of a domain that PDDL has nothing like."""
+_PDDL_PARTS: Final = ("params", "preconditions", "effects", "duration", "preferences")
+"""The keys of an action that PDDL has, too."""
 
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What a YAML file says, as far as PDDL can say it."""
+    """A YAML file as planners see it."""
 
     domain: Domain
     problem: Problem | None
@@ -46,7 +52,7 @@ def read(path: Path) -> Contents:
     """Read a YAML file.
 
     Raises:
-        InputError: the file cannot be read, is not such YAML, or says what PDDL cannot.
+        InputError: the file cannot be read, is not such YAML, or has what PDDL has not.
     """
     return parse(read_text(path, MAX_BYTES), str(path))
 
@@ -55,66 +61,127 @@ def parse(text: str, file: str) -> Contents:
     """Read the text of a YAML file.
 
     Raises:
-        InputError: it is not such YAML, or says what PDDL cannot.
+        InputError: it is not such YAML, or has what PDDL has not.
     """
-    nodes = compose(text, file)
-    found = definitions([Mapped.of(node, file) for node in nodes], Source(file, text))
-    domain = domain_from(found.domain)
-    problem = problem_from(found.problem, domain) if found.problem else None
-    return Contents(domain, problem, _comments(text, nodes, found) if "#" in text else {})
+    nodes = compose(text, file, ANCHORS)
+    top = domain_document([Mapped.of(node, file) for node in nodes])
+    if top is None:
+        raise InputError("there is no domain in the file; expected the key 'actions'", Position(file, 1, 1))
+    top.only(*DOMAIN_KEYS, *PLAN_KEYS)
+    model, _ = read_model(top, strict=True)
+    if not model.domain.name:
+        model = replace(model, name=model.name or Path(file).stem, domain=replace(model.domain, name=Path(file).stem))
+    _check_names(model, top)
+    domain = _domain(model, top)
+    section = top.filled("problem")
+    problem = None if section is None else _problem(model, domain, section.mapped())
+    return Contents(domain, problem, comments(text, nodes, top, domain) if "#" in text else {})
 
 
-# --- comments ------------------------------------------------------------------------------
+def _domain(model: ProblemModel, top: Mapped) -> Domain:
+    scope = FormulaScope(model, {}, strict=True, borrows=top.filled("problem") is None)
+    actions = {name: _with_preferences(schema, top.mapping("actions")[name], scope) for name, schema in model.domain.actions.items()}
+    for preference in top.listed("preferences"):
+        preference.mapped().needed("constraints")  # no state that could be preferred is known here
+    return Domain(
+        **{**_fields(model.domain), "actions": actions},
+        requirements=_requirements(top),
+        constraints=tuple([read_constraint(node, scope) for node in top.listed("constraints")]),
+        preferences=tuple([read_preference(node, scope) for node in top.listed("preferences")]),
+        hierarchy=tuple([_hddl_text(node, HIERARCHY) for node in top.listed("hierarchy")]),
+        warnings=tuple(sorted(_left_out(top), key=lambda warning: (warning.position.line, warning.position.column))),
+    )
 
 
-def _comments(text: str, nodes: Iterable[yaml.Node], found: Definitions) -> Table:
-    """Return the comments, as PDDL writes them, and what they are about."""
-    things = items(found.domain, "domain", {})
-    if found.problem:
-        things += [item for item in items(found.problem, "problem", {}) if item.path[1:] != (":domain",)]
-    lines = Lines.of(text)
-    remarks = [Remark(_MARK.sub(lambda marks: ";" * len(marks[0]), one.text, count=1), one.offset) for one in _remarks(text, nodes)]
-    return attached(remarks, things, lines, _Below({thing.path: thing.start for thing in things}, lines).path)
+def _problem(model: ProblemModel, domain: Domain, section: Mapped) -> Problem:
+    scope = FormulaScope(model, {}, strict=True)
+    nodes = section.listed("preferences")
+    soft = [read_preference(node, scope) for node in sorted(nodes, key=is_about_states, reverse=True)]
+    every = (*soft, *domain.preferences, *(preference for schema in domain.actions.values() for preference in schema.preferences))
+    return Problem(
+        **{**_fields(model), "domain": domain, "init": {fluent: value for fluent, value in model.init.items() if value is not False}},
+        metric=read_metric(section, scope, {preference.name for preference in every if preference.name}),
+        constraints=tuple([read_constraint(node, scope) for node in section.listed("constraints")]),
+        preferences=tuple(soft),
+        network="\n".join([_hddl_text(node, NETWORK) for node in section.listed("network")]),
+        requirements=_requirements(section),
+        warnings=domain.warnings,
+    )
 
 
-def _remarks(text: str, nodes: Iterable[yaml.Node]) -> Iterator[Remark]:
-    """Yield what begins with ``#`` outside of scalars."""
-    spans = sorted((node.start_mark.index, node.end_mark.index) for node in _quoted(nodes))
-    starts = [start for start, _ in spans]
-    for match in _COMMENT.finditer(text):
-        before = bisect_right(starts, match.start())
-        if match.group().startswith(SCHEMA_MARK):
-            continue
-        if not before or spans[before - 1][1] <= match.start():
-            yield Remark(match.group().rstrip(), match.start())
+def _fields(model: DomainModel | ProblemModel) -> Mapping[str, Any]:
+    """Return the fields that the model of planners shares."""
+    kind = DomainModel if isinstance(model, DomainModel) else ProblemModel
+    return {name: getattr(model, name) for name in kind.__dataclass_fields__}
 
 
-def _quoted(nodes: Iterable[yaml.Node]) -> Iterator[yaml.Node]:
-    waiting = [*nodes]
-    while waiting:
-        node = waiting.pop()
-        if isinstance(node, yaml.MappingNode):
-            waiting.extend(part for pair in node.value for part in pair)
-        elif isinstance(node, yaml.SequenceNode):
-            waiting.extend(node.value)
-        elif isinstance(node, yaml.ScalarNode) and node.style is not None:
-            yield node
+def _with_preferences(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> ActionSchema:
+    timed = schema.duration is not None
+    inner = scope.inside((*schema.parameters, *((Variable(DURATION[0]),) if timed else ())))
+    found: list[Preference] = []
+    for node in entry.listed("preferences"):
+        node.mapped().needed("condition")
+        found.append(read_preference(node, inner, timed=timed))
+    return replace(schema, preferences=tuple(found))
 
 
-@dataclass(frozen=True, slots=True)
-class _Below:
-    """Tells by the columns whether a comment stands under something, or above what follows."""
+def _requirements(entry: Mapped) -> tuple[str, ...]:
+    """Read requirements, with or without their colons: a list of them, or a text of several."""
+    words = [word for node in entry.listed("requirements") for word in node.written.split()]
+    return tuple(dict.fromkeys(f":{word.lstrip(':').lower()}" for word in words))
 
-    starts: dict[Place, int]
-    """Where things begin."""
-    lines: Lines
 
-    def path(self, remark: Remark, last: Item | None, following: Item | None) -> Place | None:
-        column = self.lines.column(remark.offset)
-        code = _CODE.search(self.lines.text, remark.offset)
-        if last is None or (following is not None and code and column <= len(code[1])):
-            return None
-        path = last.path
-        while path and (path not in self.starts or self.lines.indent(self.starts[path]) > column):
-            path = path[:-1]
-        return path or last.path[:1]
+def _hddl_text(node: Node, heads: tuple[str, ...]) -> str:
+    """Read a section that is kept as its text."""
+    lists = parse_lists(node.text, node.file) if node.text else ()
+    if node.text and lists and isinstance(lists[0], Group) and lists[0].head in heads:
+        return node.text
+    raise node.wrong(f"expected the text of {' or '.join(heads)}, found {shown(node)}")
+
+
+def _left_out(top: Mapped) -> Iterator[Tolerated]:
+    """Yield what in the file PDDL cannot express, and other planners need not know."""
+    for key in _LEFT_OUT:
+        if key in top.nodes:
+            yield Tolerated(f"{key!r} is left out: PDDL has nothing like it", top.nodes[key][0])
+    for name, entry in top.mapping("actions").items():
+        for key, (position, _) in entry.nodes.items():
+            if key not in _PDDL_PARTS:
+                yield Tolerated(f"{key!r} of {name} is left out: PDDL has nothing like it", position)
+
+
+# --- names ---------------------------------------------------------------------------------
+
+
+def _check_names(model: ProblemModel, top: Mapped) -> None:
+    """Refuse names that PDDL cannot have or cannot tell apart, and types that are kinds of themselves."""
+    domain = model.domain
+    _check_spelling("type", domain.types, top.node("types"))
+    _check_spelling("object", domain.constants, top.node("constants"))
+    _check_spelling("object", model.own_objects, top.section("problem").node("objects"))
+    _check_spelling("predicate", domain.predicates, top.node("predicates"), CONNECTIVES)
+    _check_spelling("function", domain.functions, top.node("functions"), CONNECTIVES)
+    _check_spelling("action", domain.actions, top.node("actions"))
+    for name, parents in domain.types.items():
+        if any(name in domain.supertypes(parent) for parent in parents):
+            raise InputError(f"the type {name!r} is a kind of itself", top.needed("types").position_of(name))
+    for name, declared in domain.functions.items():
+        same = domain.predicates.get(name)
+        if same is not None and len(same.parameters) == len(declared.parameters):
+            message = f"the function {name!r} has the name and the number of arguments of a predicate"
+            raise InputError(message, top.needed("functions").position_of(name))
+
+
+def _check_spelling(kind: str, names: Iterable[str], node: Node | None, forbidden: frozenset[str] = frozenset()) -> None:
+    if node is None:
+        return
+    spelled: dict[str, str] = {}
+    for name in names:
+        if name.lower() in forbidden:
+            raise InputError(f"{name!r} is a word of PDDL and cannot name {with_article(kind)}", node.position_of(name))
+        if NAME.fullmatch(name) is None or NUMBER.fullmatch(name) is not None:
+            raise InputError(
+                f"{name!r} cannot name {with_article(kind)} in PDDL; expected letters, digits and _ - . @", node.position_of(name)
+            )
+        if spelled.setdefault(name.lower(), name) != name:
+            raise InputError(f"PDDL does not tell {name!r} from {spelled[name.lower()]!r}", node.position_of(name))

@@ -1,7 +1,7 @@
 """Partial orders taken apart: into blocks that follow each other or lie beside each other, as far as they go.
 
 An order is series-parallel if four of its elements never form an N. What is not so is left as a `Mesh`: its
-elements, each with those that come directly before it. Sets of elements are integers, of which each bit is one.
+elements, each with those that come directly before it. Sets of elements are integers with one bit for each.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Parallel:
 
 @dataclass(frozen=True, slots=True)
 class Mesh:
-    """In an order that no blocks can say."""
+    """In an order that is not series-parallel."""
 
     before: Mapping[int, tuple[int, ...]]
     """For every element, in an order that fits, those directly before it."""

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Final
 
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.pddl.comments.table import NO_NOTES, Notes, Table, with_all
-from planner_bridge.pddl.syntax.anchors import ACTION, fact_said, hierarchy_said, rule_said
+from planner_bridge.pddl.comments.table import NO_NOTES, Notes, Table, write_with_notes
+from planner_bridge.pddl.syntax.anchors import ACTION, fact_anchor, hierarchy_anchor, rule_anchor
 from planner_bridge.pddl.syntax.pretty_print import flat
 from planner_bridge.pddl.syntax.words import number_text
 from planner_bridge.pddl.write.forms import typed_lines, types_form, variables_form
@@ -18,23 +18,23 @@ from planner_bridge.yaml.write_formulas import conditions, constraints, duration
 from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.effects import TimedChange
-from pnm.core.logic.rules import Rule
+from pnm.core.logic.rules import DerivationRule
 from pnm.errors import InputError
 from pnm.files.yaml_loader import MAX_DEPTH
 
-NOTHING_SAID: Final[Table] = {}
+NO_COMMENTS: Final[Table] = {}
 SCHEMA_MARK: Final = "# yaml-language-server:"
 """Begins a comment that is for editors."""
 SCHEMA: Final = ""
 """Where editors find the JSON Schema of these files; empty as long as there is none."""
 
 
-def write_domain(domain: Domain, table: Table = NOTHING_SAID) -> str:
+def write_domain(domain: Domain, table: Table = NO_COMMENTS) -> str:
     """Write a domain as YAML, with the comments of the table."""
-    return with_all(table, lambda notes: written(domain_entries(domain, notes)))
+    return write_with_notes(table, lambda notes: written(domain_entries(domain, notes)))
 
 
-def write_problem(problem: Problem, table: Table = NOTHING_SAID, plan: Iterable[Entry] = ()) -> str:
+def write_problem(problem: Problem, table: Table = NO_COMMENTS, plan: Iterable[Entry] = ()) -> str:
     """Write a domain and a problem as one YAML file, with the comments of the table, and a plan for the problem.
 
     Raises:
@@ -46,7 +46,7 @@ def write_problem(problem: Problem, table: Table = NOTHING_SAID, plan: Iterable[
         entry = Entry(Mapping(tuple(_problem(problem, own))), "problem", own.take(), apart=True)
         return written([*domain_entries(problem.domain, notes), entry, *plan])
 
-    return with_all(table, write)
+    return write_with_notes(table, write)
 
 
 def written(entries: Iterable[Entry]) -> str:
@@ -61,7 +61,7 @@ def written(entries: Iterable[Entry]) -> str:
 
 
 def domain_entries(domain: Domain, notes: Notes) -> list[Entry]:
-    """Return what a file says of a domain."""
+    """Return the keys of a file with a domain."""
     own = notes.at("domain")
     root = own.take().joined(notes.take())
     lines = [("types", ((name, above or ("object",)) for name, above in domain.types.items())), ("constants", domain.constants.items())]
@@ -73,8 +73,8 @@ def domain_entries(domain: Domain, notes: Notes) -> list[Entry]:
         Entry(Sequence(tuple(_rule(rule, own) for rule in domain.rules)), "derived"),
         _constraints(domain, own),
         Entry(preferences(domain.preferences, NO_NOTES, own.at(":constraints")), "preferences"),
-        Entry(Sequence(tuple(Entry(text, note=own.at(*hierarchy_said(text)).take()) for text in domain.hierarchy)), "hierarchy"),
-        Entry(Mapping(_spaced(_action(schema, own) for schema in domain.actions.values())), "actions"),
+        Entry(Sequence(tuple(Entry(text, note=own.at(*hierarchy_anchor(text)).take()) for text in domain.hierarchy)), "hierarchy"),
+        Entry(_actions(domain.actions.values(), own), "actions"),
     ]
     return [
         Entry(domain.name, "name", root),
@@ -98,18 +98,17 @@ def _names(key: str, pairs: Iterable[tuple[str, tuple[str, ...]]], notes: Notes)
 
 def _declarations(key: str, declared: Iterable[Declaration], notes: Notes) -> Entry:
     own = notes.at(f":{key}")
-    lines = tuple([Entry(_declaration(one), note=own.at(one.name.lower()).take()) for one in declared])
-    return Entry(Sequence(lines), key, own.take())
+    lines: list[Entry] = []
+    for declaration in declared:
+        text = flat([declaration.name, *variables_form(declaration.parameters)])
+        values = f" - {flat(types_form(declaration.values))}" if declaration.values else ""
+        lines.append(Entry(f"{text}{values}", note=own.at(declaration.name.lower()).take()))
+    return Entry(Sequence(tuple(lines)), key, own.take())
 
 
-def _declaration(declared: Declaration) -> str:
-    text = flat([declared.name, *variables_form(declared.parameters)])
-    return f"{text} - {flat(types_form(declared.values))}" if declared.values else text
-
-
-def _rule(rule: Rule, notes: Notes) -> Entry:
+def _rule(rule: DerivationRule, notes: Notes) -> Entry:
     form = rule_form(rule)
-    own = notes.at(":derived", rule_said(form))
+    own = notes.at(":derived", rule_anchor(form))
     note = own.take()
     return Entry(Mapping((Entry(flat(form[1]), "fact"), Entry(conditions(rule.condition, own), "condition"))), note=note)
 
@@ -121,14 +120,12 @@ def _constraints(whole: Domain | Problem, notes: Notes) -> Entry:
     return Entry(found, "constraints", note) if note else Entry(found, "constraints")
 
 
-def _action(schema: ActionSchema, notes: Notes) -> Entry:
-    own = notes.at(ACTION, schema.name.lower())
-    return Entry(Mapping(tuple(_parts(schema, own))), schema.name, own.take())
-
-
-def _spaced(entries: Iterable[Entry]) -> tuple[Entry, ...]:
-    """Put empty lines between entries."""
-    return tuple([replace(entry, apart=number > 0) for number, entry in enumerate(entries)])
+def _actions(schemas: Iterable[ActionSchema], notes: Notes) -> Mapping:
+    entries: list[Entry] = []
+    for schema in schemas:
+        own = notes.at(ACTION, schema.name.lower())
+        entries.append(Entry(Mapping(tuple(_parts(schema, own))), schema.name, own.take(), apart=bool(entries)))
+    return Mapping(tuple(entries))
 
 
 def _parts(schema: ActionSchema, notes: Notes) -> Iterator[Entry]:
@@ -176,7 +173,7 @@ def _problem(problem: Problem, notes: Notes) -> Iterator[Entry]:
     yield Entry(problem.name, "name")
     yield from (entry for entry in found if not _is_empty(entry))
     if problem.network:
-        yield Entry(problem.network, "network", notes.at(*hierarchy_said(problem.network)).take())
+        yield Entry(problem.network, "network", notes.at(*hierarchy_anchor(problem.network)).take())
     if problem.goal != TRUE or not problem.network:
         yield Entry(conditions(problem.goal, goal), "goal", goal.take())
     if problem.metric:
@@ -188,11 +185,11 @@ def _facts(problem: Problem, notes: Notes) -> Iterator[Entry]:
     for fluent, value in problem.init.items():
         if value is not False:
             form = change_form(fluent, value)
-            yield Entry(flat(form), note=notes.at(fact_said(form)).take())
+            yield Entry(flat(form), note=notes.at(fact_anchor(form)).take())
 
 
 def _timed(timed: TimedChange, notes: Notes) -> Entry:
     time = number_text(timed.time)
     forms = [change_form(fluent, value) for fluent, value in timed.changes.items()]
-    facts = [Entry(flat(form), note=notes.at(fact_said(["at", time, form])).take()) for form in forms]
+    facts = [Entry(flat(form), note=notes.at(fact_anchor(["at", time, form])).take()) for form in forms]
     return Entry(Mapping((Entry(Bare(time), "at"), Entry(Sequence(tuple(facts)), "facts"))))

@@ -7,7 +7,7 @@ from itertools import groupby
 from typing import Final, assert_never
 
 from planner_bridge.pddl.comments.table import NO_NOTES, Notes
-from planner_bridge.pddl.syntax.anchors import said
+from planner_bridge.pddl.syntax.anchors import form_anchor
 from planner_bridge.pddl.syntax.pretty_print import flat
 from planner_bridge.pddl.syntax.words import number_text
 from planner_bridge.pddl.write.forms import condition_form, effects_form, types_form, variables_form
@@ -31,7 +31,7 @@ def conditions(condition: Condition, notes: Notes) -> Value:
 
 
 def one_or_list(entries: list[Entry]) -> Value:
-    """Return the value itself if there is one and nothing is said about it."""
+    """Return the one value, if it has no comments, or a list."""
     return entries[0].value if len(entries) == 1 and not entries[0].note else Sequence(tuple(entries))
 
 
@@ -39,7 +39,7 @@ def _noted(condition: Condition, notes: Notes) -> Entry:
     """Write a condition with its comments."""
     if isinstance(condition, All):  # which is looked through when comments are read
         return Entry(_condition(condition, notes))
-    own = notes.at(said(condition_form(condition))) if notes else NO_NOTES
+    own = notes.at(form_anchor(condition_form(condition))) if notes else NO_NOTES
     return Entry(_condition(condition, own), note=own.take())
 
 
@@ -107,7 +107,7 @@ def effects(found: Effects, notes: Notes) -> Sequence:
 
 
 def _effect_noted(effect: Effect, notes: Notes) -> Entry:
-    own = notes.at(said(effects_form((effect,)))) if notes else NO_NOTES
+    own = notes.at(form_anchor(effects_form((effect,)))) if notes else NO_NOTES
     return Entry(_effect(effect, own), note=own.take())
 
 
@@ -146,7 +146,7 @@ def constraints(found: Iterable[Constraint], notes: Notes) -> Sequence:
 
 
 def _constraint(constraint: Constraint, notes: Notes) -> Entry:
-    own = notes.at(said(constraint_form(constraint)))
+    own = notes.at(form_anchor(constraint_form(constraint)))
     times: list[Entry] = [Entry(Bare(number_text(time))) for time in constraint.times]
     entries = [*times, *(_noted(condition, NO_NOTES) for condition in constraint.conditions)]
     value: Value = single(constraint.operator.replace(" ", "_"), entries[0].value if len(entries) == 1 else Sequence(tuple(entries)))
@@ -161,7 +161,7 @@ def preferences(found: Iterable[Preference], states: Notes, courses: Notes) -> S
 
 
 def _preference(preference: Preference, notes: Notes) -> Entry:
-    own = notes.at(said(preference_form(preference)))
+    own = notes.at(form_anchor(preference_form(preference)))
     entries: list[Entry] = [Entry(preference.name, "name")] if preference.name else []
     quantifiers = nested(preference.variables)
     if quantifiers:

@@ -1,7 +1,7 @@
 """Plans as steps: nested blocks where their order is series-parallel, ``after`` lists where it is not.
 
-Temporal plans may say more than which call follows which: that a call starts or ends after the start of another,
-or so many seconds later, or not before a time. Then all steps stand in one list, and each says all it waits for.
+Temporal plans have more than orderings of whole calls: a call starts or ends after the start of another, after a
+delay, or not before a time. Then all steps stand in one list, and each has all it waits for.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ _NO_PLAN: Final = Entry(Sequence(), "plan", apart=True)
 
 
 def plan_entries(graph: PlanGraph, domain: Domain) -> list[Entry]:
-    """Return what a file says of a plan that a planner has made."""
+    """Return the keys of a file with a plan that a planner has made."""
     if not graph.calls:
         return [_NO_PLAN]
-    writer = _Writer(graph, domain)
+    writer = _StepWriter(graph, domain)
     return [Entry(Sequence(tuple([Entry(step) for step in writer.steps()])), "plan", apart=True)]
 
 
 @dataclass(frozen=True)
-class _Writer:
+class _StepWriter:
     graph: PlanGraph
     domain: Domain
 
@@ -70,7 +70,7 @@ class _Writer:
                 assert_never(block)
 
     def _mesh(self, before: dict[int, tuple[int, ...]], *, in_sequence: bool) -> list[Mapping]:
-        """Write steps that say what they wait for, unless that is what a step of such a list waits for anyway."""
+        """Write steps with what they wait for, where that is not what a step of such a list waits for anyway."""
         named = self._names({other for others in before.values() for other in others})
         steps: list[Mapping] = []
         usual: tuple[int, ...] = ()

@@ -1,57 +1,55 @@
-"""Where actions are carried out: simulated robots in this process, or action servers of ROS 2.
+"""Execution backends: simulated robots in this process, or the action servers of ROS 2 (`pnm.ros.backend`).
 
-A site is opened with the knowledge it shall keep up to date, and closed when the task is over.
+A backend is opened with the knowledge base that it keeps up to date, and closed when the task is over.
 """
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable
-from typing import Final, Protocol
+from typing import Protocol
 from uuid import UUID
 
-from pnm.actions.simulated_robots import SimulatedRobots, sense
+from pnm.actions.simulated_robots import SimulatedRobots
+from pnm.actions.simulated_world import report_changes
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.effects import TimedChange
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import ActionClient
 from pnm.knowledge.sources.source import FindKnowledge, Source
 
-DISCOVERY: Final = 10.0
-"""Seconds that robots may take to appear which are started together with us; later, who is missing fails by name."""
-
 
 class Backend(Protocol):
-    """Carries out actions and reports about the world."""
+    """An execution backend: performs actions and reports on the state of the world."""
 
     @property
     def client(self) -> ActionClient:
-        """What requests are sent to."""
+        """The action client that requests are sent to."""
 
     async def open(self, knowledge: KnowledgeBase) -> None:
-        """Connect, and bring the knowledge up to date with what is observed."""
+        """Connect, and begin to bring the knowledge up to date with state reports."""
 
     async def share(self, mark: bytes, find: FindKnowledge, source: Source) -> None:
-        """Let whoever carries out a request ask, and change, what the run knows that has sent it.
+        """Let action servers query and update the knowledge of the run that sent them a request.
 
         Args:
-            mark: what the identities of all requests begin with.
+            mark: the first bytes of the identities of all requests.
             find: finds the knowledge by the identity of the request.
-            source: asked for what runs do not know themselves.
+            source: answers what the run does not know.
         """
 
     def over(self, request: UUID, /) -> None:
-        """Note that a request is over: nobody needs to know anything for it any more."""
+        """Note that a request is over: its server needs no knowledge any more."""
 
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
-        """Get ready to carry out these actions; return the names of servers that are not there yet."""
+        """Look for the servers of these actions; return the names of those that are not there yet."""
 
     async def close(self) -> None:
         """Disconnect."""
 
 
 def schedule(knowledge: KnowledgeBase, timed: Iterable[TimedChange], began: float) -> Callable[[], None]:
-    """Let those facts change by themselves that nobody reports, so many seconds after the beginning; return what stops that."""
+    """Schedule the timed changes that no sensor reports, after the plan began at `began`; return a function that cancels them."""
     loop = asyncio.get_running_loop()
     timers: list[asyncio.TimerHandle] = []
     for change in timed:
@@ -66,7 +64,7 @@ def schedule(knowledge: KnowledgeBase, timed: Iterable[TimedChange], began: floa
 
 
 class SimulatedBackend:
-    """Simulated robots in this process; under virtual time a run takes no time at all."""
+    """The backend of simulated robots in this process; under virtual time a run takes no time at all."""
 
     def __init__(self, robots: SimulatedRobots, assumed: frozenset[str] = frozenset()) -> None:
         self.robots = robots
@@ -78,12 +76,12 @@ class SimulatedBackend:
         return self.robots
 
     async def open(self, knowledge: KnowledgeBase) -> None:
-        """Start the world's clock and let knowledge be told of everything that is sensed."""
-        sense(self.robots.world, knowledge, self._assumed)
+        """Start the world's clock and its state reports."""
+        report_changes(self.robots.world, knowledge, self._assumed)
         self.robots.begin()
 
     async def share(self, mark: bytes, find: FindKnowledge, source: Source) -> None:
-        """Do nothing: simulated robots ask for nothing."""
+        """Do nothing: simulated robots query nothing."""
 
     def over(self, request: UUID, /) -> None:
         """Do nothing."""

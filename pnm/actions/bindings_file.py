@@ -40,12 +40,12 @@ def _binding(entry: Mapped) -> Binding:
 
 
 def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAULT.retries) -> Binding:
-    """Read what is said about one action, whatever else the entry says.
+    """Read the binding of one action; other keys of the entry are ignored.
 
     Args:
         entry: the mapping.
         type_key: the key under which the type of the ROS action stands.
-        retries: how often the action is tried again when nothing is said about it.
+        retries: how often the action is retried by default.
 
     Raises:
         InputError: a value is of the wrong kind.

@@ -1,4 +1,4 @@
-"""What goes wrong in a simulation: a file of faults of servers, and of changes behind everybody's back."""
+"""Faults of a simulation: failures of action servers, and changes of facts without an action; read from a file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pnm.files.yaml_nodes import Mapped, load_yaml
 
 
 class FaultKind(Enum):
-    """What a server does in place of its work."""
+    """The way in which a server fails."""
 
     ABORT = "abort"
     REJECT = "reject"
@@ -33,22 +33,22 @@ class FaultKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Requests of one action, or of one ground action, that go wrong."""
+    """Requests of one action, or of one ground action, that fail."""
 
     what: str
     """An action's name, or a ground action such as ``move(r1, hall, kitchen)``."""
     kind: FaultKind
     after: int = 0
-    """How many requests get through first."""
+    """The number of requests that succeed first."""
     times: int | None = None
-    """How many requests then go wrong; None for all."""
+    """The number of requests that then fail; None for all."""
     message: str = ""
     ignores_cancel: bool = False
     chance: float = 1.0
-    """Of those that would go wrong, the share that does."""
+    """The probability that each of these fails."""
 
     def concerns(self, action: GroundAction) -> bool:
-        """Tell whether the fault is about this ground action."""
+        """Return whether the fault applies to this ground action."""
         return self.what in (action.name, str(action))
 
 
@@ -62,18 +62,18 @@ class HiddenChange:
     what: str = ""
 
     def follows(self, moment: str, action: GroundAction) -> bool:
-        """Tell whether this moment of this ground action brings the change about."""
+        """Return whether the change happens at this moment of this ground action."""
         return self.moment == moment and self.what in (action.name, str(action))
 
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """Everything that goes wrong."""
+    """All faults and hidden changes of a simulation."""
 
     faults: tuple[Fault, ...] = ()
     changes: tuple[HiddenChange, ...] = ()
     seed: int = 0
-    """What chance begins with: with the same one the same requests go wrong."""
+    """Seed of the random numbers: with the same one the same requests fail."""
 
 
 NO_FAULTS = Faults()

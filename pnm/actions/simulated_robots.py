@@ -1,6 +1,6 @@
 """Simulated robots: an action client that performs actions in a simulated world, with faults.
 
-Ships to users: what a plan does can be seen without robots and without ROS. `pnm simulate`
+Part of the product: plans can be tried without robots and without ROS. `pnm simulate`
 offers the same robots as ROS 2 action servers.
 """
 
@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 from uuid import UUID
 
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults
 from pnm.actions.simulated_world import Activity, SimulatedWorld
-from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.computed_values import MISSING, Question, compute
-from pnm.core.logic.effects import Changes, TimedChange
+from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.evaluation import TOLERANCE
 from pnm.core.logic.expressions import Fluent, Unknown, Value, bind
 from pnm.core.logic.operators import Uncomputable
@@ -25,15 +24,13 @@ from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
 
-LAG: Final = 0.01
-"""Seconds within which everything that happens at one moment has been reported."""
 SLOWNESS: Final = 10.0
-"""How many times longer a slow action takes."""
+"""The factor by which a slow action takes longer."""
 
 
 @dataclass(slots=True)
 class _Job:
-    """A request that was accepted and is not over."""
+    """An accepted request that is not over."""
 
     request: Request
     report: Reporter
@@ -45,14 +42,14 @@ class _Job:
     """Seconds of the clock until it ends well; None if it never will."""
     timer: asyncio.TimerHandle | None = None
     broken: str = ""
-    """What of the over-all condition has not been so all the time."""
+    """The conjuncts of the over-all condition that were violated."""
 
 
 @dataclass
 class SimulatedRobots:
-    """Performs every action for its duration and changes the world, unless a fault says otherwise.
+    """An action client that performs every action for its duration and changes the world, unless there is a fault.
 
-    The mutable state is the jobs going on, the clashes, the servers lost, and how often each fault was looked at.
+    The mutable state is the current jobs, the clashes, the lost servers, and how many requests each fault has counted.
     """
 
     world: SimulatedWorld
@@ -62,11 +59,11 @@ class SimulatedRobots:
     untimed: float = 1.0
     """Seconds that an action without a planned duration takes."""
     speed: float = 1.0
-    """How many seconds of the world pass in one second of the clock."""
+    """Seconds of the world per second of the clock."""
     capacities: Mapping[str, int] = field(default_factory=dict)
     """How many jobs may use a resource at the same time; one for those not listed."""
     clashes: list[str] = field(default_factory=list)
-    """What was used by more jobs at once than it can be: whoever sent them has made a mistake."""
+    """Resources that more jobs used at once than their capacity allows: a mistake of the client."""
     _jobs: dict[UUID, _Job] = field(default_factory=dict)
     _lost: set[str] = field(default_factory=set)
     _seen: dict[int, int] = field(default_factory=dict)
@@ -78,7 +75,7 @@ class SimulatedRobots:
         self._chance = random.Random(self.faults.seed)
 
     def begin(self) -> None:
-        """Start the world's clock, once: timed changes count from here."""
+        """Start the world's clock, once: the times of changes count from here."""
         if self._begun:
             return
         self._begun = True
@@ -88,14 +85,14 @@ class SimulatedRobots:
             self._later(time, self.world.change, changes)
 
     def close(self) -> None:
-        """Stop the world: nothing happens in it any more."""
+        """Cancel all timers: the world no longer changes."""
         for timer in self._timers.values():
             timer.cancel()
 
     # --- ActionClient ---------------------------------------------------------------------------
 
     def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
-        """Return the names of the action's parameters: all that a simulated robot needs to know."""
+        """Return the names of the action's parameters, which are the goal fields of a simulated robot."""
         return action.parameters
 
     def send(self, request: Request, report: Reporter, /) -> None:
@@ -110,7 +107,7 @@ class SimulatedRobots:
             asyncio.get_running_loop().call_soon(self._fail, job, OutcomeKind.CANCELED, "cancelled on request")
 
     def progress(self, request: UUID) -> float:
-        """Return the share of the request that is done, from 0 to 1; it stands still when the robot hangs."""
+        """Return the share of the request that is done, from 0 to 1; 0 when the robot hangs."""
         job = self._jobs.get(request)
         if job is None or not job.lasts:
             return 0.0
@@ -194,7 +191,7 @@ class SimulatedRobots:
     # --- what goes wrong ------------------------------------------------------------------------
 
     def _fault(self, action: GroundAction) -> Fault | None:
-        """Return the fault that this request meets; every fault counts the requests it is about."""
+        """Return the fault that applies to this request; every fault counts the requests it concerns."""
         chosen = None
         for position, fault in enumerate(self.faults.faults):
             if fault.concerns(action):
@@ -216,7 +213,7 @@ class SimulatedRobots:
                 self.world.change(change.changes)
 
     def _check(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
-        """Note which actions can no longer end well; like real robots they learn of it at their end."""
+        """Note which actions can no longer succeed; like real robots they report that at their end."""
         now = asyncio.get_running_loop().time()
         for job in self._jobs.values():
             if job.lasts is None or now < job.began + job.lasts - TOLERANCE:  # what ends now is over already
@@ -234,14 +231,14 @@ class SimulatedRobots:
 
 @dataclass(frozen=True, slots=True)
 class _Server:
-    """What a simulated server computes its result from: the goal it was sent, and the world."""
+    """The goal and the world, from which a simulated server computes its result."""
 
     goal: Mapping[str, object]
     world: SimulatedWorld
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
         """Return the true value of a fluent, which may name fields of the goal."""
-        return self.world.truth.value(bind(fluent, {f"?{name}": value for name, value in self.goal.items() if isinstance(value, str)}))
+        return self.world.truth.value(bind(fluent, {f"?{name}": value for name, value in self.goal.items()}))
 
     def local_variable(self, name: str, /) -> object:
         """Return `MISSING`: variables are the run's."""
@@ -252,60 +249,15 @@ class _Server:
         return self.goal.get(name.removeprefix("?"), MISSING)
 
     def answer(self, question: Question, /) -> object:
-        """Return `MISSING`: a server that is simulated asks nobody."""
+        """Return `MISSING`: a simulated server asks no questions."""
         return MISSING
 
 
 def returned(request: Request, world: SimulatedWorld) -> dict[str, object]:
-    """Return what a simulated server answers, as far as there are values.
+    """Return the result of a simulated server, without fields that have no value.
 
     Raises:
-        Uncomputable: an operation is not possible with what the goal says.
+        Uncomputable: an operation is not possible with the values of the goal.
     """
-    found = {name: compute(data, _Server(request.goal, world)) for name, data in request.action.returns}
-    return {name: value for name, value in found.items() if value is not MISSING}
-
-
-def simulated_robots(
-    truth: KnowledgeBase,
-    changing: frozenset[str],
-    bindings: Bindings,
-    faults: Faults,
-    timed: tuple[TimedChange, ...] = (),
-    *,
-    lasting: bool,
-    speed: float = 1.0,
-    capacities: Mapping[str, int] | None = None,
-) -> SimulatedRobots:
-    """Return robots in a world that begins with the truth.
-
-    Args:
-        truth: the world as it is at first.
-        changing: predicates and functions that actions or time may alter; those that faults alter come besides.
-        bindings: how actions are bound to servers.
-        faults: what goes wrong.
-        timed: what changes by itself.
-        lasting: whether actions last or facts change by themselves: beside these, other actions take no time at all.
-        speed: how many seconds of the world pass in one second of the clock.
-        capacities: how many jobs may use a resource at the same time; one for those not listed.
-    """
-    hidden = {fluent[0] for change in faults.changes for fluent in change.changes}
-    return SimulatedRobots(
-        SimulatedWorld(truth, changing | hidden), faults, bindings, timed, 0.0 if lasting else 1.0, speed, capacities or {}
-    )
-
-
-def sense(world: SimulatedWorld, knowledge: KnowledgeBase, assumed: Iterable[str] = ()) -> None:
-    """Let knowledge be told of everything in the world that somebody watches.
-
-    At once, but the report that an action has ended comes after what its end has changed.
-    """
-    names = world.reported(assumed)
-
-    def tell(changes: Mapping[Fluent, Value | Unknown]) -> None:
-        knowledge.update({fluent: value for fluent, value in changes.items() if fluent[0] in names})
-
-    knowledge.sense(names, lag=LAG)
-    seen: Changes = world.report(names)
-    knowledge.replace(names, seen)
-    world.truth.listen(tell)
+    values = {name: compute(data, _Server(request.goal, world)) for name, data in request.action.returns}
+    return {name: value for name, value in values.items() if value is not MISSING}

@@ -1,14 +1,14 @@
-"""What the robot believes: facts, numbers and variables, local to a run or shared by all.
+"""The knowledge base: facts, numbers and variables, local to a run or shared by all.
 
 A *fact* or number is a fluent with a value; a *variable* is a name with any value, such as a
-field of an action's result. A base is *closed*: a fluent nobody recorded is absent, which
-conditions read as false. A fluent may also be recorded as `UNKNOWN`, which is something else.
+field of an action's result. A base is *closed*: a fluent without a record is absent, which
+conditions read as false. A fluent may also be recorded as `UNKNOWN`.
 
-Facts that `pnm.core.logic.rules` derive follow from the others: they are computed when asked for, never recorded, written
-or reported. What is said of them in a report is left out: rules, not sensors, say when they hold.
+Facts that `pnm.core.logic.rules` derive are computed when queried, never recorded, written
+or reported. Reports about them are ignored.
 
-A fluent is *sensed* when something reports it (its name is then listed with the delay of the
-reports), and *assumed* otherwise: then an action's effect is written when the action succeeds.
+A fluent is *sensed* when state reports include it (its name is then listed with their lag),
+and *assumed* otherwise: then an action's effect is written when the action succeeds.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ Listener = Callable[[Mapping[Fluent, Value | Unknown]], None]
 
 
 class KnowledgeBase:
-    """One store of facts, numbers and variables that tells its listeners what changed.
+    """One store of facts, numbers and variables that notifies its listeners of changes.
 
-    The mutable state is the four dictionaries set in the constructor, the list of listeners, and what is
-    remembered of the derived facts.
+    The mutable state is the four dictionaries set in the constructor, the list of listeners, and the
+    cache of derived facts.
 
     Raises:
         InputError: a fact is given that rules derive.
@@ -55,42 +55,42 @@ class KnowledgeBase:
         self._objects: dict[str, tuple[str, ...]] = dict(objects or {})
         self._sensed: dict[str, float] = dict(sensed or {})
         self._listeners: list[Listener] = []
-        self._consequences = DerivedFacts(rules, self._facts, self.objects)
+        self._derived_facts = DerivedFacts(rules, self._facts, self.objects)
 
     def __repr__(self) -> str:
         return f"<KnowledgeBase {len(self._facts)} facts, {len(self._variables)} variables, {len(self._sensed)} sensed names>"
 
-    # what conditions ask (`pnm.core.logic.conditions.State`)
+    # as a state (`pnm.core.logic.expressions.State`)
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
-        """Return the value recorded for the fluent, None when there is none; or the truth of a derived fact."""
-        found = self._facts.get(fluent)
-        if found is None and fluent[0] in self._derived:
-            return self._consequences.value(fluent)
-        return found
+        """Return the recorded value of the fluent, None when there is none; or the truth of a derived fact."""
+        value = self._facts.get(fluent)
+        if value is None and fluent[0] in self._derived:
+            return self._derived_facts.value(fluent)
+        return value
 
     def objects(self, types: tuple[str, ...], /) -> tuple[str, ...]:
         """Return the objects of any of the types, in the order in which they were declared."""
         if len(types) == 1:
             return self._objects.get(types[0], ())
-        return tuple(dict.fromkeys(name for one in types for name in self._objects.get(one, ())))
+        return tuple(dict.fromkeys(name for kind in types for name in self._objects.get(kind, ())))
 
     def objects_by_type(self) -> dict[str, tuple[str, ...]]:
         """Return a copy of the objects of every type."""
         return dict(self._objects)
 
-    # what else can be told of derived facts
+    # derived facts
 
     def because(self, fluent: Fluent, /) -> str:
-        """Say why a derived fact holds or does not, by what is recorded; empty for any other fluent."""
-        return self._consequences.because(fluent) if fluent[0] in self._derived else ""
+        """Return why a derived fact holds or does not, in recorded facts; empty for any other fluent."""
+        return self._derived_facts.because(fluent) if fluent[0] in self._derived else ""
 
     def rests_on(self, fluents: frozenset[Fluent]) -> frozenset[Fluent]:
-        """Return the fluents, but in place of each derived one the unknown fluents that decide whether it holds."""
+        """Return the fluents with each derived one replaced by the unknown fluents that decide whether it holds."""
         if not self._derived:
             return fluents
         derived = frozenset(fluent for fluent in fluents if fluent[0] in self._derived)
-        return (fluents - derived).union(*map(self._consequences.rests_on, derived))
+        return (fluents - derived).union(*map(self._derived_facts.rests_on, derived))
 
     # facts
 
@@ -112,7 +112,7 @@ class KnowledgeBase:
         real = {fluent: value for fluent, value in changes.items() if not same_value(self._facts.get(fluent), value)}
         self._facts.update(real)
         if real:
-            self._consequences.forget({fluent[0] for fluent in real})
+            self._derived_facts.forget({fluent[0] for fluent in real})
             for listener in tuple(self._listeners):
                 listener(real)
         return real
@@ -120,9 +120,8 @@ class KnowledgeBase:
     def replace(self, names: Iterable[str], facts: Mapping[Fluent, Value | Unknown]) -> Changes:
         """Record a complete report about the named predicates and functions.
 
-        A fact that it omits is no longer so, a fluent whose object it omits has none, and a number that it omits is
-        no longer known.
-        What it says of derived facts is left out.
+        A fact that it omits is false, an object fluent that it omits has no object, and a number that it omits is
+        unknown. Derived facts in it are ignored.
         """
         names = frozenset(names) - self._derived
         if self._derived:
@@ -134,9 +133,9 @@ class KnowledgeBase:
         return self.update({**gone, **facts})
 
     def begin_anew(self, facts: Mapping[Fluent, Value | Unknown], objects: Mapping[str, tuple[str, ...]], rules: Rules) -> None:
-        """Forget the facts, objects and rules of one world and begin with those of another; variables and who senses what stay.
+        """Replace the facts, objects and rules of one world by those of another; variables and the sensed names stay.
 
-        What is sensed stays as it was reported last: whoever reports it does not do so again because somebody begins anew.
+        Sensed fluents keep their last report: sensors do not report again because of a new world.
 
         Raises:
             InputError: a fact is given that rules derive; nothing has changed.
@@ -154,7 +153,7 @@ class KnowledgeBase:
         self._facts.clear()
         self._facts.update(facts)
         self._objects = dict(objects)
-        self._consequences = DerivedFacts(rules, self._facts, self.objects)
+        self._derived_facts = DerivedFacts(rules, self._facts, self.objects)
         for listener in tuple(self._listeners):
             listener(changes)
 
@@ -166,27 +165,27 @@ class KnowledgeBase:
         return isinstance(fluent, tuple) and fluent[:1] != () and fluent[0] in self._derived
 
     def listen(self, listener: Listener) -> Callable[[], None]:
-        """Call the listener with every batch of changes, an empty one for variables; return the function that stops it."""
+        """Call the listener with every batch of changes, an empty one for variables; return a function that unsubscribes it."""
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener)
 
     # sensing
 
     def sense(self, names: Iterable[str], *, lag: float = 0.0) -> None:
-        """Note that something reports these predicates and functions, at most `lag` seconds late."""
+        """Mark predicates and functions as sensed: reported, at most `lag` seconds late."""
         self._sensed.update((name, lag) for name in names if name not in self._derived)
 
     def is_sensed(self, fluent: Fluent) -> bool:
-        """Tell whether something reports this fluent; if it is derived, all that it follows from."""
+        """Return whether the fluent is sensed; a derived one, whether all fluents below it are."""
         return all(name in self._sensed for name in self.rules.base((fluent[0],)))
 
     def lag(self, names: Iterable[str]) -> float:
-        """Return how many seconds late the slowest report about any of the names, or what is below them, may come."""
+        """Return the lag in seconds of the slowest report about the names, or the base names below them."""
         return max((self._sensed.get(name, 0.0) for name in self.rules.base(names)), default=0.0)
 
     @property
     def longest_lag(self) -> float:
-        """How many seconds it may take until everything that has happened is reported."""
+        """Seconds until every change is reported."""
         return max(self._sensed.values(), default=0.0)
 
     # variables
@@ -210,7 +209,7 @@ class KnowledgeBase:
 
 @dataclass(frozen=True)
 class Layered:
-    """What one run sees: its own local knowledge in front of the global one.
+    """The knowledge of one run: its local knowledge base in front of the global one.
 
     Facts describe the one world that all runs share: they are read from the global layer and written to it.
     Variables belong to the run that stored them; reading asks the local layer first.
@@ -228,17 +227,17 @@ class Layered:
         return self.world.objects(types)
 
     def because(self, fluent: Fluent, /) -> str:
-        """Say why a derived fact holds or does not."""
+        """Return why a derived fact holds or does not."""
         return self.world.because(fluent)
 
     def variable(self, name: str) -> object:
         """Return the variable from the first layer that has it, or `MISSING`."""
-        found = self.local.variable(name)
-        return self.world.variable(name) if found is MISSING else found
+        value = self.local.variable(name)
+        return self.world.variable(name) if value is MISSING else value
 
 
 def statement_text(fluent: Fluent, value: Value | Unknown) -> str:
-    """Write what `parse_statement` reads."""
+    """Return the text that `parse_statement` reads."""
     if isinstance(value, bool):
         return fluent_text(fluent) if value else f"(not {fluent_text(fluent)})"
     return f"(= {fluent_text(fluent)} {Constant(value) if not isinstance(value, Unknown) else value.value})"

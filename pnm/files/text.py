@@ -9,7 +9,7 @@ from pnm.errors import InputError, Position, Tolerated
 
 
 def read_text(path: Path, limit: int) -> str:
-    """Read a text file in UTF-8, of at most so many bytes.
+    """Read a text file in UTF-8, of at most `limit` bytes.
 
     Raises:
         InputError: it is missing, too large, or not such text.
@@ -23,7 +23,7 @@ def read_text(path: Path, limit: int) -> str:
 
 
 def read_any_text(path: Path, limit: int) -> tuple[str, tuple[Tolerated, ...]]:
-    """Read a text file in UTF-8, in UTF-16 with its mark, or else in Latin-1, and tell what it was if not UTF-8.
+    """Read a text file in UTF-8, in UTF-16 with its mark, or else in Latin-1; return a warning if it is not UTF-8.
 
     Raises:
         InputError: it is missing, too large, or no text in any of these.

@@ -127,5 +127,5 @@ def kind(node: yaml.Node) -> str:
 
 
 def is_null(node: yaml.Node) -> bool:
-    """Tell whether the node is ``null``, or no value at all."""
+    """Return whether the node is ``null``, or no value at all."""
     return isinstance(node, yaml.ScalarNode) and kind(node) == "null"

@@ -6,6 +6,7 @@ and what is merged first before what is merged later.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -191,6 +192,19 @@ class Mapped:
         """Return the value as it stands, or None when the key is not there."""
         return Node(self.file, self.nodes[key][1]) if key in self.nodes else None
 
+    def filled(self, key: str) -> Node | None:
+        """Return the value; None when the key is not there, or has none."""
+        return None if self._empty(key) else Node(self.file, self.nodes[key][1])
+
+    def listed(self, key: str) -> tuple[Node, ...]:
+        """Return the items of a list, or the one value that stands for itself; nothing when the key is not there, or has none."""
+        node = self.filled(key)
+        return () if node is None else node.listed
+
+    def section(self, key: str) -> Mapped:
+        """Return the mapping under a key; an empty one when the key is not there, or has none."""
+        return Mapped(self.file, self.start, {}) if self._empty(key) else Mapped.of(self.nodes[key][1], self.file)
+
     def needed(self, key: str) -> Node:
         """Return the value of a key that must be there."""
         if key not in self.nodes:
@@ -217,6 +231,18 @@ class Node:
         """Where the value stands."""
         return position(self.raw, self.file)
 
+    def position_of(self, word: str) -> Position:
+        """Return where a word stands in the value, or where the value does if the file spells it in another way."""
+        start, end = self.raw.start_mark, self.raw.end_mark
+        written = (start.buffer or "")[start.pointer : start.pointer + end.index - start.index]
+        found = re.search(rf"(?<![^\s()\[\]{{}},'\"]){re.escape(word)}(?![^\s()\[\]{{}},:'\"])", written)
+        if found is None or word == self.text:
+            return self.position
+        before = written[: found.start()]
+        lines = before.count("\n")
+        column = len(before) - before.rfind("\n") if lines else start.column + len(before) + 1
+        return Position(self.file, start.line + 1 + lines, column)
+
     @property
     def is_null(self) -> bool:
         """Whether there is nothing: ``null``, or no value at all."""
@@ -231,6 +257,11 @@ class Node:
     def items(self) -> tuple[Node, ...] | None:
         """The items of a list; None for anything else."""
         return tuple(Node(self.file, item) for item in self.raw.value) if isinstance(self.raw, yaml.SequenceNode) else None
+
+    @property
+    def listed(self) -> tuple[Node, ...]:
+        """The items of a list, or the value itself; nothing for nothing."""
+        return () if self.is_null else (self,) if self.items is None else self.items
 
     @property
     def text(self) -> str | None:

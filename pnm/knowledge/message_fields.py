@@ -1,4 +1,4 @@
-"""Fields of messages: where they stand, whether they pass a test, and what their values mean."""
+"""Fields of messages: their paths, tests of their values, and tables that translate these."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Final, TypeAlias, assert_never
 
 from pnm.core.logic.evaluation import TOLERANCE
+from pnm.core.logic.expressions import is_number
 from pnm.core.logic.operators import Uncomputable, operate
 from pnm.errors import InputError, PnmError
 
@@ -19,12 +20,12 @@ _STEP: Final = re.compile(r"\.?([A-Za-z]\w*)|\[(-?\d{1,9})\]", re.ASCII)
 
 
 class Unreadable(PnmError):
-    """A message does not say what it should."""
+    """A message has no such field, or a value of the wrong kind."""
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """Where in a message something stands: names and, in lists, positions, from its end if negative."""
+    """The path of a field in a message: names and, in lists, positions, from the end if negative."""
 
     steps: tuple[str | int, ...]
 
@@ -33,7 +34,7 @@ class Field:
 
 
 Look: TypeAlias = Callable[[Field], object]
-"""Returns what a field of a message holds as plain data; raises `Unreadable` when it has no such item."""
+"""Returns the value of a field of a message as plain data; raises `Unreadable` when there is none."""
 
 
 def parse_field(text: str) -> Field:
@@ -66,7 +67,7 @@ class Flag:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """The field compares so with the constant."""
+    """The comparison of the field with the constant is true."""
 
     field: Field
     operation: str
@@ -82,7 +83,7 @@ class Negation:
 
 @dataclass(frozen=True, slots=True)
 class Every:
-    """All tests succeed; so they do when there is none."""
+    """All tests succeed; true when there is none."""
 
     tests: tuple[Test, ...] = ()
 
@@ -98,7 +99,7 @@ Test: TypeAlias = Flag | Comparison | Negation | Every | Some
 
 
 def succeeds(test: Test, look: Look) -> bool:
-    """Tell whether the message passes the test; all of it is looked at.
+    """Return whether the message passes the test; all fields of it are read.
 
     Raises:
         Unreadable: a field is missing, no number, or of another kind than the constant.
@@ -126,9 +127,8 @@ def succeeds(test: Test, look: Look) -> bool:
 
 
 def _close(found: object, constant: object) -> bool:
-    """Tell whether two numbers are equal for conditions, too: 0.8 in a float32 is not quite 0.8."""
-    numbers = [one for one in (found, constant) if isinstance(one, int | float) and not isinstance(one, bool)]
-    return len(numbers) == 2 and abs(numbers[0] - numbers[1]) <= TOLERANCE
+    """Return whether two numbers are equal within the tolerance of conditions: 0.8 in a float32 is not quite 0.8."""
+    return is_number(found) and is_number(constant) and abs(found - constant) <= TOLERANCE
 
 
 def _outcomes(tests: Iterable[Test], look: Look) -> set[bool]:
@@ -140,7 +140,7 @@ def _outcomes(tests: Iterable[Test], look: Look) -> set[bool]:
 
 @dataclass(frozen=True, slots=True)
 class FieldValue:
-    """Where a value comes from: a field, and a table in which it is looked up if there is one."""
+    """The value of a field, translated by a table if there is one."""
 
     field: Field
     table: Mapping[str, object] | None = None
@@ -168,7 +168,7 @@ def written(value: object) -> str:
 
 
 def without_nan(where: Field, found: object) -> object:
-    """Return the value of a field, which must be a number if it is one for numbers.
+    """Return the value of a field, which must not be NaN.
 
     Raises:
         Unreadable: it is not.
@@ -179,6 +179,6 @@ def without_nan(where: Field, found: object) -> object:
 
 
 def shown(value: object) -> str:
-    """Return a short text for a value in an error."""
+    """Return a short text of a value for an error message."""
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."

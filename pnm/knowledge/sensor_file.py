@@ -1,8 +1,7 @@
-"""The file that says which topics and services speak of which facts, numbers, objects and variables."""
+"""Reads the file of sensors: which topics and services report which facts, numbers, objects and variables."""
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -11,10 +10,11 @@ from typing import Final
 
 from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.declared_names import FluentKind, Signature, Vocabulary
-from pnm.core.logic.expressions import UNDEFINED, Fluent, Variable
+from pnm.core.logic.expressions import Fluent, Variable
 from pnm.errors import InputError, Position, suggestion
-from pnm.files.yaml_nodes import Mapped, Node, load_yaml
-from pnm.knowledge.message_fields import COMPARISONS, Comparison, Every, Field, FieldValue, Flag, Negation, Some, Test, parse_field
+from pnm.files.yaml_nodes import Mapped, load_yaml
+from pnm.knowledge.field_reader import read_field, read_number, read_object, read_table, read_test
+from pnm.knowledge.message_fields import FieldValue
 from pnm.knowledge.sensor_model import (
     VALUE,
     ByService,
@@ -39,7 +39,6 @@ _TYPE: Final = re.compile(r"[a-z][a-z0-9_]*/(msg|srv)/[A-Z][A-Za-z0-9]*")
 _NAME: Final = re.compile(r"[~/]?[\w{}-]+(/[\w{}-]+)*", re.ASCII)
 _VARIABLE: Final = re.compile(r"[A-Za-z][\w-]*", re.ASCII)
 _OWN: Final = ("for", "facts", "variables", "stale", "lag", "type")
-_TESTS: Final = ("not", "all", "any")
 
 
 def read_sensing(path: Path, known: Vocabulary | None = None) -> Sensing:
@@ -105,7 +104,7 @@ class _Reader:
             raise InputError("the sensor says nothing; expected facts or variables", entry.start)
         return sensor
 
-    # --- where it is heard ---
+    # --- topic or service ---
 
     def _variables(self) -> tuple[Variable, ...]:
         node = self.entry.node("for")
@@ -127,9 +126,9 @@ class _Reader:
         if not _NAME.fullmatch(name):
             raise InputError(f"not a name in ROS: {name!r}; expected something like /{{robot}}/battery", where)
         self._placeholders(name, variables, where)
-        told = {*placeholders(name), *(_terms(way.request) if isinstance(way, ByService) else ())}
+        distinguished = {*placeholders(name), *(_terms(way.request) if isinstance(way, ByService) else ())}
         for variable in variables:
-            if variable.name[1:] not in told:
+            if variable.name[1:] not in distinguished:
                 also = "" if isinstance(way, ByTopic) else ", nor the request"
                 raise InputError(f"{name!r} does not name {{{variable.name[1:]}}}{also}, so all would be told the same", where)
         return name
@@ -162,7 +161,7 @@ class _Reader:
         every, limit = _seconds(self.entry, "every", EVERY), _seconds(self.entry, "limit", LIMIT)
         return ByService(request or {}, every or EVERY, limit or LIMIT)
 
-    # --- what it says ---
+    # --- statements ---
 
     def _facts(self, variables: tuple[Variable, ...]) -> Iterable[Statement]:
         for entry in self.entry.sequence("facts"):
@@ -178,19 +177,19 @@ class _Reader:
         if kind == "fact" and not is_choice:
             entry.only("fact", "field", "when")
             self._typed(fluent, FluentKind.FACT, variables, where)
-            return Fact(fluent, self._test(entry), where)
+            return Fact(fluent, read_test(entry), where)
         entry.only(kind, "field", "table")
         if kind == "number":
             self._typed(fluent, FluentKind.NUMBER, variables, where)
-            return Number(fluent, self._source(entry, None), where)
+            return Number(fluent, read_number(entry), where)
         signature = self._typed(fluent, FluentKind.FACT if is_choice else FluentKind.OBJECT, variables, where)
         if not is_choice:
             types = signature.values if signature else ("object",)
-            return Object(fluent, self._source(entry, types), types, where)
+            return Object(fluent, read_object(entry, types, self.known), types, where)
         if fluent.count(VALUE) > 1:
             raise InputError(f"{VALUE} is there twice; expected it once", where)
         types = signature.parameters[fluent.index(VALUE) - 1] if signature else ("object",)
-        return ExclusiveFact(fluent, self._source(entry, types), types, where)
+        return ExclusiveFact(fluent, read_object(entry, types, self.known), types, where)
 
     def _stored(self, variables: tuple[Variable, ...]) -> Iterable[Statement]:
         for entry in self.entry.sequence("variables"):
@@ -200,8 +199,8 @@ class _Reader:
             for variable in variables:
                 if variable.name[1:] not in placeholders(name):
                     raise InputError(f"{name!r} does not name {{{variable.name[1:]}}}, so all would be one variable", where)
-            table = entry.plain("table")
-            yield Stored(name, FieldValue(self._field(entry), self._table(entry) if table is not None else None), where)
+            table = read_table(entry) if entry.plain("table") is not None else None
+            yield Stored(name, FieldValue(read_field(entry), table), where)
 
     def _fluent(self, text: str, where: Position) -> Fluent:
         try:
@@ -228,85 +227,6 @@ class _Reader:
             if term[0] != "?":
                 self.known.check_object(term, needed, where)
         return signature
-
-    # --- fields, tables and tests ---
-
-    def _field(self, entry: Mapped) -> Field:
-        node = entry.node("field")
-        if node is None:
-            raise InputError("expected a field, such as pose.position.x", entry.start)
-        try:
-            return parse_field(node.written)  # and not as YAML understands it, for which `on` and `y` are true
-        except InputError as error:
-            raise node.wrong(error.message) from error
-
-    def _source(self, entry: Mapped, types: tuple[str, ...] | None) -> FieldValue:
-        """Read where a number, or the name of an object of these types, comes from."""
-        if "table" not in entry.nodes:
-            return FieldValue(self._field(entry))
-        table = self._table(entry)
-        for name, _, node in _mapping(entry, "table").entries():
-            value = table[name]
-            if types is None:
-                if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-                    raise node.wrong(f"expected a number for {name!r}")
-            elif not isinstance(value, str):
-                raise node.wrong(f"expected the name of an object for {name!r}, or {UNDEFINED}")
-            elif self.known is not None and value != UNDEFINED:
-                self.known.check_object(value, types, node.position)
-        return FieldValue(self._field(entry), table)
-
-    def _table(self, entry: Mapped) -> dict[str, object]:
-        found = {name: node.plain() for name, _, node in _mapping(entry, "table").entries()}
-        if not found:
-            raise InputError("expected values of the field and what they mean", entry.position("table"))
-        return found
-
-    def _test(self, entry: Mapped) -> Test:
-        if "when" not in entry.nodes:
-            return Flag(self._field(entry)) if "field" in entry.nodes else Every()
-        if "field" in entry.nodes:
-            raise InputError("expected either 'field', which is true or false, or 'when'", entry.position("field"))
-        return self._tested(entry.node("when"))
-
-    def _tested(self, node: Node | None) -> Test:
-        if node is None or not node.is_mapping or not node.mapped().nodes:
-            where = self.entry.start if node is None else node.position
-            raise InputError("expected a test such as {field: percentage, ge: 0.8}", where)
-        entry = node.mapped()
-        entry.only("field", *COMPARISONS, *_TESTS)
-        if "field" in entry.nodes:
-            return self._compared(entry)
-        if len(entry.nodes) > 1:
-            raise InputError(f"expected one of {', '.join(_TESTS)}, or a field and how it compares", entry.start)
-        (key, _, inner) = entry.entries()[0]
-        if key not in _TESTS:
-            raise InputError(f"expected the field that is compared by {key!r}", entry.start)
-        if key == "not":
-            return Negation(self._tested(inner))
-        if inner.items is None:
-            raise inner.wrong(f"expected a list of tests under {key!r}")
-        tests = tuple([self._tested(item) for item in inner.items])
-        return Every(tests) if key == "all" else Some(tests)
-
-    def _compared(self, entry: Mapped) -> Test:
-        entry.only("field", *COMPARISONS)
-        where = self._field(entry)
-        found = []
-        for key, _, node in entry.entries():
-            if key != "field":
-                constant = node.plain()
-                if constant is None or (isinstance(constant, float) and math.isnan(constant)):
-                    raise node.wrong(f"expected what {where} is compared with")
-                found.append(Comparison(where, key, constant))
-        return Every(tuple(found)) if len(found) > 1 else found[0] if found else Flag(where)
-
-
-def _mapping(entry: Mapped, key: str) -> Mapped:
-    node = entry.node(key)
-    if node is None or not node.is_mapping:
-        raise InputError("expected values of the field and what they mean", entry.position(key))
-    return node.mapped()
 
 
 def _terms(source: object) -> Iterable[str]:

@@ -1,7 +1,7 @@
-"""What messages and responses say about the world: facts, numbers, objects and variables; read from a file, without code.
+"""Sensor models: how the messages of topics and the responses of services become facts, numbers, objects and variables.
 
-A *sensor* is a topic that is listened to, or a service that is asked again and again. It speaks of some fluents and
-variables and replaces only these. What it says cannot always be understood: then that part is unknown, and the reason is told.
+A *sensor* is a subscribed topic, or a polled service. It reports some fluents and
+variables, and replaces only these. Parts of a message that cannot be interpreted make their fluents unknown, with a reason.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from pnm.errors import InputError, Position
 from pnm.knowledge.message_fields import FieldValue, Look, Test, Unreadable, shown, succeeds, without_nan
 
 VALUE: Final = "?value"
-"""In a fact: the object that the field names; the fact holds with this one and with no other."""
+"""In a fact: the object that the field names; the fact holds for this object and for no other."""
 
 Objects: TypeAlias = Callable[[tuple[str, ...]], tuple[str, ...]]
 """Returns the objects of any of the types."""
 
 
-# --- what sensors say ----------------------------------------------------------------------
+# --- statements ----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """The fact is so when the test succeeds."""
+    """A fact that holds when the test succeeds."""
 
     fluent: Fluent
     test: Test
@@ -39,7 +39,7 @@ class Fact:
 
 @dataclass(frozen=True, slots=True)
 class ExclusiveFact:
-    """Of the facts that the fluent stands for, with `VALUE` for any object of the types, the one with the named object is so."""
+    """A family of facts of which one holds: with the named object of these types in the place of `VALUE`."""
 
     fluent: Fluent
     source: FieldValue
@@ -49,7 +49,7 @@ class ExclusiveFact:
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """The function has the number for its value."""
+    """A function whose value is the number in the field."""
 
     fluent: Fluent
     source: FieldValue
@@ -58,7 +58,7 @@ class Number:
 
 @dataclass(frozen=True, slots=True)
 class Object:
-    """The function has the named object of these types for its value."""
+    """A function whose value is the object of these types that the field names."""
 
     fluent: Fluent
     source: FieldValue
@@ -68,7 +68,7 @@ class Object:
 
 @dataclass(frozen=True, slots=True)
 class Stored:
-    """The variable, in whose name ``{r}`` stands for an object, has the value."""
+    """A variable whose value is that of the field; in its name ``{r}`` stands for an object."""
 
     name: str
     source: FieldValue
@@ -80,12 +80,12 @@ Statement: TypeAlias = Fact | ExclusiveFact | Number | Object | Stored
 
 @dataclass(frozen=True, slots=True)
 class ByTopic:
-    """Listened to."""
+    """Read by subscribing to a topic."""
 
 
 @dataclass(frozen=True, slots=True)
 class ByService:
-    """Asked, and asked again so many seconds after it has answered or failed to."""
+    """Read by polling a service, `every` seconds after its last answer or failure."""
 
     request: Mapping[str, object]
     """Fields; ``?r`` stands for an object."""
@@ -95,19 +95,19 @@ class ByService:
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """Topics, or services, of one kind: one for every choice of objects for the variables."""
+    """Topics or services of one kind: one for every choice of objects for the variables."""
 
     name: str
-    """Of the topic or service, in which ``{r}`` stands for the object of the variable ``?r``."""
+    """The name of the topic or service, in which ``{r}`` stands for the object of the variable ``?r``."""
     type: str | None
     """Found from the ROS graph if None."""
     variables: tuple[Variable, ...]
     statements: tuple[Statement, ...]
     way: ByTopic | ByService
     stale: float | None
-    """Seconds without a report after which all of it is unknown."""
+    """Seconds without a report after which all its fluents are unknown."""
     lag: float | None
-    """Seconds that its reports may be late; as the bindings say if None."""
+    """Seconds that its reports may be late; None for the lag of the bindings."""
     position: Position = field(compare=False)
 
 
@@ -117,23 +117,24 @@ class Sensing:
 
     sensors: tuple[Sensor, ...] = ()
     stale: float | None = None
-    """Seconds after which that is unknown which is no longer reported on ``knowledge/sensed``."""
+    """Seconds after which names that are no longer reported on ``knowledge/sensed`` become unknown."""
     signatures: Mapping[str, Signature] = field(default_factory=dict)
-    """How predicates and functions are used, as far as that is known."""
+    """The known signatures of predicates and functions."""
 
     @property
     def names(self) -> frozenset[str]:
-        """The predicates and functions that sensors speak of."""
+        """The predicates and functions that sensors report."""
         return frozenset(one.fluent[0] for sensor in self.sensors for one in sensor.statements if not isinstance(one, Stored))
 
     def lags(self, otherwise: float) -> dict[str, float]:
-        """Return how many seconds late the slowest sensor of each predicate and function may report."""
-        found: dict[str, float] = {}
+        """Return the lag in seconds of the slowest sensor of each predicate and function."""
+        lags: dict[str, float] = {}
         for sensor in self.sensors:
-            for one in sensor.statements:
-                if not isinstance(one, Stored):
-                    found[one.fluent[0]] = max(found.get(one.fluent[0], 0.0), otherwise if sensor.lag is None else sensor.lag)
-        return found
+            for statement in sensor.statements:
+                if not isinstance(statement, Stored):
+                    name = statement.fluent[0]
+                    lags[name] = max(lags.get(name, 0.0), otherwise if sensor.lag is None else sensor.lag)
+        return lags
 
 
 NO_SENSING: Final = Sensing()
@@ -152,38 +153,38 @@ class Instance:
         return filled(self.sensor.name, self.env).replace("-", "_")
 
     def request(self, way: ByService) -> dict[str, object]:
-        """Return what a service is asked with."""
+        """Return the fields of the request to a service."""
         return {name: _resolved(value, self.env) for name, value in way.request.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What one message says."""
+    """The interpretation of one message."""
 
     facts: dict[Fluent, Value | Unknown]
     variables: dict[str, object]
     """None for one that is unknown."""
     unread: dict[int, str]
-    """Which of the sensor's statements could not be understood, and why."""
+    """The statements of the sensor that could not be interpreted, by position, with the reason."""
 
 
 def instances(sensing: Sensing, objects: Objects) -> tuple[Instance, ...]:
-    """Return all sensors that there are with these objects.
+    """Return the sensors for all choices of objects.
 
     Raises:
-        InputError: two of them speak of the same.
+        InputError: two of them report the same fluent or variable.
     """
-    found = tuple(Instance(sensor, env) for sensor in sensing.sensors for env in _choices(sensor, objects))
-    speaks: dict[Fluent | str, Statement] = {}
-    for instance in found:
+    sensors = tuple(Instance(sensor, env) for sensor in sensing.sensors for env in _choices(sensor, objects))
+    reported_by: dict[Fluent | str, Statement] = {}
+    for instance in sensors:
         for statement in instance.sensor.statements:
-            for one in _subjects(statement, instance.env, objects):
-                if one in speaks:
-                    other = speaks[one].position
-                    what = one if isinstance(one, str) else fluent_text(one)
+            for subject in _subjects(statement, instance.env, objects):
+                if subject in reported_by:
+                    other = reported_by[subject].position
+                    what = subject if isinstance(subject, str) else fluent_text(subject)
                     raise InputError(f"{what} is sensed in line {other.line} as well; expected one sensor for it", statement.position)
-                speaks[one] = statement
-    return found
+                reported_by[subject] = statement
+    return sensors
 
 
 def _choices(sensor: Sensor, objects: Objects) -> Iterator[Mapping[str, str]]:
@@ -197,8 +198,8 @@ def _subjects(statement: Statement, env: Mapping[str, str], objects: Objects) ->
         case Stored(name):
             yield filled(name, env)
         case ExclusiveFact(fluent, _, types):
-            for one in objects(types):
-                yield bind(fluent, {**env, VALUE: one})
+            for name in objects(types):
+                yield bind(fluent, {**env, VALUE: name})
         case Fact(fluent) | Number(fluent) | Object(fluent):
             yield bind(fluent, env)
         case _:
@@ -206,41 +207,41 @@ def _subjects(statement: Statement, env: Mapping[str, str], objects: Objects) ->
 
 
 def read(instance: Instance, look: Look, objects: Objects) -> Reading:
-    """Return what a message says to a sensor; what cannot be understood is unknown."""
+    """Interpret a message; fluents of statements that cannot be interpreted are unknown."""
     reading = Reading({}, {}, {})
     for number, statement in enumerate(instance.sensor.statements):
         try:
-            _note(statement, instance.env, look, objects, reading)
+            _interpret(statement, instance.env, look, objects, reading)
         except Unreadable as error:
             reading.unread[number] = str(error)
-            _doubt(statement, instance.env, objects, reading)
+            _set_unknown(statement, instance.env, objects, reading)
     return reading
 
 
 def unknown(instance: Instance, objects: Objects) -> Reading:
-    """Return that nothing is known of all that the sensor speaks of."""
+    """Return the reading in which all fluents and variables of the sensor are unknown."""
     reading = Reading({}, {}, {})
     for statement in instance.sensor.statements:
-        _doubt(statement, instance.env, objects, reading)
+        _set_unknown(statement, instance.env, objects, reading)
     return reading
 
 
-def _doubt(statement: Statement, env: Mapping[str, str], objects: Objects, reading: Reading) -> None:
-    for one in _subjects(statement, env, objects):
-        if isinstance(one, str):
-            reading.variables[one] = None
+def _set_unknown(statement: Statement, env: Mapping[str, str], objects: Objects, reading: Reading) -> None:
+    for subject in _subjects(statement, env, objects):
+        if isinstance(subject, str):
+            reading.variables[subject] = None
         else:
-            reading.facts[one] = UNKNOWN
+            reading.facts[subject] = UNKNOWN
 
 
-def _note(statement: Statement, env: Mapping[str, str], look: Look, objects: Objects, reading: Reading) -> None:
+def _interpret(statement: Statement, env: Mapping[str, str], look: Look, objects: Objects, reading: Reading) -> None:
     match statement:
         case Fact(fluent, test):
             reading.facts[bind(fluent, env)] = succeeds(test, look)
         case ExclusiveFact(fluent, source, types):
             chosen = _object(source, types, look, objects)
-            for one in objects(types):
-                reading.facts[bind(fluent, {**env, VALUE: one})] = one == chosen
+            for name in objects(types):
+                reading.facts[bind(fluent, {**env, VALUE: name})] = name == chosen
         case Number(fluent, source):
             reading.facts[bind(fluent, env)] = _number(source, look)
         case Object(fluent, source, types):
@@ -252,17 +253,17 @@ def _note(statement: Statement, env: Mapping[str, str], look: Look, objects: Obj
 
 
 def _object(source: FieldValue, types: tuple[str, ...], look: Look, objects: Objects) -> str:
-    found = source.value(look)
-    if isinstance(found, str) and (found == UNDEFINED or found in objects(types)):
-        return found
-    raise Unreadable(f"{source.field} is {shown(found)}, which is no object of type {' or '.join(types)}")
+    value = source.value(look)
+    if isinstance(value, str) and (value == UNDEFINED or value in objects(types)):
+        return value
+    raise Unreadable(f"{source.field} is {shown(value)}, which is no object of type {' or '.join(types)}")
 
 
 def _number(source: FieldValue, look: Look) -> float:
-    found = without_nan(source.field, source.value(look))
-    if isinstance(found, bool) or not isinstance(found, int | float) or math.isinf(found):
-        raise Unreadable(f"{source.field} is {shown(found)}; expected a finite number")
-    return float(found)
+    value = without_nan(source.field, source.value(look))
+    if isinstance(value, bool) or not isinstance(value, int | float) or math.isinf(value):
+        raise Unreadable(f"{source.field} is {shown(value)}; expected a finite number")
+    return float(value)
 
 
 # --- names with objects in them ------------------------------------------------------------

@@ -1,7 +1,4 @@
-"""What becomes of complete reports about predicates and functions, and of what is no longer reported.
-
-Notices that something has not been heard of for too long.
-"""
+"""State reports → knowledge: complete reports about predicates and functions are recorded, and names become unknown when stale."""
 
 from __future__ import annotations
 
@@ -19,61 +16,61 @@ from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Valu
 
 
 class Watchdog:
-    """Calls a function once nothing was heard for so many seconds, and again after every later silence.
+    """A staleness watchdog: calls a function when it was not reset for `limit` seconds, and again after every later reset.
 
-    The mutable state is when something was heard last, and the one timer.
+    The mutable state is the time of expiry and the one timer.
 
     Args:
-        limit: seconds on the clock of the event loop; None for ever.
-        fallen: what is called.
+        limit: seconds on the clock of the event loop; None for no limit.
+        expired: is called.
     """
 
-    def __init__(self, limit: float | None, fallen: Callable[[], object]) -> None:
+    def __init__(self, limit: float | None, expired: Callable[[], object]) -> None:
         self._loop = asyncio.get_running_loop()
         self._limit = limit
-        self._fallen = fallen
+        self._expired = expired
         self._timer: asyncio.TimerHandle | None = None
-        self.heard()
+        self.reset()
 
-    def heard(self) -> None:
-        """Note that something was heard, and begin to wait for more."""
+    def reset(self) -> None:
+        """Restart the wait: a report has come."""
         if self._limit is not None:
             self._until = self._loop.time() + self._limit
-            self._timer = self._timer or self._loop.call_at(self._until, self._look)
+            self._timer = self._timer or self._loop.call_at(self._until, self._check)
 
     def close(self) -> None:
-        """Wait no longer."""
+        """Cancel the timer."""
         self._limit = None
         if self._timer is not None:
             self._timer.cancel()
 
-    def _look(self) -> None:
-        if self._loop.time() < self._until:  # one timer a silence, not one a message
-            self._timer = self._loop.call_at(self._until, self._look)
+    def _check(self) -> None:
+        if self._loop.time() < self._until:  # a report does not move the timer: that would cost one timer per message
+            self._timer = self._loop.call_at(self._until, self._check)
         else:
             self._timer = None
-            self._fallen()
+            self._expired()
 
 
 MAX_INSTANCES: Final = 10_000
-"""Fluents of one name that are made unknown when it is no longer reported; of more, only those that were so."""
-_NOTHING: Final[Mapping[FluentKind, Value | Unknown]] = {FluentKind.FACT: False, FluentKind.OBJECT: UNDEFINED, FluentKind.NUMBER: UNKNOWN}
+"""Fluents of one name that become unknown when it is stale; if there are more, only the recorded ones do."""
+_ABSENT: Final[Mapping[FluentKind, Value | Unknown]] = {FluentKind.FACT: False, FluentKind.OBJECT: UNDEFINED, FluentKind.NUMBER: UNKNOWN}
 
 _log = logging.getLogger(__name__)
 
 
 class StateReports:
-    """Records reports that are complete about the names they give, and forgets names that fall silent.
+    """Records reports that are complete about the names they give, and makes names unknown that become stale.
 
-    The mutable state is the silence of every name reported so far, what those that have fallen silent had before, and
-    what was warned of.
+    The mutable state is the watchdog of every name reported so far, the values that stale names had before, and
+    the warnings given.
 
     Args:
-        knowledge: where they are recorded.
-        ignored: for names whose reports are not recorded, why; empty if that goes without saying.
+        knowledge: records the reports.
+        ignored: names whose reports are not recorded, with the reason for a warning; empty for no warning.
         lag: seconds that reports may be late.
-        stale: seconds without a report after which nothing is known of a name; None for never.
-        signatures: of the names, as far as they are known.
+        stale: seconds without a report after which a name becomes unknown; None for never.
+        signatures: the known signatures of the names.
     """
 
     def __init__(
@@ -89,11 +86,11 @@ class StateReports:
         self._lag = lag
         self._stale = stale
         self._signatures = signatures or {}
-        self._silences: dict[str, Watchdog] = {}
+        self._watchdogs: dict[str, Watchdog] = {}
         self._before: dict[str, dict[Fluent, Value | Unknown]] = {}
 
-    def tell(self, names: Collection[str], facts: Mapping[Fluent, Value | Unknown], _sequence: int = 0) -> None:
-        """Record a report."""
+    def record(self, names: Collection[str], facts: Mapping[Fluent, Value | Unknown], _sequence: int = 0) -> None:
+        """Record a report that is complete about the names."""
         for name in sorted(set(names) & self._ignored.keys()):
             if self._ignored[name]:
                 _log.warning("reports about %s are ignored: %s", name, self._ignored[name])
@@ -104,15 +101,15 @@ class StateReports:
         reported = {fluent: value for fluent, value in facts.items() if fluent[0] in watched}
         self._knowledge.replace(watched, {**returned, **reported})
         for name in watched:
-            if name in self._silences:
-                self._silences[name].heard()
+            if name in self._watchdogs:
+                self._watchdogs[name].reset()
             else:
-                self._silences[name] = Watchdog(self._stale, partial(self._forget, name))
+                self._watchdogs[name] = Watchdog(self._stale, partial(self._forget, name))
 
     def close(self) -> None:
-        """Forget nothing more."""
-        for silence in self._silences.values():
-            silence.close()
+        """Cancel the watchdogs."""
+        for watchdog in self._watchdogs.values():
+            watchdog.close()
 
     def _forget(self, name: str) -> None:
         _log.warning("nothing was reported about %s for %g s; it is unknown now", name, self._stale)
@@ -126,4 +123,4 @@ class StateReports:
             objects = [self._knowledge.objects(types) for types in signature.parameters]
             if prod(map(len, objects)) <= MAX_INSTANCES:
                 for arguments in product(*objects):
-                    yield (name, *arguments), _NOTHING[signature.kind]
+                    yield (name, *arguments), _ABSENT[signature.kind]

@@ -1,8 +1,8 @@
-"""The actions of a domain: from YAML to schemas, which `pnm.language.ground_calls` makes ground actions from."""
+"""The actions of a domain: from YAML to schemas, which `pnm.language.ground_calls` grounds, and to how they are executed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
 from typing import Final
@@ -10,26 +10,26 @@ from typing import Final
 from pnm.actions.bindings_file import read_binding
 from pnm.core.logic.computed_values import Data, Query, parts
 from pnm.core.logic.conditions import TRUE, Condition, fluents, free_variables
-from pnm.core.logic.effects import Effects, ForEach, Set, When
-from pnm.core.logic.expressions import Expression, Fluent, Variable, expression_variables, variables_in
+from pnm.core.logic.domain import ActionSchema
+from pnm.core.logic.effects import Effects, ForEach, Set, When, is_early
+from pnm.core.logic.expressions import DURATION, Fluent, Variable, expression_variables, variables_in
 from pnm.core.machine.bindings import DEFAULT, Binding
 from pnm.errors import InputError, Position
 from pnm.files.yaml_nodes import Mapped, Node
-from pnm.language.declarations import Declared
 from pnm.language.formulas.effects import read_conditions, read_duration, read_timed_effects
-from pnm.language.formulas.scope import Scope, read_typed, shown, unknown
+from pnm.language.formulas.scope import FormulaScope, read_typed, shown, unknown
 from pnm.language.formulas.values import read_data
 
 
 class ActionKind(Enum):
-    """Who carries an action out."""
+    """How an action is executed."""
 
     ROS = "ros_action"
     """An action server."""
     RPN = "rpn_action"
     """An action server that asks for knowledge, and changes it, while it runs."""
     KB = "kb_action"
-    """Nobody: it works on knowledge alone."""
+    """Without a server: it works on knowledge alone."""
     PLAN = "plan"
     """Another plan, which is an action server as well."""
 
@@ -37,7 +37,7 @@ class ActionKind(Enum):
 CLASSES: Final = {"ROSAtomicAction": ActionKind.ROS, "RPNAtomicAction": ActionKind.RPN, "KBAction": ActionKind.KB}
 """The classes that files for the original implementation name; none of them is imported."""
 OPERATION: Final = "operation"
-"""The parameter under which the step of a `ActionKind.KB` action says what is done."""
+"""The parameter of an `ActionKind.KB` action that has the operation on knowledge."""
 ACTION_KEYS: Final = (
     *("instances", "type", "params", "preconditions", "effects", "duration", "preferences", "recoveries", "resources"),
     *("server", "ros_type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "simulated"),
@@ -48,44 +48,43 @@ RESERVED: Final = frozenset({"while", "if", "then", "else", "concurrent_actions"
 
 @dataclass(frozen=True)
 class LanguageAction:
-    """An action with parameters, as its domain describes it."""
+    """An action schema, and how its calls are executed."""
 
-    name: str
+    schema: ActionSchema
     kind: ActionKind
     position: Position
-    parameters: tuple[Variable, ...] | None = None
-    """None if the domain says nothing about them: then every step may give what it likes."""
-    precondition: Condition = TRUE
-    """At start."""
-    invariant: Condition = TRUE
-    """Over all."""
-    end_condition: Condition = TRUE
-    """At end."""
-    start_effects: Effects = ()
-    end_effects: Effects = ()
-    expected: Condition = TRUE
-    """What holds of variables once the action is done."""
-    duration: tuple[tuple[str, Expression], ...] | None = None
-    """Bounds; None for an instantaneous action."""
+    is_open: bool = False
+    """Whether the domain has no ``params`` for it: then every step may give what it likes."""
     binding: Binding = DEFAULT
     resources: tuple[str, ...] = ()
     returns: tuple[tuple[str, Data], ...] = ()
     """What a simulated server answers, by result field."""
     recoveries: Node | None = None
-    """What the domain says about recovering, for `pnm.language.plan_tree` to read."""
+    """What the domain has about recovering, for `pnm.language.plan_tree` to read."""
+
+    @property
+    def name(self) -> str:
+        """The name of the schema."""
+        return self.schema.name
 
     @cached_property
     def objects(self) -> frozenset[str]:
-        """The parameters, with ``?``, that stand for objects: by their type, or because facts speak of them."""
-        typed = (variable.name for variable in self.parameters or () if variable.types != ("object",))
-        conditions = (self.precondition, self.invariant, self.end_condition, self.expected)
-        return frozenset(typed).union(*map(_in_fluents, conditions), _in_effects((*self.start_effects, *self.end_effects)))
+        """The parameters, with ``?``, that stand for objects: by their type, or because facts have them as arguments."""
+        typed = (variable.name for variable in self.schema.parameters if variable.types != ("object",))
+        return frozenset(typed).union(*map(_in_fluents, self._conditions), _in_effects(self._effects))
 
     @cached_property
     def mentioned(self) -> frozenset[str]:
         """The parameters, with ``?``, that the conditions and effects mention."""
-        conditions = (self.precondition, self.invariant, self.end_condition, self.expected)
-        return frozenset().union(*map(free_variables, conditions), _in_effects((*self.start_effects, *self.end_effects), values=True))
+        return frozenset().union(*map(free_variables, self._conditions), _in_effects(self._effects, values=True))
+
+    @property
+    def _conditions(self) -> tuple[Condition, ...]:
+        return self.schema.precondition, self.schema.invariant, self.schema.end_condition, self.schema.expected
+
+    @property
+    def _effects(self) -> Effects:
+        return (*self.schema.start_effects, *self.schema.end_effects)
 
 
 def _in_fluents(condition: Condition) -> frozenset[str]:
@@ -116,47 +115,79 @@ def _in_effects(effects: Effects, *, values: bool = False) -> frozenset[str]:
     return frozenset(found)
 
 
-def read_action(name: str, entry: Mapped, declared: Declared) -> LanguageAction:
-    """Read one action.
+def read_schema(name: str, entry: Mapped, scope: FormulaScope) -> ActionSchema:
+    """Read the schema of an action.
+
+    Args:
+        name: of the action.
+        entry: its keys.
+        scope: the names around it; the action's parameters come besides.
 
     Raises:
         InputError: it has an unknown key, something malformed, or names that are not there.
     """
     entry.only(*ACTION_KEYS)
-    if name in RESERVED:
-        raise InputError(f"{name!r} is a word of the language; an action cannot be called so", entry.start)
-    kind = _kind(entry)
-    parameters = _parameters(entry, declared)
-    scope = declared.scope(parameters)
-    conditions = read_conditions(entry.node("preconditions"), scope)
-    start_effects, end = read_timed_effects(entry.node("effects"), scope)
-    duration = entry.node("duration")
-    return LanguageAction(
+    params, duration = entry.filled("params"), entry.filled("duration")
+    parameters = () if params is None else read_typed(params, scope)
+    bound = replace(scope, variables=None if params is None and not scope.strict else {}).inside(parameters)
+    bounds = None if duration is None else read_duration(duration, bound)
+    inner = bound.inside((Variable(DURATION[0]),)) if scope.strict and bounds is not None else bound
+    conditions = read_conditions(entry.filled("preconditions"), inner)
+    start_effects, end = read_timed_effects(entry.filled("effects"), inner)
+    schema = ActionSchema(
         name,
-        kind,
-        entry.start,
         parameters,
-        precondition=conditions.start,
-        invariant=conditions.always,
-        end_condition=conditions.end,
-        start_effects=start_effects,
-        end_effects=end.effects,
+        conditions.start,
+        conditions.always,
+        conditions.end,
+        start_effects,
+        end.effects,
+        bounds,
         expected=end.expected,
-        duration=None if duration is None or duration.is_null else read_duration(duration, scope),
+    )
+    if scope.strict:
+        _check_moments(schema, entry)
+    return schema
+
+
+def _check_moments(schema: ActionSchema, entry: Mapped) -> None:
+    """Refuse moments in an action that has only one, and tests before its start."""
+    timed = (schema.invariant, schema.end_condition) != (TRUE, TRUE), bool(schema.start_effects)
+    for key, has_moments in zip(("preconditions", "effects"), timed, strict=True):
+        if has_moments and schema.duration is None:
+            raise InputError(f"only an action with a duration has moments; expected {key} without them", entry.position(key))
+    if any(map(is_early, schema.start_effects if schema.duration is not None else schema.end_effects)):
+        raise InputError("only an effect at the end of an action with a duration can be tested at its start", entry.position("effects"))
+
+
+def read_action(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> LanguageAction:
+    """Read how an action is executed.
+
+    Raises:
+        InputError: something is malformed, or has names that are not there.
+    """
+    if schema.name in RESERVED:
+        raise InputError(f"{schema.name!r} is a word of the language; an action cannot be called so", entry.start)
+    is_open = entry.filled("params") is None
+    return LanguageAction(
+        schema,
+        _kind(entry),
+        entry.start,
+        is_open,
         binding=read_binding(entry, type_key="ros_type", retries=0),
         resources=tuple(entry.strings("resources")),
-        returns=_simulated(entry, scope),
+        returns=_simulated(entry, replace(scope, variables=None if is_open else {}).inside(schema.parameters)),
         recoveries=entry.node("recoveries"),
     )
 
 
 def _kind(entry: Mapped) -> ActionKind:
-    """Return who carries the action out; an action server, if the file does not say."""
-    node = entry.node("type")
-    if node is None or node.is_null:
+    """Return how the action is executed; by an action server, without the key."""
+    node = entry.filled("type")
+    if node is None:
         return ActionKind.ROS
     kinds: dict[str, ActionKind] = {kind.value: kind for kind in CLASSES.values()}
-    name = _class(node) if node.is_mapping else node.text
+    name = read_class(node)[1] if node.is_mapping else node.text
     if name is None:
         raise node.wrong(f"expected a kind of action such as ros_action, found {shown(node)}")
     known = CLASSES if node.is_mapping else kinds
@@ -165,20 +196,15 @@ def _kind(entry: Mapped) -> ActionKind:
     return known[name]
 
 
-def _simulated(entry: Mapped, scope: Scope) -> tuple[tuple[str, Data], ...]:
+def _simulated(entry: Mapped, scope: FormulaScope) -> tuple[tuple[str, Data], ...]:
     """Read what a simulated server answers; like a real one it knows its goal and the world, but no variables."""
-    node = entry.node("simulated")
     found: list[tuple[str, Data]] = []
-    for name, _, value in () if node is None or node.is_null else node.mapped().entries():
+    for name, _, value in entry.section("simulated").entries():
         data = read_data(value, scope)
         if any(isinstance(part, Query) for part in parts(data)):
             raise value.wrong(f"a simulated server knows its goal, not the variables of the run; expected something like ?{name}")
         found.append((name, data))
     return tuple(found)
-
-
-def _class(node: Node) -> str:
-    return read_class(node)[1]
 
 
 def read_class(node: Node) -> tuple[str, str]:
@@ -193,10 +219,3 @@ def read_class(node: Node) -> tuple[str, str]:
     if not module or not name:
         raise node.wrong("expected the keys 'module' and 'class'")
     return module, name
-
-
-def _parameters(entry: Mapped, declared: Declared) -> tuple[Variable, ...] | None:
-    node = entry.node("params")
-    if node is None or node.is_null:
-        return None
-    return read_typed(node, declared.scope())

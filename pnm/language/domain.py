@@ -1,124 +1,132 @@
-"""Domains: which actions there are, and what else executing plans needs to know. What only planners need is left alone.
-
-What a domain declares as PDDL does, and the facts of a problem: from YAML.
-
-Types, constants and objects are PDDL's text (``r1 r2 - robot``) or lists of such texts, predicates and functions lists
-of texts such as ``(at ?r - robot ?p - place)`` and ``(location ?r - robot) - place``.
-"""
+"""Domains: the model that people and planners share, and how its actions are executed."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from pnm.core.logic.conditions import TRUE, Condition
-from pnm.core.logic.effects import TimedChange
-from pnm.core.logic.expressions import Fluent, Value
+from pnm.core.logic.domain import ProblemModel
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.errors import Tolerated
 from pnm.files.yaml_nodes import Mapped, Node
-from pnm.knowledge.sources.registry import Choice, check_source
-from pnm.language.actions import ACTION_KEYS, LanguageAction, read_action, read_class
-from pnm.language.declarations import NOTHING_DECLARED, Declared, read_declared, read_derived, read_initial
+from pnm.knowledge.sources.registry import SourceChoice, check_source
+from pnm.language.actions import ACTION_KEYS, LanguageAction, read_action, read_class, read_schema
+from pnm.language.declarations import read_declarations, read_derived, read_initial
 from pnm.language.formulas.conditions import read_condition
-from pnm.language.formulas.scope import shown
+from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, shown
 
 DOMAIN_KEYS: Final = (
     *("name", "instances", "external_knowledge_base", "knowledge", "action_types", "actions"),
     *("requirements", "types", "constants", "predicates", "functions", "derived", "constraints", "preferences", "hierarchy", "problem"),
 )
-_PROBLEM_KEYS: Final = (*("name", "objects", "init", "goal", "metric", "constraints", "preferences", "requirements", "network"),)
+PROBLEM_KEYS: Final = ("name", "objects", "init", "goal", "metric", "constraints", "preferences", "requirements", "network")
 
 
 @dataclass(frozen=True)
 class LanguageDomain:
-    """The actions of a domain by name, what it declares, and what is so at the beginning."""
+    """A domain and its problem, and how the actions are executed, by name."""
 
-    name: str = ""
+    model: ProblemModel = NOTHING_DECLARED
+    """With the section ``problem``, if there is one."""
     actions: Mapping[str, LanguageAction] = field(default_factory=dict)
-    declared: Declared = NOTHING_DECLARED
     rules: Rules = NO_RULES
-    """What derives facts."""
-    facts: Mapping[Fluent, Value] = field(default_factory=dict)
-    """What is so at the beginning, as the section ``problem`` says."""
-    timed: tuple[TimedChange, ...] = ()
-    """What changes by itself later."""
-    goal: Condition = TRUE
-    """The goal of the section ``problem``."""
-    sources: tuple[Choice, ...] = ()
+    """Those of the model, stratified."""
+    sources: tuple[SourceChoice, ...] = ()
     """The sources of knowledge that the file chose."""
     warnings: tuple[Tolerated, ...] = ()
-    """What in the file was not as it should be."""
+    """What in the file was tolerated though it is not as it should be."""
     file: str = ""
     """Where it was read from."""
 
 
 def domain_from(top: Mapped, warnings: tuple[Tolerated, ...] = ()) -> LanguageDomain:
-    """Read a domain from a document that may say other things as well.
+    """Read a domain from a document that may have other keys as well.
 
     Raises:
         InputError: something is malformed, or has names that are not there.
     """
-    problem_node = top.node("problem")
-    problem = None if problem_node is None or problem_node.is_null else problem_node.mapped()
-    if problem is not None:
-        problem.only(*_PROBLEM_KEYS)
-    declared = read_declared(top, problem)
-    _check_action_types(top)
-    facts, timed = ({}, ()) if problem is None else read_initial(problem, declared.scope(()))
+    for entry in top.mapping("action_types").values():
+        entry.only(*ACTION_KEYS)  # only anchors are made there; their contents are read where they are used
+    model, rules = read_model(top)
+    entries = top.mapping("actions")
     return LanguageDomain(
-        name=top.string("name") or "",
-        actions={name: read_action(name, entry, declared) for name, entry in top.mapping("actions").items()},
-        declared=declared,
-        rules=read_derived(top, declared),
-        facts=facts,
-        timed=timed,
-        goal=TRUE if problem is None else read_goal(problem, declared),
-        sources=(*_external(top), *_chosen(top)),
+        model,
+        {name: read_action(schema, entries[name], FormulaScope(model)) for name, schema in model.domain.actions.items()},
+        rules,
+        sources=_read_sources(top),
         warnings=warnings,
         file=top.file,
     )
 
 
-def read_goal(entry: Mapped, declared: Declared) -> Condition:
+def read_model(top: Mapped, *, strict: bool = False) -> tuple[ProblemModel, Rules]:
+    """Read the domain of a document and its problem, and the rules in their strata.
+
+    Args:
+        top: the document.
+        strict: whether planners are to understand it; see `pnm.language.formulas.scope.FormulaScope`.
+
+    Raises:
+        InputError: something is malformed, or has names that are not there.
+    """
+    section = problem_section(top)
+    declared = read_declarations(top, section, strict=strict)
+    scope = FormulaScope(declared, {}, strict, borrows=section is None)
+    rules = read_derived(top, scope)
+    domain = replace(declared.domain, rules=rules.rules)
+    scope = replace(scope, declared=replace(declared, domain=domain))
+    domain = replace(domain, actions={name: read_schema(name, entry, scope) for name, entry in top.mapping("actions").items()})
+    if section is None:
+        return replace(declared, domain=domain), rules
+    facts, timed = read_initial(section, scope)
+    return replace(declared, domain=domain, init=facts, timed=timed, goal=read_goal(section, scope)), rules
+
+
+def problem_section(top: Mapped) -> Mapped | None:
+    """Return the section ``problem``, None without one.
+
+    Raises:
+        InputError: it has an unknown key.
+    """
+    node = top.filled("problem")
+    if node is None:
+        return None
+    section = node.mapped()
+    section.only(*PROBLEM_KEYS)
+    return section
+
+
+def read_goal(entry: Mapped, scope: FormulaScope) -> Condition:
     """Read the key ``goal``; true when it is not there."""
-    node = entry.node("goal")
-    return TRUE if node is None or node.is_null else read_condition(node, declared.scope(()))
+    node = entry.filled("goal")
+    return TRUE if node is None else read_condition(node, scope)
 
 
-def _check_action_types(top: Mapped) -> None:
-    """Only anchors are made there; what they mean is read where they are used."""
-    for entry in top.mapping("action_types").values():
-        entry.only(*ACTION_KEYS)
+def _read_sources(top: Mapped) -> tuple[SourceChoice, ...]:
+    """Read the sources of knowledge that a file chooses.
+
+    ``external_knowledge_base`` has a class of the original implementation, for which a registered source stands; ``knowledge``
+    has names of sources, or ``{name: {option: value}}``: one, or a list of them.
+    """
+    found: list[SourceChoice] = []
+    external = top.filled("external_knowledge_base")
+    if external is not None:
+        name = check_source(".".join(read_class(external)), external.position)
+        found.append(SourceChoice(name, {}, external.position))
+    return (*found, *(choice for node in top.listed("knowledge") for choice in _choices(node)))
 
 
-def _external(top: Mapped) -> tuple[Choice, ...]:
-    """Read which source stands for the class that a file for the original implementation names."""
-    node = top.node("external_knowledge_base")
-    if node is None or node.is_null:
-        return ()
-    module, name = read_class(node)
-    return (Choice(check_source(f"{module}.{name}", node.position), {}, node.position),)
-
-
-def _chosen(top: Mapped) -> tuple[Choice, ...]:
-    """Read ``knowledge``: names of sources, or ``{name: {option: value}}``; one, or a list of them."""
-    node = top.node("knowledge")
-    if node is None or node.is_null:
-        return ()
-    return tuple([choice for item in ((node,) if node.items is None else node.items) for choice in _choices(item)])
-
-
-def _choices(node: Node) -> list[Choice]:
+def _choices(node: Node) -> list[SourceChoice]:
     if node.text is not None:
-        return [Choice(check_source(node.text, node.position), {}, node.position)]
+        return [SourceChoice(check_source(node.text, node.position), {}, node.position)]
     if not node.is_mapping:
         raise node.wrong(f"expected the name of a source of knowledge, found {shown(node)}")
-    found: list[Choice] = []
+    found: list[SourceChoice] = []
     for name, position, options in node.mapped().entries():
         plain = {} if options.is_null else options.plain()
         if not isinstance(plain, dict):
             raise options.wrong(f"expected options of {name} (option: value), found {shown(options)}")
-        found.append(Choice(check_source(name, position), plain, position))
+        found.append(SourceChoice(check_source(name, position), plain, position))
     return found

@@ -1,9 +1,9 @@
-"""Files of the language: YAML documents, with anchors for the kinds of actions known beforehand.
+"""Files of the language: YAML documents, with predefined anchors for the kinds of actions.
 
-Domains are printed without what defines their anchors, between ellipses, and with an indentation that no longer is
-what it was: such an excerpt is read as it was meant, with a warning, if it cannot be read as it stands.
+Papers print domains without the definitions of their anchors, between ellipses and with damaged indentation: such an
+excerpt is mended, with a warning, if it cannot be read as it stands.
 
-Files with plans: which plans and which domain they have, and what others need to know of a plan in order to call it.
+Of files with plans, the heads of the plans and the domain are read here, so that plans can call each other.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.expressions import Variable
 from pnm.core.machine.bindings import Binding
 from pnm.errors import InputError, Position, Tolerated, suggestion
@@ -33,7 +34,7 @@ _LONE_KEY: Final = re.compile(r"( *)-( +)[^\s#'\"\[{][^#'\"\[{]*:\s*\Z")
 
 
 def read_documents(path: Path) -> tuple[tuple[Mapped, ...], tuple[Tolerated, ...]]:
-    """Read the documents of a file, and tell what in it was not as it should be.
+    """Return the documents of a file, and warnings about what was tolerated in it.
 
     Raises:
         InputError: there is no such file, or it is not YAML, not text, too large, or a document is not a mapping.
@@ -42,7 +43,7 @@ def read_documents(path: Path) -> tuple[tuple[Mapped, ...], tuple[Tolerated, ...
 
 
 def parse_documents(text: str, file: str) -> tuple[tuple[Mapped, ...], tuple[Tolerated, ...]]:
-    """Read the documents of a text, and tell what in it was not as it should be.
+    """Return the documents of a text, and warnings about what was tolerated in it.
 
     Raises:
         InputError: it is not YAML, too large, or a document is not a mapping.
@@ -50,7 +51,7 @@ def parse_documents(text: str, file: str) -> tuple[tuple[Mapped, ...], tuple[Tol
     try:
         return parse_yaml(text, file, ANCHORS), ()
     except InputError as error:
-        suggestion, changed = _as_meant(text) if len(text) <= MAX_EXCERPT else (text, [])
+        suggestion, changed = _mended(text) if len(text) <= MAX_EXCERPT else (text, [])
         if not changed:
             raise
         try:
@@ -60,7 +61,7 @@ def parse_documents(text: str, file: str) -> tuple[tuple[Mapped, ...], tuple[Tol
         return found, tuple(Tolerated(message, Position(file, line, 1)) for line, message in changed)
 
 
-def _as_meant(text: str) -> tuple[str, list[tuple[int, str]]]:
+def _mended(text: str) -> tuple[str, list[tuple[int, str]]]:
     """Return the text without a leading ellipsis and with indentation mended, and what was done in which line."""
     lines = text.splitlines()
     changed: list[tuple[int, str]] = []
@@ -97,19 +98,19 @@ _ALWAYS: Final = (
     *("timeout", "restarts", "on_failure", "resources", "plan"),
 )
 PLAN_KEYS: Final = ("name", *_ALWAYS)
-"""What a document says about the plan in it."""
+"""The keys of a document with a plan."""
 RECIPE_KEYS: Final = ("server", "action", *_ALWAYS)
-"""What is said about a plan under its name."""
+"""The keys of a plan under its name."""
 _ONLY_DOMAINS: Final = frozenset(DOMAIN_KEYS) - frozenset(PLAN_KEYS)
 _SERVERS: Final = ("ActionServer", "SimpleActionServer", "BasicControllerPluginServer", "DAPluginServer")
 """The classes that files for the original implementation name; every plan becomes a ROS 2 action server."""
 _CALLED: Final = Binding(retries=0, timeout=86_400.0, cancel=60.0)
-"""How a plan is called by another: its own limits, and those of what it calls, end it sooner than these."""
+"""How a plan is called by another: its own limits, and those of its calls, end it sooner than these."""
 
 
 @dataclass(frozen=True)
-class Draft:
-    """A plan of which only the head has been read: what others need to know in order to call it."""
+class PlanHead:
+    """The head of a plan, whose steps are not read yet: what other plans need in order to call it."""
 
     name: str
     entry: Mapped
@@ -120,7 +121,8 @@ class Draft:
     @property
     def action(self) -> LanguageAction:
         """The plan as an action that others call."""
-        return LanguageAction(self.name, ActionKind.PLAN, self.entry.start, self.parameters, binding=_CALLED)
+        schema = ActionSchema(self.name, self.parameters or ())
+        return LanguageAction(schema, ActionKind.PLAN, self.entry.start, self.parameters is None, binding=_CALLED)
 
 
 def read_domain(path: Path) -> LanguageDomain:
@@ -132,32 +134,33 @@ def read_domain(path: Path) -> LanguageDomain:
     documents, warnings = read_documents(path)
     for document in documents:
         _entries(document)
-    found = _domain_in(documents, warnings)
-    if found is None:
+    top = domain_document(documents)
+    if top is None:
         raise InputError("there is no domain in the file; expected the key 'actions'", Position(str(path), 1, 1))
-    return found
+    return domain_from(top, warnings)
 
 
-def drafts(path: Path, domain: LanguageDomain | None = None) -> list[Draft]:
+def plan_heads(path: Path, domain: LanguageDomain | None = None) -> list[PlanHead]:
     """Read the heads of all plans of a file.
 
     Raises:
         InputError: there is none, or something is malformed.
     """
-    return drafts_in(*read_documents(path), domain)
+    return plan_heads_in(*read_documents(path), domain)
 
 
-def drafts_in(documents: tuple[Mapped, ...], warnings: tuple[Tolerated, ...], domain: LanguageDomain | None) -> list[Draft]:
-    """Read the heads of all plans of a file's documents; see `drafts`."""
-    own = _domain_in(documents, warnings)
-    found: list[Draft] = []
+def plan_heads_in(documents: tuple[Mapped, ...], warnings: tuple[Tolerated, ...], domain: LanguageDomain | None) -> list[PlanHead]:
+    """Read the heads of all plans of a file's documents; see `plan_heads`."""
+    top = domain_document(documents)
+    own = None if top is None else domain_from(top, warnings)
+    found: list[PlanHead] = []
     for document in documents:
         for name, entry in _entries(document):
             _check_classes(entry)
-            params = entry.node("params")
-            parameters = None if params is None or params.is_null else read_typed(params)
+            params = entry.filled("params")
+            parameters = None if params is None else read_typed(params)
             chosen = _domain_of(entry, own, domain)
-            found.append(Draft(name, entry, chosen, parameters, tuple(dict.fromkeys((*warnings, *chosen.warnings)))))
+            found.append(PlanHead(name, entry, chosen, parameters, tuple(dict.fromkeys((*warnings, *chosen.warnings)))))
     if not found:
         raise InputError("there is no plan in the file; expected the key 'plan'", documents[0].start)
     return found
@@ -188,15 +191,16 @@ def _entries(document: Mapped) -> list[tuple[str, Mapped]]:
     return found
 
 
-def _domain_in(documents: Iterable[Mapped], warnings: tuple[Tolerated, ...] = ()) -> LanguageDomain | None:
-    found: LanguageDomain | None = None
-    for document in documents:
-        if not document.nodes.keys() & _ONLY_DOMAINS:
-            continue
-        if found is not None:
-            raise InputError("there is a domain in this file already", document.start)
-        found = domain_from(document, warnings)
-    return found
+def domain_document(documents: Iterable[Mapped]) -> Mapped | None:
+    """Return the document that has a domain; None if none has.
+
+    Raises:
+        InputError: several have.
+    """
+    found = [document for document in documents if document.nodes.keys() & _ONLY_DOMAINS]
+    if len(found) > 1:
+        raise InputError("there is a domain in this file already", found[1].start)
+    return found[0] if found else None
 
 
 def _domain_of(entry: Mapped, own: LanguageDomain | None, given: LanguageDomain | None) -> LanguageDomain:
@@ -224,13 +228,13 @@ def beside(entry: Mapped, key: str, path: str) -> Path:
 
 def _check_classes(entry: Mapped) -> None:
     """Refuse what the original implementation would import, unless it is what every plan has here."""
-    server, message = entry.node("server"), entry.node("action")
-    if server is not None and not server.is_null:
+    server, message = entry.filled("server"), entry.filled("action")
+    if server is not None:
         _, name = read_class(server)
         if name not in _SERVERS:
             error = unknown("kind of server", name, _SERVERS, server.position)
             raise InputError(f"{error.message}; every plan becomes a ROS 2 action server, so the key may be left out", server.position)
-    if message is not None and not message.is_null:
+    if message is not None:
         module, _ = read_class(message)
         if not module.endswith(".msg"):
             raise message.wrong(f"{module!r} has no messages; expected a module such as 'rpn_recipe_planner_msgs.msg', or no key 'action'")

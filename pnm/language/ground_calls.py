@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from pnm.core.logic.computed_values import Data, KnowledgeOperation, Layer, Literal, Operation, Query, Update, filled, parameters_in, parts
 from pnm.core.logic.conditions import TRUE, Condition, ground
-from pnm.core.logic.effects import Effects, ground_effects
-from pnm.core.logic.expressions import DURATION, Environment, Fluent, Value, ValueOf, is_number, text_of, value_of
+from pnm.core.logic.expressions import Environment, Fluent, Value, ValueOf, is_number, text_of, value_of
+from pnm.core.machine.grounding import ground_schema
 from pnm.core.machine.plan_graph import EMPTY, Cause, GroundAction, Recovery, Then
 from pnm.errors import InputError
 from pnm.language.actions import OPERATION, ActionKind, LanguageAction
@@ -33,7 +33,7 @@ def filled_operation(operation: KnowledgeOperation, values: Mapping[str, Data]) 
 
 
 EFFECT_RETRIES: Final = 3
-"""How often a call is repeated because its effects are missing, when nobody says."""
+"""How often a call is repeated by default because its effects are missing."""
 
 
 @dataclass(frozen=True)
@@ -66,24 +66,16 @@ class Substitution:
         plain = {f"?{name}": data.value for name, data in given.items() if isinstance(data, Literal)}
         return Substitution(
             {f"?{name}": data for name, data in given.items()},
-            {name: value for name, value in plain.items() if _is_name(value) or is_number(value)},
+            {name: value for name, value in plain.items() if is_number(value) or (isinstance(value, str) and value[:1] != "?")},
         )
 
     def condition(self, condition: Condition) -> Condition:
         """Return the condition as it is for this call."""
         return ground(condition, self.env)
 
-    def effects(self, effects: Effects, duration: float | None) -> Effects:
-        """Return the effects as they are for this call."""
-        return ground_effects(effects, self.env if duration is None else {**self.env, DURATION[0]: float(duration)})
-
     def argument(self, name: str) -> str:
         """Return the argument for a parameter without ``?``: the name or number it is given, or ``?name``."""
         return text_of(self.env.get(f"?{name}", f"?{name}"))
-
-
-def _is_name(value: object) -> bool:
-    return isinstance(value, str) and not value.startswith("?")
 
 
 def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tuple[GroundAction, Substitution]:
@@ -97,90 +89,64 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tu
     Raises:
         InputError: a fact is computed from a parameter that is not known in the plan.
     """
-    action = step.action
     given = {name: filled_data(one.data, outer) for name, one in step.given.items()}
     for name, data in given.items():
-        if left := _unfilled(data):
+        if left := {parameter for part in parts(data) if isinstance(part, ValueOf) for parameter in parameters_in(part)}:
             raise InputError(
                 f"{min(left)} is not known in the plan; a fact in a value needs the name of an object", step.given[name].position
             )
     own = Substitution.of(given)
-    operation = _operation(step, outer)
+    unbound = {name: data for name, data in outer.items() if name not in {variable.name for variable in step.action.schema.parameters}}
+    operation = None if step.operation is None else filled_operation(step.operation, unbound)
     names = _parameters(step, operation)
-    duration = _duration(action, own, facts) if step.duration is None else step.duration
-    return (
-        GroundAction(
-            action.name,
-            tuple(own.argument(name) for name in names),
-            names,
-            precondition=own.condition(action.precondition),
-            invariant=own.condition(action.invariant),
-            end_condition=own.condition(action.end_condition),
-            start_effects=own.effects(action.start_effects, duration),
-            end_effects=own.effects(action.end_effects, duration),
-            duration=duration,
-            expected=own.condition(action.expected),
-            given=tuple(given.items()),
-            operation=operation,
-            resources=tuple(dict.fromkeys((*action.resources, *step.resources))),
-            returns=action.returns,
-        ),
-        own,
+    duration = _duration(step.action, own, facts) if step.duration is None else step.duration
+    action = ground_schema(step.action.schema, tuple(map(own.argument, names)), own.env, duration)
+    resources = tuple(dict.fromkeys((*step.action.resources, *step.resources)))
+    called = replace(
+        action, parameters=names, given=tuple(given.items()), operation=operation, resources=resources, returns=step.action.returns
     )
+    return called, own
 
 
 def outer_values(action: LanguageAction, own: Substitution) -> dict[str, Data]:
     """Return what parameters stand for in the chains of a call: what it is given, or what it will find."""
-    names = (variable.name for variable in action.parameters or ())
+    names = (variable.name for variable in action.schema.parameters)
     found: dict[str, Data] = {name: Query(Literal.of(name[1:]), Layer.ALL) for name in names}
     return {**found, **own.values}
 
 
-def _unfilled(data: Data) -> frozenset[str]:
-    return frozenset(name for part in parts(data) if isinstance(part, ValueOf) for name in parameters_in(part))
-
-
 def _parameters(step: CallStep, operation: KnowledgeOperation | None) -> tuple[str, ...]:
     """Return the names of the parameters: of an action on knowledge, those that are used or given."""
-    if step.action.parameters is None:
+    if step.action.is_open:
         return tuple(step.given)
-    names = tuple(variable.name[1:] for variable in step.action.parameters)
+    names = tuple(variable.name[1:] for variable in step.action.schema.parameters)
     if operation is None:
         return names
-    used = step.action.mentioned | _mentioned(operation)
+    datas = (operation.name, operation.value, operation.meta) if isinstance(operation, Update) else (operation,)
+    used = step.action.mentioned.union(*map(parameters_in, datas))
     return tuple(name for name in names if name != OPERATION and (name in step.given or f"?{name}" in used))
-
-
-def _mentioned(operation: KnowledgeOperation) -> frozenset[str]:
-    if isinstance(operation, Update):
-        return parameters_in(operation.name) | parameters_in(operation.value) | parameters_in(operation.meta)
-    return parameters_in(operation)
-
-
-def _operation(step: CallStep, outer: Mapping[str, Data]) -> KnowledgeOperation | None:
-    own = {variable.name for variable in step.action.parameters or ()}
-    values = {name: data for name, data in outer.items() if name not in own}
-    return None if step.operation is None else filled_operation(step.operation, values)
 
 
 def _duration(action: LanguageAction, own: Substitution, facts: Facts) -> float | None:
     """Return how long the call takes, if the domain fixes it by numbers that do not change or hold at the beginning."""
-    for operation, bound in action.duration or ():
-        if operation == "=":
-            seconds = value_of(bound, facts, own.env)
+    for constraint in action.schema.duration or ():
+        if constraint.operation == "=":
+            seconds = value_of(constraint.bound, facts, own.env)
             return float(seconds) if is_number(seconds) else None
     return None
 
 
 def usual_recoveries(action: LanguageAction) -> tuple[Recovery, ...]:
-    """Return what is done when neither the step nor the action says it.
+    """Return the default recoveries of a call, for causes that neither the step nor the action handles.
 
     A call that was preempted counts as done, unless it would be believed to have effects that it may not have had; one whose
     effects are missing is repeated.
     """
     found: list[Recovery] = []
-    if action.kind is not ActionKind.KB and not (action.start_effects or action.end_effects):
+    schema = action.schema
+    has_effects = bool(schema.start_effects or schema.end_effects)
+    if action.kind is not ActionKind.KB and not has_effects:
         found.append(Recovery(frozenset({Cause.CANCELED}), Then.CONTINUE, EMPTY))
-    if action.expected != TRUE or action.end_condition != TRUE or action.start_effects or action.end_effects:
+    if schema.expected != TRUE or schema.end_condition != TRUE or has_effects:
         found.append(Recovery(frozenset({Cause.EFFECTS_MISSING}), Then.RETRY, EMPTY, EFFECT_RETRIES))
     return tuple(found)

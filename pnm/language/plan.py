@@ -1,16 +1,18 @@
-"""Plans that people write: files with a plan, with recipes, with a domain, or with all of these.
+"""Hand-written plans: files with a plan, with recipes, with a domain, or with all of these.
 
-Worlds: a domain and the plans that are offered together, each of which becomes an action server.
+A world is a domain and the plans that are served together, each as an action server.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 from pnm.core.logic.conditions import TRUE, Condition
+from pnm.core.logic.domain import ProblemModel
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.logic.rules import Rules
@@ -19,49 +21,49 @@ from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import PlanGraph
 from pnm.errors import InputError, Tolerated
 from pnm.files.yaml_nodes import Mapped
-from pnm.knowledge.sources.registry import Choice
+from pnm.knowledge.sources.registry import SourceChoice
 from pnm.language.actions import LanguageAction
-from pnm.language.declarations import NOTHING_DECLARED, Declared, read_facts
+from pnm.language.declarations import read_facts
 from pnm.language.domain import LanguageDomain, read_goal
-from pnm.language.files import Draft, beside, drafts, drafts_in, parse_documents, read_documents, read_domain
-from pnm.language.formulas.scope import unknown
+from pnm.language.files import PlanHead, beside, parse_documents, plan_heads, plan_heads_in, read_documents, read_domain
+from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, unknown
 from pnm.language.formulas.values import read_literal
 from pnm.language.ground_calls import Facts
 from pnm.language.plan_tree import WrittenRecovery
 from pnm.language.steps import StepReader
-from pnm.language.to_plan_graph import Lowering
+from pnm.language.to_plan_graph import PlanGraphBuilder
 
 
 @dataclass(frozen=True)
 class HandWrittenPlan:
-    """A plan, ready for `pnm.core.machine.generate`, and what it is carried out with."""
+    """A plan graph, ready for `pnm.core.machine.generate`, with its bindings, parameters and initial knowledge."""
 
     name: str
     graph: PlanGraph
     bindings: Bindings
     parameters: tuple[str, ...] | None = ()
-    """Variables that whoever starts the plan gives; any if None."""
+    """Variables that are given when the plan is started; any if None."""
     results: tuple[str, ...] = ()
-    """Variables that whoever started the plan is told at the end."""
+    """Variables whose values are the result of the plan."""
     variables: Mapping[str, object] = field(default_factory=dict)
-    """What the run knows at the beginning; parameters come before it."""
+    """The local knowledge at the beginning; parameters come before it."""
     facts: Mapping[Fluent, Value] = field(default_factory=dict)
-    """What is so in the world at the beginning, as far as files say."""
+    """The initial facts, as far as files have them."""
     timed: tuple[TimedChange, ...] = ()
-    """What changes in the world by itself."""
+    """Timed facts."""
     objects: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """By type."""
     timeout: float | None = None
     """Seconds that the plan may take."""
     on_failure: OnFailure = OnFailure.DRAIN
-    sources: tuple[Choice, ...] = ()
+    sources: tuple[SourceChoice, ...] = ()
     """The sources of knowledge that the files chose."""
     calls: frozenset[str] = frozenset()
     """The other plans it calls."""
     warnings: tuple[Tolerated, ...] = ()
-    """What in the files was not as it should be."""
-    declared: Declared = NOTHING_DECLARED
-    """The names that its domain declares."""
+    """What in the files was tolerated though it is not as it should be."""
+    declared: ProblemModel = NOTHING_DECLARED
+    """The model of its domain."""
     domain_file: str = ""
     """Where its domain was read from; empty if it has none."""
 
@@ -81,12 +83,12 @@ def read_plans(path: Path, domain: Path | None = None) -> dict[str, HandWrittenP
 
     Args:
         path: the file.
-        domain: the file with the domain, for plans that do not say it themselves.
+        domain: the file with the domain, for plans that do not name one themselves.
 
     Raises:
         InputError: there is none, something is malformed, or has names that are not there.
     """
-    return finished(drafts(path, None if domain is None else read_domain(domain)))
+    return finished(plan_heads(path, None if domain is None else read_domain(domain)))
 
 
 def parse_plans(text: str, file: str = "plan.yaml", domain: LanguageDomain | None = None) -> dict[str, HandWrittenPlan]:
@@ -95,22 +97,22 @@ def parse_plans(text: str, file: str = "plan.yaml", domain: LanguageDomain | Non
     >>> parse_plans("actions: {wave: }\\nplan: [wave: , wave: ]")["plan"].graph
     <PlanGraph 2 calls, 1 orderings>
     """
-    return finished(drafts_in(*parse_documents(text, file), domain))
+    return finished(plan_heads_in(*parse_documents(text, file), domain))
 
 
-def finished(found: Sequence[Draft]) -> dict[str, HandWrittenPlan]:
+def finished(found: Sequence[PlanHead]) -> dict[str, HandWrittenPlan]:
     """Read plans whose heads are known, so that they may call each other.
 
     Raises:
         InputError: two have the same name, they call each other in a circle, or something in them is wrong.
     """
-    by_name: dict[str, Draft] = {}
-    for draft in found:
-        if draft.name in by_name or draft.name in draft.domain.actions:
-            what = "a plan" if draft.name in by_name else "an action"
-            raise InputError(f"there is {what} called {draft.name!r} already", draft.entry.start)
-        by_name[draft.name] = draft
-    plans = {name: _plan(draft, by_name) for name, draft in by_name.items()}
+    by_name: dict[str, PlanHead] = {}
+    for head in found:
+        if head.name in by_name or head.name in head.domain.actions:
+            what = "a plan" if head.name in by_name else "an action"
+            raise InputError(f"there is {what} called {head.name!r} already", head.entry.start)
+        by_name[head.name] = head
+    plans = {name: _plan(head, by_name) for name, head in by_name.items()}
     try:
         TopologicalSorter({name: plan.calls for name, plan in plans.items()}).prepare()
     except CycleError as error:
@@ -122,60 +124,51 @@ def finished(found: Sequence[Draft]) -> dict[str, HandWrittenPlan]:
 # --- one plan ------------------------------------------------------------------------------
 
 
-def _plan(draft: Draft, others: Mapping[str, Draft]) -> HandWrittenPlan:
-    entry, domain = draft.entry, draft.domain
+def _plan(head: PlanHead, others: Mapping[str, PlanHead]) -> HandWrittenPlan:
+    entry, domain = head.entry, head.domain
     actions = {**domain.actions, **{name: other.action for name, other in others.items()}}
-    reader = StepReader(actions, domain.declared)
+    reader = StepReader(actions, domain.model)
     steps = reader.steps(entry.needed("plan"))
-    facts = {**domain.facts, **read_facts(entry, "facts", domain.declared.scope(()))}
+    scope = FormulaScope(domain.model, {})
+    facts = {**domain.model.init, **read_facts(entry.listed("facts"), scope)}
     recoveries: dict[str, tuple[WrittenRecovery, ...]] = {
         name: reader.recoveries(action, action.recoveries) for name, action in actions.items() if action.recoveries is not None
     }
-    lowering = Lowering(lambda action: recoveries.get(action.name, ()), Facts(facts), max(1, entry.whole("restarts", 1)))
-    goal = read_goal(entry, domain.declared)
-    graph = lowering.graph(steps, domain.goal if goal == TRUE else goal, domain.rules, _capacities(entry))
+    builder = PlanGraphBuilder(lambda action: recoveries.get(action.name, ()), Facts(facts), max(1, entry.whole("restarts", 1)))
+    goal = read_goal(entry, scope)
+    graph = builder.graph(steps, domain.model.goal if goal == TRUE else goal, domain.rules, _capacities(entry))
     _check_capacities(entry, graph, actions)
     return HandWrittenPlan(
-        draft.name,
+        head.name,
         graph,
         Bindings({name: action.binding for name, action in actions.items()}),
-        parameters=None if draft.parameters is None else tuple(variable.name[1:] for variable in draft.parameters),
+        parameters=None if head.parameters is None else tuple(variable.name[1:] for variable in head.parameters),
         results=tuple(entry.strings("results")),
-        variables=_variables(entry),
+        variables={name: read_literal(value).value for name, _, value in entry.section("initial_knowledge").entries()},
         facts=facts,
-        timed=domain.timed,
-        objects=domain.declared.objects_by_type,
+        timed=domain.model.timed,
+        objects=domain.model.objects_by_type,
         timeout=entry.number("timeout", None),
         on_failure=_on_failure(entry),
         sources=domain.sources,
         calls=frozenset(call.action.name for call in graph.calls) & others.keys(),
-        warnings=draft.warnings,
-        declared=domain.declared,
+        warnings=head.warnings,
+        declared=domain.model,
         domain_file=domain.file,
     )
 
 
-def _variables(entry: Mapped) -> dict[str, object]:
-    node = entry.node("initial_knowledge")
-    if node is None or node.is_null:
-        return {}
-    return {name: read_literal(value).value for name, _, value in node.mapped().entries()}
-
-
 def _capacities(entry: Mapped) -> dict[str, int]:
-    node = entry.node("resources")
-    if node is None or node.is_null:
-        return {}
-    resources = node.mapped()
-    found = {name: resources.whole(name, 1) for name in resources.nodes}
-    for name, capacity in found.items():
+    resources = entry.section("resources")
+    capacities = {name: resources.whole(name, 1) for name in resources.nodes}
+    for name, capacity in capacities.items():
         if capacity < 1:
             raise InputError(f"expected how many calls may have {name} at the same time, at least 1", resources.position(name))
-    return found
+    return capacities
 
 
 def _check_capacities(entry: Mapped, graph: PlanGraph, actions: Mapping[str, LanguageAction]) -> None:
-    """Refuse what is said of a resource that neither the plan nor any action of the domain uses."""
+    """Refuse the capacity of a resource that neither the plan nor any action of the domain uses."""
     described = {name for action in actions.values() for name in action.resources}
     used = described | {name for call in graph.calls for name in call.action.resources}
     for name in graph.capacities:
@@ -200,7 +193,7 @@ class World:
     domain: LanguageDomain
 
     @property
-    def sources(self) -> tuple[Choice, ...]:
+    def sources(self) -> tuple[SourceChoice, ...]:
         """The sources of knowledge that the domain chose."""
         return self.domain.sources
 
@@ -239,4 +232,42 @@ def _world(name: str, entry: Mapped, key: str) -> World:
     paths = [beside(entry, key, one) for one in entry.strings(key)]
     if not paths:
         raise InputError(f"the world {name!r} has no plans; expected files under {key!r}", entry.start)
-    return World(name, finished([draft for path in paths for draft in drafts(path, domain)]), domain)
+    return World(name, finished([head for path in paths for head in plan_heads(path, domain)]), domain)
+
+
+# --- the plans of a file or a world ----------------------------------------------------------
+
+
+def chosen_plan(plans: Mapping[str, HandWrittenPlan], name: str | None) -> str:
+    """Return the name of the plan to carry out: the only one that no other calls, if none is named.
+
+    Raises:
+        InputError: there is no such plan, or none is named and there are several.
+    """
+    called = frozenset(other for plan in plans.values() for other in plan.calls)
+    candidates = [candidate for candidate in plans if candidate not in called] if name is None else [name]
+    if len(candidates) != 1 or candidates[0] not in plans:
+        wrong = "there are several plans" if name is None else f"there is no plan {name!r}"
+        raise InputError(f"{wrong}; expected --name and one of {', '.join(plans)}")
+    return candidates[0]
+
+
+def called_plans(plans: Mapping[str, HandWrittenPlan], name: str) -> tuple[str, ...]:
+    """Return the names of a plan and of all plans that it calls, or that these call."""
+    names = [name]
+    for caller in names:
+        names += [called for called in sorted(plans[caller].calls) if called not in names]
+    return tuple(names)
+
+
+def merge_bindings(plans: Iterable[HandWrittenPlan]) -> Bindings:
+    """Return the bindings of all plans, which are those of their domains."""
+    return reduce(Bindings.before, (plan.bindings for plan in plans), Bindings())
+
+
+def sources_of(plans: Iterable[HandWrittenPlan]) -> tuple[SourceChoice, ...]:
+    """Return the sources of knowledge that any of the plans chose, each once."""
+    choices: dict[str, SourceChoice] = {}
+    for choice in (choice for plan in plans for choice in plan.sources):
+        choices.setdefault(f"{choice.name} {choice.options}", choice)
+    return tuple(choices.values())

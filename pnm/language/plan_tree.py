@@ -1,9 +1,9 @@
-"""Plans as they are written: a tree of steps that says the same as the file.
+"""Plans as they are written: the syntax tree of their steps, and of the recoveries in them.
 
 What is done when a call fails, as it is written: ``before``, ``during`` and ``after``, each with chains of steps.
 
 A chain is a list of steps that ends in a command. In its long form, ``{when: condition, do: chain, times: n}``, it has
-a condition of its own and says how often it may be used; there may be a list of these.
+a condition of its own and a limit of how often it may be used; there may be a list of these.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pnm.errors import InputError, Position
 from pnm.files.yaml_nodes import Node
 from pnm.language.actions import LanguageAction
 from pnm.language.formulas.conditions import read_condition
-from pnm.language.formulas.scope import Scope, unknown
+from pnm.language.formulas.scope import FormulaScope, unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Wait:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class StepPlacement:
     """Where a step stands."""
 
     position: Position
@@ -47,8 +47,8 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class Given:
-    """What a step says about a parameter."""
+class GivenValue:
+    """The value that a step gives a parameter."""
 
     data: Data
     position: Position
@@ -63,7 +63,7 @@ class WrittenRecovery:
     chain: SequenceStep
     then: Then
     times: int | None = None
-    """None if the file does not say."""
+    """None if the file gives no number."""
     when: Condition | None = None
     """For checks of its own, before or after."""
 
@@ -72,13 +72,13 @@ class WrittenRecovery:
 class CallStep:
     """An action is called."""
 
-    place: Place
+    place: StepPlacement
     action: LanguageAction
-    given: Mapping[str, Given] = field(default_factory=dict)
+    given: Mapping[str, GivenValue] = field(default_factory=dict)
     """By parameter, without ``?``."""
     operation: KnowledgeOperation | None = None
     recoveries: tuple[WrittenRecovery, ...] | None = None
-    """In place of what the action says; None if the step says nothing."""
+    """In place of those of the action; None if the step has none of its own."""
     retries: int | None = None
     timeout: float | None = None
     duration: float | None = None
@@ -94,9 +94,9 @@ class CallStep:
 
 @dataclass(frozen=True, slots=True)
 class SequenceStep:
-    """Steps one after the other, or in the order that their ``after`` says."""
+    """Steps one after the other, or in the partial order that their ``after`` gives."""
 
-    place: Place
+    place: StepPlacement
     steps: tuple[WrittenStep, ...]
 
 
@@ -104,7 +104,7 @@ class SequenceStep:
 class ConcurrentStep:
     """Steps at the same time."""
 
-    place: Place
+    place: StepPlacement
     branches: tuple[WrittenStep, ...]
 
 
@@ -112,7 +112,7 @@ class ConcurrentStep:
 class LoopStep:
     """Steps that are repeated as long as a condition holds."""
 
-    place: Place
+    place: StepPlacement
     condition: Condition
     body: SequenceStep
     limit: int
@@ -122,7 +122,7 @@ class LoopStep:
 class ChoiceStep:
     """Steps that are done if a condition holds, and others that are done if not."""
 
-    place: Place
+    place: StepPlacement
     condition: Condition
     then: SequenceStep
     otherwise: SequenceStep
@@ -150,7 +150,7 @@ ReadSteps: TypeAlias = Callable[[tuple[Node, ...], Position], SequenceStep]
 """Reads steps that follow each other."""
 
 
-def read_recoveries(node: Node, scope: Scope, read_steps: ReadSteps) -> tuple[WrittenRecovery, ...]:
+def read_recoveries(node: Node, scope: FormulaScope, read_steps: ReadSteps) -> tuple[WrittenRecovery, ...]:
     """Read what is done when a call fails.
 
     Args:
@@ -165,14 +165,12 @@ def read_recoveries(node: Node, scope: Scope, read_steps: ReadSteps) -> tuple[Wr
         return ()
     entry = node.mapped()
     entry.only("before", "during", "after")
-    found = [_recovery(long, _BEFORE, Cause.BEFORE, scope, read_steps) for long in _each(entry.node("before"))]
-    during = entry.node("during")
-    if during is not None and not during.is_null:
-        outcomes = during.mapped()
-        outcomes.only(*_DURING)
-        for outcome, _, chains in outcomes.entries():
-            found += [_recovery(long, frozenset({_DURING[outcome]}), None, scope, read_steps) for long in _each(chains)]
-    return (*found, *(_recovery(long, _AFTER, Cause.AFTER, scope, read_steps) for long in _each(entry.node("after"))))
+    found = [_recovery(long, _BEFORE, Cause.BEFORE, scope, read_steps) for long in _each(entry.filled("before"))]
+    outcomes = entry.section("during")
+    outcomes.only(*_DURING)
+    for outcome, _, chains in outcomes.entries():
+        found += [_recovery(long, frozenset({_DURING[outcome]}), None, scope, read_steps) for long in _each(chains)]
+    return (*found, *(_recovery(long, _AFTER, Cause.AFTER, scope, read_steps) for long in _each(entry.filled("after"))))
 
 
 def _each(node: Node | None) -> tuple[Node, ...]:
@@ -188,7 +186,7 @@ def _is_long(node: Node) -> bool:
     return node.is_mapping and "do" in node.mapped().nodes
 
 
-def _recovery(node: Node, usual: frozenset[Cause], own: Cause | None, scope: Scope, read_steps: ReadSteps) -> WrittenRecovery:
+def _recovery(node: Node, usual: frozenset[Cause], own: Cause | None, scope: FormulaScope, read_steps: ReadSteps) -> WrittenRecovery:
     entry = node.mapped() if _is_long(node) else None
     when: Condition | None = None
     times: int | None = None

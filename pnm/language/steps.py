@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from math import inf
 from typing import Final
 
 from pnm.actions.bindings_file import read_texts
 from pnm.core.logic.computed_values import KnowledgeOperation
+from pnm.core.logic.domain import ProblemModel
 from pnm.core.machine.plan_graph import Moment
 from pnm.errors import InputError, Position
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language.actions import OPERATION, RESERVED, ActionKind, LanguageAction
-from pnm.language.declarations import Declared
 from pnm.language.formulas.conditions import read_condition
-from pnm.language.formulas.scope import Scope, shown, unknown
+from pnm.language.formulas.scope import FormulaScope, shown, unknown
 from pnm.language.formulas.values import read_data, read_operation
 from pnm.language.plan_tree import (
     CallStep,
     ChoiceStep,
     ConcurrentStep,
-    Given,
+    GivenValue,
     LoopStep,
-    Place,
     SequenceStep,
+    StepPlacement,
     Wait,
     WrittenRecovery,
     WrittenStep,
@@ -33,12 +33,12 @@ from pnm.language.plan_tree import (
 )
 
 DEFAULT_LIMIT: Final = 1000
-"""How often a loop is repeated at most when the plan does not say."""
+"""How often a loop is repeated at most, without a limit in the plan."""
 MAX_LIMIT: Final = 1_000_000
 _PLACE: Final = ("id", "after")
 _CALL: Final = ("recoveries", "retries", "timeout", "resources", "store", "end_after", "duration", "release", "deadline")
 OPTIONS: Final = (*_PLACE, *_CALL)
-"""What may be said of a step beside what it does."""
+"""The keys of a step beside the one that names its action or block."""
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,14 @@ class StepReader:
     """Reads steps where these actions and names are known."""
 
     actions: Mapping[str, LanguageAction]
-    declared: Declared
+    declared: ProblemModel
     variables: frozenset[str] = frozenset()
     """In a chain of recovery, the parameters of the call that recovers."""
 
     @cached_property
-    def scope(self) -> Scope:
+    def scope(self) -> FormulaScope:
         """What values and conditions may use."""
-        return replace(self.declared.scope(), variables=self.variables)
+        return FormulaScope(self.declared, dict.fromkeys(self.variables, ("object",)))
 
     def steps(self, node: Node) -> SequenceStep:
         """Read a list of steps.
@@ -69,7 +69,7 @@ class StepReader:
         """Read steps that follow each other."""
         steps = tuple([self.step(node) for node in nodes])
         _check_ids(steps)
-        return SequenceStep(Place(position), steps)
+        return SequenceStep(StepPlacement(position), steps)
 
     def step(self, node: Node) -> WrittenStep:
         """Read one step; a list of steps is a sequence."""
@@ -79,7 +79,8 @@ class StepReader:
             hint = f"; write '- {node.text}:'" if node.text else ""
             raise node.wrong(f"expected a step such as '- action: {{parameter: value}}', found {shown(node)}{hint}")
         entry = node.mapped()
-        place = _place(entry)
+        after, end_after = _waits(entry.node("after")), _waits(entry.node("end_after"))
+        place = StepPlacement(entry.start, entry.string("id"), after, end_after or ())
         match self._head(entry):
             case "concurrent_actions":
                 entry.only("concurrent_actions", *_PLACE)
@@ -92,13 +93,20 @@ class StepReader:
                 return self._loop(entry.needed("while").mapped(), place)
             case "if":
                 entry.only("if", "then", "else", *_PLACE)
-                return self._choice(entry, place)
+                condition = read_condition(entry.needed("if"), self.scope)
+                then = self.steps(entry.needed("then"))
+                return ChoiceStep(
+                    place,
+                    condition,
+                    then,
+                    self.steps(entry.needed("else")) if "else" in entry.nodes else SequenceStep(StepPlacement(entry.start), ()),
+                )
             case name:
                 entry.only(name, *OPTIONS)
                 return self._call(name, entry, place)
 
     def _head(self, entry: Mapped) -> str:
-        """Return the key that says what the step does."""
+        """Return the key that names the action or the block of the step."""
         for word in ("if", "while", "concurrent_actions", "sequence"):
             if word in entry.nodes:
                 return word
@@ -111,7 +119,7 @@ class StepReader:
         message = f"a step does one thing; {strange!r} is a second one, and none of the options: {', '.join(OPTIONS)}"
         raise InputError(message, entry.nodes[strange][0])
 
-    def _loop(self, entry: Mapped, place: Place) -> LoopStep:
+    def _loop(self, entry: Mapped, place: StepPlacement) -> LoopStep:
         entry.only("condition", "actions", "limit")
         limit = entry.whole("limit", DEFAULT_LIMIT)
         if not 1 <= limit <= MAX_LIMIT:
@@ -120,12 +128,6 @@ class StepReader:
         if not body.steps:
             raise InputError("a loop repeats at least one step", entry.position("actions"))
         return LoopStep(place, read_condition(entry.needed("condition"), self.scope), body, limit)
-
-    def _choice(self, entry: Mapped, place: Place) -> ChoiceStep:
-        condition = read_condition(entry.needed("if"), self.scope)
-        otherwise = entry.node("else")
-        nothing = SequenceStep(Place(entry.start), ())
-        return ChoiceStep(place, condition, self.steps(entry.needed("then")), nothing if otherwise is None else self.steps(otherwise))
 
     # --- calls ---
 
@@ -136,20 +138,21 @@ class StepReader:
             )
         return unknown("action", name, self.actions.keys() | RESERVED - {"then", "else"}, position)
 
-    def _call(self, name: str, entry: Mapped, place: Place) -> CallStep:
+    def _call(self, name: str, entry: Mapped, place: StepPlacement) -> CallStep:
         if name not in self.actions:
             raise self._unknown_action(name, entry.nodes[name][0])
         action = self.actions[name]
         argument = entry.needed(name)
-        told = Mapped(entry.file, entry.start, {}) if argument.is_null else argument.mapped()
-        given = {key: self._given(action, key, where, node) for key, where, node in told.entries() if not _is_operation(action, key)}
+        arguments = Mapped(entry.file, entry.start, {}) if argument.is_null else argument.mapped()
+        entries = [entry for entry in arguments.entries() if action.kind is not ActionKind.KB or entry[0] != OPERATION]
+        given = {key: self._given(action, key, where, node) for key, where, node in entries}
         options = Mapped(entry.file, entry.start, {key: value for key, value in entry.nodes.items() if key != name})
         recoveries = options.node("recoveries")
         return CallStep(
             place,
             action,
             given,
-            operation=self._operation(action, told) if action.kind is ActionKind.KB else None,
+            operation=self._operation(action, arguments) if action.kind is ActionKind.KB else None,
             recoveries=None if recoveries is None else self.recoveries(action, recoveries),
             retries=options.whole("retries", None),
             timeout=options.number("timeout", None),
@@ -162,32 +165,26 @@ class StepReader:
 
     def recoveries(self, action: LanguageAction, node: Node) -> tuple[WrittenRecovery, ...]:
         """Read what is done when calls of the action fail."""
-        parameters = frozenset(variable.name for variable in action.parameters or ())
-        return read_recoveries(
-            node, replace(self.scope, variables=parameters), StepReader(self.actions, self.declared, parameters).sequence
-        )
+        inner = StepReader(self.actions, self.declared, frozenset(variable.name for variable in action.schema.parameters))
+        return read_recoveries(node, inner.scope, inner.sequence)
 
-    def _given(self, action: LanguageAction, key: str, where: Position, node: Node) -> Given:
-        if action.parameters is not None and f"?{key}" not in {variable.name for variable in action.parameters}:
-            raise unknown(f"parameter of {action.name}", key, [variable.name[1:] for variable in action.parameters], where)
+    def _given(self, action: LanguageAction, key: str, where: Position, node: Node) -> GivenValue:
+        parameters = [variable.name[1:] for variable in action.schema.parameters]
+        if not action.is_open and key not in parameters:
+            raise unknown(f"parameter of {action.name}", key, parameters, where)
         data = read_data(node, self.scope)
         if f"?{key}" in action.objects:
             _check_object(action, key, node, self.declared)
-        return Given(data, node.position)
+        return GivenValue(data, node.position)
 
-    def _operation(self, action: LanguageAction, told: Mapped) -> KnowledgeOperation:
-        node = told.node(OPERATION)
+    def _operation(self, action: LanguageAction, arguments: Mapped) -> KnowledgeOperation:
+        node = arguments.node(OPERATION)
         if node is None:
-            raise InputError(f"{action.name} works on knowledge; expected the key {OPERATION!r}", told.start)
-        own = frozenset(variable.name for variable in action.parameters or ())
-        return read_operation(node, replace(self.scope, variables=self.variables | own))
+            raise InputError(f"{action.name} works on knowledge; expected the key {OPERATION!r}", arguments.start)
+        return read_operation(node, self.scope.inside(action.schema.parameters))
 
 
-def _is_operation(action: LanguageAction, key: str) -> bool:
-    return action.kind is ActionKind.KB and key == OPERATION
-
-
-def _check_object(action: LanguageAction, key: str, node: Node, declared: Declared) -> None:
+def _check_object(action: LanguageAction, key: str, node: Node, declared: ProblemModel) -> None:
     """Refuse what cannot be the name of an object, such as an ``on`` without quotes, and objects that are not there."""
     if node.is_mapping:
         return
@@ -198,21 +195,14 @@ def _check_object(action: LanguageAction, key: str, node: Node, declared: Declar
     name = node.written
     if name.startswith(("?", "(")) or not declared.objects:
         return
-    types = next(variable.types for variable in action.parameters or () if variable.name == f"?{key}")
-    kinds = {one for kind in declared.objects.get(name, ()) for one in declared.supertypes(kind)}
-    if kinds.isdisjoint(types):
+    types = next(variable.types for variable in action.schema.parameters if variable.name == f"?{key}")
+    if declared.all_types(declared.objects.get(name, ())).isdisjoint(types):
         fitting = {one for kind in types for one in declared.objects_by_type.get(kind, ())}
         raise unknown(f"object for {key} of {action.name} (one of type {' or '.join(types)})", name, fitting, node.position)
 
 
-def _place(entry: Mapped) -> Place:
-    after, end_after = entry.node("after"), entry.node("end_after")
-    start = None if after is None else _waits(after)
-    return Place(entry.start, entry.string("id"), start, () if end_after is None else _waits(end_after))
-
-
-def _waits(node: Node) -> tuple[Wait, ...]:
-    return tuple(map(_wait, (node,) if node.items is None else node.items))
+def _waits(node: Node | None) -> tuple[Wait, ...] | None:
+    return None if node is None else tuple(map(_wait, (node,) if node.items is None else node.items))
 
 
 def _wait(node: Node) -> Wait:

@@ -1,4 +1,4 @@
-"""From the steps as they are written to a `PlanGraph`: which step waits for which.
+"""From the syntax tree of a plan to a `PlanGraph`: its steps and their partial order.
 
 Every list is walked once; what is inside of blocks that are done in sequence or at the same time ends up in the same
 flow, with orderings from the steps that are last in one to those that are first in the next. Where several meet
@@ -40,8 +40,8 @@ MAX_STEPS: Final = 10_000
 MAX_NESTING: Final = 50
 
 
-class Ends(NamedTuple):
-    """The steps of a part that nothing in it comes before, and those that nothing in it comes after."""
+class PartEnds(NamedTuple):
+    """The first and the last steps of a part: its sources and sinks."""
 
     first: tuple[int, ...]
     last: tuple[int, ...]
@@ -65,13 +65,13 @@ class _Region:
         return Flow(tuple(self.steps), tuple(self.orderings))
 
 
-class Lowering:
-    """Makes the graph of one plan. The mutable state is how many steps there are so far, where calls stand, and which say how to recover.
+class PlanGraphBuilder:
+    """Makes the graph of one plan. The mutable state is the number of steps so far, where calls stand, and which have recoveries.
 
     Args:
-        recoveries: gives what the domain says about recovering when calls of an action fail.
+        recoveries: gives the recoveries of an action, from the domain.
         facts: what is so at the beginning.
-        restarts: how often the plan may begin anew when a recovery does not say.
+        restarts: how often the plan may begin anew, where a recovery gives no number.
     """
 
     def __init__(self, recoveries: Callable[[LanguageAction], tuple[WrittenRecovery, ...]], facts: Facts, restarts: int = 1) -> None:
@@ -114,7 +114,7 @@ class Lowering:
 
     # --- blocks ---
 
-    def _place(self, step: WrittenStep, region: _Region) -> Ends:
+    def _place(self, step: WrittenStep, region: _Region) -> PartEnds:
         """Put a step into the flow; return where it begins and ends there."""
         position = step.place.position
         if region.depth > MAX_NESTING:
@@ -137,11 +137,11 @@ class Lowering:
     def _inside(self, steps: SequenceStep, region: _Region) -> Flow:
         return self._flow(steps, _Region(region.outer, region.depth + 1, region.recovering))
 
-    def _sequence(self, sequence: SequenceStep, region: _Region) -> Ends:
+    def _sequence(self, sequence: SequenceStep, region: _Region) -> PartEnds:
         return self._ordered(sequence.steps, region, in_sequence=True)
 
-    def _ordered(self, steps: tuple[WrittenStep, ...], region: _Region, *, in_sequence: bool) -> Ends:
-        """Put the steps of a list into the flow: in the order that ``after`` says, or else in sequence or at the same time."""
+    def _ordered(self, steps: tuple[WrittenStep, ...], region: _Region, *, in_sequence: bool) -> PartEnds:
+        """Put the steps of a list into the flow: in the order that ``after`` gives, or else in sequence or at the same time."""
         parts = [self._place(step, region) for step in steps]
         if any(step.place.after is not None or step.place.end_after for step in steps):
             parts = [part if part.first else self._junction(step.place.position, region) for part, step in zip(parts, steps, strict=True)]
@@ -156,8 +156,13 @@ class Lowering:
                 if not one.is_plain:
                     region.orderings += _special(one, parts[one.step], part)
         waited = {one.step for before in waits for one in before if one.moment is Moment.END}
-        return Ends(
-            tuple(first for part, before in zip(parts, waits, strict=True) if not _is_late(before) for first in part.first),
+        return PartEnds(
+            tuple(
+                first
+                for part, before in zip(parts, waits, strict=True)
+                if all(after.own is Moment.END for after in before)
+                for first in part.first
+            ),
             tuple(last for number, part in enumerate(parts) if number not in waited for last in part.last),
         )
 
@@ -170,12 +175,12 @@ class Lowering:
         else:
             region.orderings += [Ordering(PlanEvent(one, Moment.END), PlanEvent(two, Moment.START)) for one in before for two in after]
 
-    def _junction(self, position: Position | None, region: _Region) -> Ends:
+    def _junction(self, position: Position | None, region: _Region) -> PartEnds:
         return self._alone(Junction(self._number(position)), region)
 
-    def _alone(self, step: Step, region: _Region) -> Ends:
+    def _alone(self, step: Step, region: _Region) -> PartEnds:
         region.steps.append(step)
-        return Ends((step.index,), (step.index,))
+        return PartEnds((step.index,), (step.index,))
 
     def _number(self, position: Position | None) -> int:
         self._made += 1
@@ -220,7 +225,7 @@ class Lowering:
 
 @dataclass(frozen=True, slots=True)
 class _After:
-    """That a step waits for another of its list."""
+    """An ordering of two steps of a list: one waits for the other."""
 
     step: int
     moment: Moment = Moment.END
@@ -235,11 +240,7 @@ class _After:
         return self == _After(self.step)
 
 
-def _is_late(waits: tuple[_After, ...]) -> bool:
-    return any(one.own is Moment.START for one in waits)
-
-
-def _special(after: _After, earlier: Ends, part: Ends) -> list[Ordering]:
+def _special(after: _After, earlier: PartEnds, part: PartEnds) -> list[Ordering]:
     before = earlier.last if after.moment is Moment.END else earlier.first
     own = part.first if after.own is Moment.START else part.last
     return [Ordering(PlanEvent(one, after.moment), PlanEvent(two, after.own), delay=after.delay) for one in before for two in own]

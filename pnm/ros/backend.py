@@ -24,7 +24,7 @@ from pnm.ros.sensors.sensors import Sensors
 from pnm.ros.sensors.state_topic import SensedReports
 
 DISCOVERY: Final = 10.0
-"""Seconds that robots may take to appear which are started together with us; later, who is missing fails by name."""
+"""Seconds to wait for servers and reports of robots that are started together with this node."""
 
 
 class Ros2Backend:
@@ -78,7 +78,7 @@ class Ros2Backend:
             **dict.fromkeys(self._bindings.assumed, ""),
         }
         self._reports = StateReports(knowledge, ignored, lag, sensing.stale, sensing.signatures)
-        self._sensed = SensedReports(self.ros, loop, self._reports.tell)
+        self._sensed = SensedReports(self.ros, loop, self._reports.record)
         await self._sensors.open()
         await self._sensed.first(DISCOVERY)
 

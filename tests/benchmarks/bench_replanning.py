@@ -20,10 +20,9 @@ sys.path.insert(0, str(ROOT))
 from planner_bridge.loading import load
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
-from planner_bridge.pipeline import pursue
+from planner_bridge.pipeline import achieve_at
 from planner_bridge.simulation import robots_of
 from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.result import Stopwatch
 from planner_bridge.tasks.settings import OnChange, Settings, TaskObserver
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.bindings_file import read_bindings
@@ -74,7 +73,7 @@ def measured(problem: Problem, bindings: Bindings) -> list[tuple[float, float]]:
         site = SimulatedBackend(robots_of(problem, bindings, faults, speed=SPEED), bindings.assumed)
         limits = Limits(replans=30, seconds=60.0, forbid_after=1, backoff=0.0)
         settings = Settings(bindings=bindings, limits=limits, on_failure=OnFailure.CONTINUE_OTHERS, on_change=OnChange.EAGER)
-        run_async(pursue(problem, site, settings, clock, Stopwatch()), virtual=False)
+        run_async(achieve_at(site, problem, settings, clock), virtual=False)
         found += clock.found
     return found
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from planner_bridge.pipeline import carry_out
 from planner_bridge.simulation import simulated_backend
-from planner_bridge.tasks.plan_task import carry_out
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.generate import generate
@@ -104,9 +104,9 @@ plan:
 """
     )
     result = carry_out(path)
-    assert result.task.goal_reached
+    assert result.goal_reached
     assert result.variables == {"value": 3, "time": 3}
-    calls = [(call.call.action.name, call.call.action.arguments, call.started) for call in result.task.calls]
+    calls = [(call.call.action.name, call.call.action.arguments, call.started) for call in result.calls]
     assert calls == [("dummy_server", ("3",), 0.0), *(("wait", (time,), 1.0) for time in ("3", "3", "5", "6"))]
 
 

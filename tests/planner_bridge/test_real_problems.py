@@ -10,9 +10,8 @@ import pytest
 
 from planner_bridge.loading import load
 from planner_bridge.pddl import write_domain, write_problem
-from planner_bridge.pipeline import pursue
+from planner_bridge.pipeline import achieve_at
 from planner_bridge.simulation import simulated_backend
-from planner_bridge.tasks.result import Stopwatch
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.clock import run_async
 from pnm.core.logic.evaluation import evaluate
@@ -61,7 +60,7 @@ def test_solved_pairs_reach_their_goal_in_the_world(name: str) -> None:
     problem = load(*pair(name))
     settings = Settings()
     site = simulated_backend(problem, settings.bindings)
-    result = run_async(pursue(problem, site, settings, TaskObserver(), Stopwatch()), virtual=True)
+    result = run_async(achieve_at(site, problem, settings, TaskObserver()), virtual=True)
     assert result.goal_reached, result.reason
     assert evaluate(problem.goal, site.robots.world.truth) is True
     assert result.replans == 0
@@ -70,9 +69,7 @@ def test_solved_pairs_reach_their_goal_in_the_world(name: str) -> None:
 @present("name", NO_PLAN)
 def test_unsolvable_pairs_are_said_to_be(name: str) -> None:
     problem = load(*pair(name))
-    result = run_async(
-        pursue(problem, simulated_backend(problem, Settings().bindings), Settings(), TaskObserver(), Stopwatch()), virtual=True
-    )
+    result = run_async(achieve_at(simulated_backend(problem, Settings().bindings), problem, Settings(), TaskObserver()), virtual=True)
     assert not result.goal_reached
     assert result.reason.startswith("no plan: proved unsolvable")
     assert result.calls == ()

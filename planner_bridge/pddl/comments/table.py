@@ -1,9 +1,9 @@
-"""Comments of a file, kept beside the model: a table from the places of things to what is said about them.
+"""Comments of a file, kept beside the model: a table from anchors, which name things, to the comments on them.
 
-Models know no comments and no positions. So each file that is read gives a table besides its model, and who
-writes a file asks the table about every thing that is written. A *path* names a thing by what it says, whatever
-the format: ``("domain", "action", "move", "condition", "(at ?r ?from)")``. What was said about something that
-is not written goes to the nearest thing around it, so that no comment is lost.
+Models hold no comments and no positions. So each file that is read gives a table besides its model, and a
+writer asks the table about every thing that it writes. An *anchor path* names a thing by its content, whatever
+the format: ``("domain", "action", "move", "condition", "(at ?r ?from)")``. A comment on something that is not
+written goes to the nearest thing around it, so that no comment is lost.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
-Path: TypeAlias = tuple[str, ...]
+AnchorPath: TypeAlias = tuple[str, ...]
 
 BLANK: Final = ""
-"""Stands among comments for an empty line."""
+"""An empty line among comments."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,66 +27,66 @@ class Note:
     before: tuple[str, ...] = ()
     """On lines of their own above it."""
     beside: tuple[str, ...] = ()
-    """On the line it begins in, and on lines that go on with that."""
+    """On the line it begins in, and continued on the lines below."""
     below: tuple[str, ...] = ()
-    """On lines of their own under it, where nothing else follows."""
+    """On lines of their own under it, at the end of the thing around it."""
 
     def __bool__(self) -> bool:
         return bool(self.before or self.beside or self.below)
 
     def joined(self, other: Note) -> Note:
-        """Return both."""
+        """Return the comments of both."""
         return Note(self.before + other.before, self.beside + other.beside, self.below + other.below)
 
 
 NO_NOTE: Final = Note()
-Table: TypeAlias = Mapping[Path, Note]
+Table: TypeAlias = Mapping[AnchorPath, Note]
 
 
 @dataclass(slots=True)
-class _Ledger:
-    """Who has been asked about. The mutable state is what is still to be told, and every path that was asked for."""
+class _NoteStore:
+    """Notes that are to be written. The mutable state is the notes left, and every path that was asked for."""
 
-    table: dict[Path, Note]
-    around: frozenset[Path]
-    """The paths of all notes and of what is around them."""
-    asked: set[Path] = field(default_factory=set)
+    notes: dict[AnchorPath, Note]
+    around: frozenset[AnchorPath]
+    """The paths of all notes and of the things around them."""
+    asked: set[AnchorPath] = field(default_factory=set)
 
 
 @dataclass(frozen=True, slots=True)
 class Notes:
-    """The table, looked at from a path; every note is told once."""
+    """A view of the comment table from one path; every note can be taken once."""
 
-    _ledger: _Ledger
-    path: Path = ()
+    _store: _NoteStore
+    path: AnchorPath = ()
 
     @staticmethod
     def of(table: Table) -> Notes:
-        """Return the table, looked at from outside."""
-        return Notes(_Ledger(dict(table), frozenset(path[:length] for path in table for length in range(len(path) + 1))))
+        """Return the view of the table from the empty path."""
+        return Notes(_NoteStore(dict(table), frozenset(path[:length] for path in table for length in range(len(path) + 1))))
 
     def at(self, *keys: str) -> Notes:
-        """Look from inside a thing."""
-        return Notes(self._ledger, self.path + keys) if self._ledger.around else self
+        """Return the view from a thing inside this one."""
+        return Notes(self._store, self.path + keys) if self._store.around else self
 
     def take(self) -> Note:
-        """Return what is said about the thing here, and never again."""
-        if not self._ledger.table:
+        """Remove the note on this thing from the table, and return it."""
+        if not self._store.notes:
             return NO_NOTE
-        self._ledger.asked.add(self.path)
-        return self._ledger.table.pop(self.path, NO_NOTE)
+        self._store.asked.add(self.path)
+        return self._store.notes.pop(self.path, NO_NOTE)
 
     def __bool__(self) -> bool:
-        """Whether something is said about the thing or what is in it."""
-        return self.path in self._ledger.around
+        """Whether there are notes on the thing or on something in it."""
+        return self.path in self._store.around
 
-    def left(self) -> dict[Path, Note]:
-        """Return the notes that nobody took."""
-        return dict(self._ledger.table)
+    def remaining(self) -> dict[AnchorPath, Note]:
+        """Return the notes that were not taken."""
+        return dict(self._store.notes)
 
-    def nearest(self, path: Path) -> Path:
+    def nearest(self, path: AnchorPath) -> AnchorPath:
         """Return the innermost thing around the path that was asked about."""
-        while path and path not in self._ledger.asked:
+        while path and path not in self._store.asked:
             path = path[:-1]
         return path
 
@@ -94,23 +94,22 @@ class Notes:
 NO_NOTES: Final = Notes.of({})
 
 
-def with_all(table: Table, write: Callable[[Notes], str]) -> str:
-    """Write a text with all notes: those about things that are not written go to what is around these.
+def write_with_notes(table: Table, write: Callable[[Notes], str]) -> str:
+    """Write a text with all notes: those on things that are not written go to the thing around these.
 
     Args:
         table: the notes.
-        write: writes the text, and takes the notes it writes; the one about the empty path, too.
+        write: writes the text, and takes the notes it writes; the one on the empty path, too.
     """
     notes = Notes.of(table)
     text = write(notes)
-    left = notes.left()
-    if not left:
+    remaining = notes.remaining()
+    if not remaining:
         return text
-    moved = {path: note for path, note in table.items() if path not in left}
-    for path, note in left.items():
+    moved = {path: note for path, note in table.items() if path not in remaining}
+    for path, note in remaining.items():
         near = notes.nearest(path)
-        every = Note(note.before + note.beside + note.below)
-        moved[near] = moved.get(near, NO_NOTE).joined(every)
+        moved[near] = moved.get(near, NO_NOTE).joined(Note(note.before + note.beside + note.below))
     return write(Notes.of(moved))
 
 
@@ -118,10 +117,10 @@ def with_all(table: Table, write: Callable[[Notes], str]) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
-    """A thing in a file."""
+class Anchor:
+    """A thing in a file that comments can be about."""
 
-    path: Path
+    path: AnchorPath
     start: int
     """The offset of its first character."""
     end: int
@@ -131,7 +130,7 @@ class Item:
 
 
 @dataclass(frozen=True, slots=True)
-class Remark:
+class Comment:
     """A comment in a file, with its mark."""
 
     text: str
@@ -139,16 +138,16 @@ class Remark:
 
 
 @dataclass(frozen=True, slots=True)
-class Lines:
-    """Where the lines of a text begin."""
+class LineIndex:
+    """The offsets at which the lines of a text begin."""
 
     text: str
     starts: tuple[int, ...]
 
     @staticmethod
-    def of(text: str) -> Lines:
-        """Find the lines."""
-        return Lines(text, (0, *(found.end() for found in re.finditer(r"\r\n?|\n", text))))
+    def of(text: str) -> LineIndex:
+        """Return the index of a text."""
+        return LineIndex(text, (0, *(match.end() for match in re.finditer(r"\r\n?|\n", text))))
 
     def number(self, offset: int) -> int:
         """Return the number of the line, from 0."""
@@ -163,46 +162,47 @@ class Lines:
         return offset - self.start(offset)
 
     def indent(self, offset: int) -> int:
-        """Return the column of the first thing in the line."""
+        """Return the column of the first character in the line that is no space."""
         start = self.start(offset)
         return len(self.text[start:offset]) - len(self.text[start:offset].lstrip())
 
     def is_blank(self, number: int) -> bool:
-        """Tell whether there is such a line, and nothing in it."""
+        """Whether there is such a line, and it is blank."""
         if number + 1 >= len(self.starts):
             return False
         return not self.text[self.starts[number] : self.starts[number + 1]].strip()
 
 
-Below: TypeAlias = Callable[[Remark, Item | None, Item | None], Path | None]
-"""Given a comment on a line of its own, the last thing that begins before it and the first that begins after it:
-the thing it stands under; None if it belongs to what follows."""
+OwnerAbove: TypeAlias = Callable[[Comment, Anchor | None, Anchor | None], AnchorPath | None]
+"""For a comment on a line of its own, the last anchor that begins before it and the first that begins after it:
+the path of the thing it stands under; None if it belongs to the following one."""
 
 
-def attached(remarks: Iterable[Remark], items: Sequence[Item], lines: Lines, below: Below) -> dict[Path, Note]:
-    """Return the notes for the comments, which are in the order of the file; the things are in any order."""
-    items = sorted(items, key=lambda item: item.start)
-    starts = [item.start for item in items]
-    table: dict[Path, Note] = {}
-    beside: tuple[Path, int, int] | None = None
-    for remark in remarks:
-        following = bisect_left(starts, remark.offset)
-        last = items[following - 1] if following else None
-        after = items[following] if following < len(items) else None
-        number, column = lines.number(remark.offset), lines.column(remark.offset)
-        if last and last.start >= lines.start(remark.offset):
-            path, note = last.path, Note(beside=(remark.text,))
+def attach(comments: Iterable[Comment], anchors: Sequence[Anchor], lines: LineIndex, owner_above: OwnerAbove) -> dict[AnchorPath, Note]:
+    """Return the comment table of a file; the comments are in the order of the file, the anchors in any order."""
+    anchors = sorted(anchors, key=lambda anchor: anchor.start)
+    starts = [anchor.start for anchor in anchors]
+    table: dict[AnchorPath, Note] = {}
+    beside: tuple[AnchorPath, int, int] | None = None
+    for comment in comments:
+        index = bisect_left(starts, comment.offset)
+        last = anchors[index - 1] if index else None
+        following = anchors[index] if index < len(anchors) else None
+        number, column = lines.number(comment.offset), lines.column(comment.offset)
+        # beside a thing; below such a comment, in its column; under a thing; or above the following one
+        if last and last.start >= lines.start(comment.offset):
+            path, note = last.path, Note(beside=(comment.text,))
             beside = path, number, column
         elif beside and beside[1:] == (number - 1, column):
-            path, note = beside[0], Note(beside=(remark.text,))
+            path, note = beside[0], Note(beside=(comment.text,))
             beside = path, number, column
         else:
-            under = below(remark, last, after)
+            under = owner_above(comment, last, following)
             if under is not None:
                 gap = lines.is_blank(number - 1) and bool(table.get(under, NO_NOTE).below)
-                path, note = under, Note(below=(BLANK, remark.text) if gap else (remark.text,))
+                path, note = under, Note(below=(BLANK, comment.text) if gap else (comment.text,))
             else:
                 gap = lines.is_blank(number + 1)
-                path, note = (after or items[-1]).path, Note(before=(remark.text, BLANK) if gap else (remark.text,))
+                path, note = (following or anchors[-1]).path, Note(before=(comment.text, BLANK) if gap else (comment.text,))
         table[path] = table.get(path, NO_NOTE).joined(note)
     return table

@@ -1,27 +1,28 @@
-"""The comments of a PDDL file, and what they are about.
-
-Lines of text with comments beside them, which stand under each other where that looks well.
-"""
+"""The comments of a PDDL file, attached to the things they are about: sections, declarations, actions, conditions, facts."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Final, Literal
 
-from planner_bridge.pddl.comments.table import Item, Lines, Path, Remark, Table, attached
-from planner_bridge.pddl.read.reader import DOMAIN_SECTIONS, PROBLEM_SECTIONS
-from planner_bridge.pddl.syntax.anchors import items
-from planner_bridge.pddl.syntax.expressions import tokens
-from planner_bridge.pddl.syntax.sections import define
+from planner_bridge.pddl.comments.table import Anchor, AnchorPath, Comment, LineIndex, Table, attach
+from planner_bridge.pddl.read.reader import DOMAIN_SECTIONS, HIERARCHY, NETWORK, PROBLEM_SECTIONS
+from planner_bridge.pddl.read.sections import Definition, define, typed_runs
+from planner_bridge.pddl.syntax.anchors import ACTION, COMPOUND, PARTS, fact_anchor, form_anchor, form_of, is_timed, rule_anchor
+from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, tokens
 
 _SECTIONS: Final = {"domain": DOMAIN_SECTIONS, "problem": PROBLEM_SECTIONS}
+_NAME_LISTS: Final = (":types", ":constants", ":objects")
+_ACTIONS: Final = (":action", ":durative-action")
 
 
 def comments(text: str, kind: Literal["domain", "problem"]) -> Table:
-    """Return the comments of a domain or a problem that can be read."""
+    """Return the comments of the text of a domain or a problem, which must be correct."""
     if ";" not in text:
         return {}
     ends: dict[int, int] = {}
-    remarks: list[Remark] = []
+    found: list[Comment] = []
     opened: list[int] = []
     for token, offset in tokens(text):
         if token == "(":
@@ -29,36 +30,110 @@ def comments(text: str, kind: Literal["domain", "problem"]) -> Table:
         elif token == ")" and opened:
             ends[opened.pop()] = offset + 1
         elif token[0] == ";":
-            remarks.append(Remark(token.rstrip(), offset))
-    found = items(define(text, "", kind, _SECTIONS[kind]), kind, ends)
-    verbatim = [(item.start, item.end) for item in found if item.opaque]
-    own = [remark for remark in remarks if not any(start < remark.offset < end for start, end in verbatim)]
-    return attached(own, found, Lines.of(text), _Below(found).path)
+            found.append(Comment(token.rstrip(), offset))
+    anchors = [*_AnchorFinder(ends).definition(define(text, "", kind, _SECTIONS[kind]), (kind,))]
+    verbatim = [(anchor.start, anchor.end) for anchor in anchors if anchor.opaque]
+    free = [comment for comment in found if not any(start < comment.offset < end for start, end in verbatim)]
+    return attach(free, anchors, LineIndex.of(text), _ListEnds(anchors).owner_above)
 
 
-class _Below:
-    """Tells whether a comment stands at the end of a list, and under which of its parts."""
+class _ListEnds:
+    """Decides whether a comment stands at the end of a list, and under which of its parts."""
 
-    def __init__(self, found: list[Item]) -> None:
-        self._whole = {item.path: item for item in found}
-        sections = [item for item in found[1:] if self._around(item.path) == found[0]]
-        self._last_section = max(sections, key=lambda item: item.start, default=found[0])
+    def __init__(self, anchors: list[Anchor]) -> None:
+        self._anchors = {anchor.path: anchor for anchor in anchors}
+        sections = [anchor for anchor in anchors[1:] if self._around(anchor.path) == anchors[0]]
+        self._last_section = max(sections, key=lambda anchor: anchor.start, default=anchors[0])
 
-    def path(self, remark: Remark, last: Item | None, following: Item | None) -> Path | None:
+    def owner_above(self, comment: Comment, last: Anchor | None, following: Anchor | None) -> AnchorPath | None:
         """Return the part under which the comment stands, or None if another one follows in the list."""
         if last is None:
             return None
-        if remark.offset >= self._whole[last.path[:1]].end:
+        if comment.offset >= self._anchors[last.path[:1]].end:
             return self._last_section.path
         around = last
         under = last.path
-        while around.end <= remark.offset:
+        while around.end <= comment.offset:
             under = around.path
             around = self._around(under)
         return under if following is None or following.start >= around.end else None
 
-    def _around(self, path: Path) -> Item:
+    def _around(self, path: AnchorPath) -> Anchor:
         path = path[:-1]
-        while path not in self._whole:
+        while path not in self._anchors:
             path = path[:-1]
-        return self._whole[path]
+        return self._anchors[path]
+
+
+# --- anchors -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _AnchorFinder:
+    """Finds the things in a definition that comments can be about."""
+
+    ends: Mapping[int, int]
+    """For the offset of every list, the offset behind it."""
+
+    def definition(self, definition: Definition, path: AnchorPath) -> Iterator[Anchor]:
+        yield self.anchor(definition.whole, path)
+        for section in definition.sections:
+            yield from self.section(section, path)
+
+    def anchor(self, node: Node, path: AnchorPath, last: Node | None = None, opaque: bool = False) -> Anchor:
+        behind = last or node
+        end = behind.offset + len(behind.text) if isinstance(behind, Atom) else self.ends.get(behind.offset, behind.offset + 1)
+        return Anchor(path, node.offset, end, opaque)
+
+    def section(self, section: Group, path: AnchorPath) -> Iterator[Anchor]:
+        head = section.head
+        name = section.rest[0] if section.rest else section
+        inner = (*path, head)
+        if head in (*HIERARCHY, *NETWORK):  # kept as they stand, with the comments in them
+            yield self.anchor(section, (*inner, name.key if isinstance(name, Atom) else ""), opaque=True)
+        elif head == ":derived":
+            inner = (*inner, rule_anchor(form_of(section)))
+            yield self.anchor(section, inner)
+            yield from self.formulas(section.rest[1:], inner)
+        elif head in _ACTIONS:
+            yield from self.action(section, (*path, ACTION, form_anchor(form_of(name))))
+        else:
+            yield self.anchor(section, inner)
+            if head in _NAME_LISTS:
+                names = (name for names, _ in typed_runs(section.rest) for name in names)
+                yield from (self.anchor(name, (*inner, name.key)) for name in names if isinstance(name, Atom))
+            elif head in (":predicates", ":functions"):
+                yield from (self.anchor(part, (*inner, part.head)) for part in section.rest if isinstance(part, Group))
+            elif head == ":init":
+                facts = (part for part in section.rest if isinstance(part, Group))
+                yield from (self.anchor(fact, (*inner, fact_anchor(form_of(fact)))) for fact in facts)
+            elif head in (":goal", ":constraints"):
+                yield from self.formulas(section.rest, inner)
+
+    def action(self, section: Group, path: AnchorPath) -> Iterator[Anchor]:
+        yield self.anchor(section, path)
+        for keyword, value in zip(section.rest[1::2], section.rest[2::2], strict=False):
+            part = PARTS.get(form_anchor(form_of(keyword)), "")
+            yield self.anchor(keyword, (*path, part), value)
+            if part in ("condition", "effect"):
+                yield from self.formulas((value,), (*path, part))
+
+    def formulas(self, nodes: Iterable[Node], path: AnchorPath) -> Iterator[Anchor]:
+        """Yield the anchors of conditions or effects that stand beside each other, and of the forms in them."""
+        for node in nodes:
+            if not isinstance(node, Group) or not node.items or node.head.startswith("?"):
+                continue
+            if node.head == "and":
+                yield from self.formulas(node.rest, path)
+            elif is_timed(form := form_of(node)):
+                yield from self.formulas(node.items[2:], path)
+            else:
+                inner = (*path, form_anchor(form))
+                yield self.anchor(node, inner)
+                if node.head in COMPOUND and not _is_plain_negation(node):
+                    yield from self.formulas(node.rest, inner)
+
+
+def _is_plain_negation(node: Group) -> bool:
+    operand = node.rest[0] if node.rest else None
+    return node.head == "not" and not (isinstance(operand, Group) and (operand.head in COMPOUND or operand.head == "and"))

@@ -1,7 +1,4 @@
-"""PDDL trajectory constraints, and preferences over them (PDDL 3.0).
-
-PDDL preferences: told apart from what must hold in a goal or a precondition (PDDL 3.0).
-"""
+"""PDDL preferences, split from the hard part of a condition, and trajectory constraints (PDDL 3.0)."""
 
 from __future__ import annotations
 
@@ -10,9 +7,10 @@ from dataclasses import replace
 from typing import Literal, TypeAlias, TypeVar
 
 from planner_bridge.pddl.read.formulas import condition
+from planner_bridge.pddl.read.requirements import Leniency
 from planner_bridge.pddl.read.symbols import CONSTRAINTS
-from planner_bridge.pddl.read.terms import Scope
-from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, tolerate, wrong
+from planner_bridge.pddl.read.terms import TermScope
+from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, wrong
 from planner_bridge.pddl.syntax.words import counted, new_name, time
 from pnm.core.logic.conditions import Condition, ForAll, conjunction
 from pnm.core.logic.domain import Preference
@@ -21,111 +19,103 @@ from pnm.core.logic.trajectory import Constraint
 
 T = TypeVar("T")
 
-
-def is_preference(node: Node, scope: Scope) -> bool:
-    """Tell whether the part is a preference, and no predicate of that name."""
-    return isinstance(node, Group) and node.head == "preference" and not scope.names.has_predicate("preference")
+# --- preferences ---------------------------------------------------------------------------
 
 
-def preference(node: Group, scope: Scope, read: Callable[[Node], T]) -> tuple[str, T]:
+def is_preference(node: Node, scope: TermScope) -> bool:
+    """Whether the part is a preference, and no predicate of that name."""
+    return isinstance(node, Group) and node.head == "preference" and not scope.symbols.has_predicate("preference")
+
+
+def preference(node: Group, scope: TermScope, read: Callable[[Node], T]) -> tuple[str, T]:
     """Read ``(preference NAME BODY)``, or ``(preference BODY)``: return the name, empty without one, and the body."""
-    scope.names.requirements.need(node, ":preferences")
+    scope.symbols.requirements.need(node, ":preferences")
     match node.rest:
         case (Atom() as word, body):
             name = new_name(word, "preference")
-            return scope.names.wishes.setdefault(name.lower(), name), read(body)
+            return scope.symbols.preference_names.setdefault(name.lower(), name), read(body)
         case (Group() as body,):
             return "", read(body)
         case _:
             raise wrong(node, f"expected (preference NAME CONDITION), found {counted(len(node.rest), 'part')}")
 
 
-def under(variables: tuple[Variable, ...], preferences: Iterable[Preference]) -> list[Preference]:
+def with_variables(variables: tuple[Variable, ...], preferences: Iterable[Preference]) -> list[Preference]:
     """Return the preferences, each with the variables of a quantifier around it."""
-    return [replace(one, variables=(*variables, *one.variables)) for one in preferences]
+    return [replace(preference, variables=(*variables, *preference.variables)) for preference in preferences]
 
 
-def told_apart(
-    node: Node, scope: Scope, moment: Literal["at start", "over all", "at end"] | None = None
+def split_preferences(
+    node: Node, scope: TermScope, moment: Literal["at start", "over all", "at end"] | None = None
 ) -> tuple[Condition, tuple[Preference, ...]]:
-    """Return what must hold, and what should."""
-    hard, soft = _parts(node, scope)
-    return conjunction(hard), tuple([replace(one, moment=moment) for one in soft] if moment else soft)
+    """Read a condition: return its hard part, and its preferences, at the moment of a durative action if one is given."""
+    hard, soft = _split(node, scope)
+    return conjunction(hard), tuple([replace(preference, moment=moment) for preference in soft] if moment else soft)
 
 
-def _parts(node: Node, scope: Scope) -> tuple[list[Condition], list[Preference]]:
+def _split(node: Node, scope: TermScope) -> tuple[list[Condition], list[Preference]]:
     match node:
         case Group() if is_preference(node, scope):
             name, wanted = preference(node, scope, lambda body: condition(body, scope))
             return [], [Preference(name, wanted)]
         case Group() if node.head == "and":
-            both = [_parts(part, scope) for part in node.rest]
-            return [one for hard, _ in both for one in hard], [one for _, soft in both for one in soft]
-        case Group() if node.head == "forall" and _mentions(node):
-            scope.names.requirements.need(node, ":universal-preconditions")
+            return _joined(_split(part, scope) for part in node.rest)
+        case Group() if node.head == "forall" and _has_preferences(node):
+            scope.symbols.requirements.need(node, ":universal-preconditions")
             variables, body = scope.quantified(node)
-            hard, soft = _parts(body, scope.inside(variables))
-            return [ForAll(variables, conjunction(hard))] if hard else [], under(variables, soft)
+            hard, soft = _split(body, scope.inside(variables))
+            return [ForAll(variables, conjunction(hard))] if hard else [], with_variables(variables, soft)
         case _:
             return [condition(node, scope)], []
 
 
-def _mentions(node: Group) -> bool:
-    return any(isinstance(part, Group) and (part.head == "preference" or _mentions(part)) for part in node.rest)
+def _has_preferences(node: Group) -> bool:
+    return any(isinstance(part, Group) and (part.head == "preference" or _has_preferences(part)) for part in node.rest)
 
 
-_Found: TypeAlias = tuple[list[Constraint], list[Preference]]
+def _joined(parts: Iterable[tuple[list[T], list[Preference]]]) -> tuple[list[T], list[Preference]]:
+    """Return all hard and all soft parts."""
+    both = list(parts)
+    return [part for hard, _ in both for part in hard], [preference for _, soft in both for preference in soft]
 
 
-def constraints(parts: tuple[Node, ...], scope: Scope) -> tuple[tuple[Constraint, ...], tuple[Preference, ...]]:
-    """Read what stands in ``(:constraints ...)``: what must be kept, and what should."""
+# --- trajectory constraints ----------------------------------------------------------------
+
+_Split: TypeAlias = tuple[list[Constraint], list[Preference]]
+
+
+def constraints(parts: tuple[Node, ...], scope: TermScope) -> tuple[tuple[Constraint, ...], tuple[Preference, ...]]:
+    """Read ``(:constraints ...)``: return the hard constraints, and the preferences over constraints."""
     if len(parts) > 1:
-        tolerate(parts[1], "several constraints without 'and' around them; all of them count")
-    hard, soft = _merged(_read(part, scope) for part in parts)
+        Leniency.SEVERAL_CONSTRAINTS.note(parts[1])
+    hard, soft = _joined(_constraints(part, scope) for part in parts)
     return tuple(hard), tuple(soft)
 
 
-def _read(node: Node, scope: Scope) -> _Found:
-    scope.names.requirements.need(node, ":constraints")
+def _constraints(node: Node, scope: TermScope) -> _Split:
+    scope.symbols.requirements.need(node, ":constraints")
     match node:
         case Group(items=()):
             return [], []
         case Group() if node.head == "and":
-            return _merged(_read(part, scope) for part in node.rest)
+            return _joined(_constraints(part, scope) for part in node.rest)
         case Group() if node.head == "forall":
             variables, body = scope.quantified(node)
-            hard, soft = _read(body, scope.inside(variables))
-            return [replace(one, variables=(*variables, *one.variables)) for one in hard], under(variables, soft)
+            hard, soft = _constraints(body, scope.inside(variables))
+            return [replace(part, variables=(*variables, *part.variables)) for part in hard], with_variables(variables, soft)
         case Group() if is_preference(node, scope):
-            name, wanted = preference(node, scope, lambda body: _wanted(body, scope))
-            return [], [Preference(name, wanted)]
+            name, (hard, soft) = preference(node, scope, lambda body: _constraints(body, scope))
+            if soft:
+                raise wrong(node.rest[-1], "a preference cannot stand inside another")
+            return [], [Preference(name, tuple(hard))]
         case Group(items=(Atom() as at, Atom() as moment, body)) if (at.key, moment.key) == ("at", "end"):
             return [Constraint("at end", (condition(body, scope),))], []
         case Group() if node.head in CONSTRAINTS:
-            return [_constraint(node, scope)], []
+            times, conditions = CONSTRAINTS[node.head]
+            if len(node.rest) != times + conditions:
+                form = " and ".join([*([counted(times, "time")] if times else []), counted(conditions, "condition")])
+                raise wrong(node, f"'{node.head}' takes {form}, found {counted(len(node.rest), 'part')}")
+            wanted = tuple([condition(part, scope) for part in node.rest[times:]])
+            return [Constraint(node.head, wanted, tuple([time(part) for part in node.rest[:times]]))], []
         case _:
             raise wrong(node, f"expected and, forall, preference, at end, {', '.join(CONSTRAINTS)}; found {node}")
-
-
-def _wanted(node: Node, scope: Scope) -> tuple[Constraint, ...]:
-    hard, soft = _read(node, scope)
-    if soft:
-        raise wrong(node, "a preference cannot stand inside another")
-    return tuple(hard)
-
-
-def _constraint(node: Group, scope: Scope) -> Constraint:
-    times, conditions = CONSTRAINTS[node.head]
-    if len(node.rest) != times + conditions:
-        form = " and ".join([*([counted(times, "time")] if times else []), counted(conditions, "condition")])
-        raise wrong(node, f"'{node.head}' takes {form}, found {counted(len(node.rest), 'part')}")
-    return Constraint(
-        node.head,
-        tuple([condition(part, scope) for part in node.rest[times:]]),
-        tuple([time(part) for part in node.rest[:times]]),
-    )
-
-
-def _merged(found: Iterable[_Found]) -> _Found:
-    both = list(found)
-    return [one for hard, _ in both for one in hard], [one for _, soft in both for one in soft]

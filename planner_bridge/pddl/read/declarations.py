@@ -1,4 +1,4 @@
-"""What a PDDL file declares: types, objects, predicates and functions."""
+"""Declarations of a PDDL file: types, objects, predicates and functions."""
 
 from __future__ import annotations
 
@@ -8,25 +8,26 @@ from itertools import chain
 from typing import Final, TypeAlias
 
 from planner_bridge.model.problem import Domain
-from planner_bridge.pddl.read.requirements import Requirements
-from planner_bridge.pddl.read.symbols import Names
-from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, tolerate, where, wrong
-from planner_bridge.pddl.syntax.words import CONNECTIVES, Types, new_name, one, runs, show_types, type_words
+from planner_bridge.pddl.read.requirements import Leniency, Requirements
+from planner_bridge.pddl.read.sections import type_words, typed_runs
+from planner_bridge.pddl.read.symbols import SymbolKind, SymbolTable
+from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, where, wrong
+from planner_bridge.pddl.syntax.words import CONNECTIVES, Types, new_name, show_types, with_article
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Variable
 
 Lists: TypeAlias = Iterable[Sequence[Node]]
-"""What stands in each of the sections of a name: a type in one says nothing of the names in another."""
+"""The contents of each section of a name: a type at the end of one does not hold for the names in another."""
 
 # --- types ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class _TypeTable:
-    words: dict[str, Node] = field(default_factory=dict)
-    """Where each type stands first."""
+class _TypeHierarchy:
+    first: dict[str, Node] = field(default_factory=dict)
+    """Where each type is named first."""
     spelled: dict[str, str] = field(default_factory=lambda: {"object": "object"})
-    above: dict[str, dict[str, None]] = field(default_factory=dict)
+    supertypes: dict[str, dict[str, None]] = field(default_factory=dict)
     """For every type in order, the types written behind its ``-``, in order."""
     declared: set[str] = field(default_factory=set)
     """Types that have stood before a ``-``, or without one."""
@@ -34,79 +35,70 @@ class _TypeTable:
     def name(self, node: Node) -> str:
         written = new_name(node, "type")
         name = self.spelled.setdefault(written.lower(), written)
-        self.words.setdefault(name, node)
-        self.above.setdefault(name, {})
+        self.first.setdefault(name, node)
+        self.supertypes.setdefault(name, {})
         return name
 
     def declare(self, node: Node) -> str:
         name = self.name(node)
         if name in self.declared and name != "object":
-            tolerate(node, f"the type {node} is declared twice; it is of all the kinds given")
+            Leniency.TYPE_TWICE.note(node, node)
         self.declared.add(name)
         return name
 
 
 def types(lists: Lists, requirements: Requirements) -> dict[str, Types]:
     """Read the type hierarchy; a type that only stands behind a ``-`` is declared by that."""
-    table = _TypeTable()
-    for names, kind in chain.from_iterable(map(runs, lists)):
-        requirements.need(names[0], ":typing")
-        children = [table.declare(name) for name in names]
-        above = dict.fromkeys(table.name(word) for word in type_words(kind)) if kind else {}
+    table = _TypeHierarchy()
+    for nodes, types_node in chain.from_iterable(map(typed_runs, lists)):
+        requirements.need(nodes[0], ":typing")
+        children = [table.declare(name) for name in nodes]
+        above = dict.fromkeys(table.name(word) for word in type_words(types_node)) if types_node else {}
         for child in children:
-            table.above[child].update(above)
-    found = {name: tuple(one for one in above if one != "object") for name, above in table.above.items()}
-    _no_cycle(found, table.words)
-    found.pop("object", None)
-    return found
-
-
-def _no_cycle(found: Mapping[str, Types], words: Mapping[str, Node]) -> None:
-    domain = Domain("", types=found)
-    for name, above in found.items():
-        if any(name in domain.supertypes(parent) for parent in above):
-            raise wrong(words[name], f"the type {name!r} is a kind of itself")
+            table.supertypes[child].update(above)
+    hierarchy = {name: tuple(parent for parent in above if parent != "object") for name, above in table.supertypes.items()}
+    domain = Domain("", types=hierarchy)
+    for name, parents in hierarchy.items():
+        if any(name in domain.supertypes(parent) for parent in parents):
+            raise wrong(table.first[name], f"the type {name!r} is a kind of itself")
+    hierarchy.pop("object", None)
+    return hierarchy
 
 
 # --- objects -------------------------------------------------------------------------------
 
 
-def objects(lists: Lists, names: Names) -> dict[str, Types]:
-    """Read constants or objects; one that is there again, or in `names` already, is of all the types given."""
+def objects(lists: Lists, symbols: SymbolTable) -> dict[str, Types]:
+    """Read constants or objects; one that is there again, or in the symbol table already, is of all the types given."""
     found: dict[str, tuple[str, Types]] = {}
-    for words, kind in chain.from_iterable(map(runs, lists)):
-        given = names.types(kind)
+    for words, types_node in chain.from_iterable(map(typed_runs, lists)):
+        given = symbols.types(types_node)
         for word in words:
             name = new_name(word, "object")
             key = name.lower()
-            before = found.get(key) or names.find_object(name)
+            before = found.get(key) or symbols.find_object(name)
             if before is None:
                 found[key] = name, given
                 continue
-            tolerate(word, f"the object {name!r} is declared twice{_and(given, before[1])}")
-            both = names.domain.joined(before[1], given)
+            different = f": as {show_types(given)} here, as {show_types(before[1])} before; it is of both types"
+            Leniency.OBJECT_TWICE.note(word, name, "" if frozenset(given) == frozenset(before[1]) else different)
+            both = symbols.domain.joined(before[1], given)
             if both != before[1]:
                 found[key] = before[0], both
     return dict(found.values())
 
 
-def _and(given: Types, before: Types) -> str:
-    if frozenset(given) == frozenset(before):
-        return ""
-    return f": as {show_types(given)} here, as {show_types(before)} before; it is of both types"
-
-
-def borrow(own: dict[str, Types], names: Names, whole: Node) -> dict[str, Types]:
+def borrow(own: dict[str, Types], symbols: SymbolTable, whole: Node) -> dict[str, Types]:
     """Return a problem's objects, spelled as its domain spells those that it borrows, each of which must be there."""
-    borrowed = names.domain.borrowed
+    borrowed = symbols.domain.borrowed
     spelled = {name.lower(): name for name in borrowed}
-    found = {spelled.get(name.lower(), name): types for name, types in own.items()}
-    for name, here in borrowed.items():
-        if name not in found:
-            raise wrong(whole, f"the object {name!r} is not declared; the domain names it at {here.position}")
-        if not names.domain.matches(found[name], here.types):
-            raise wrong(whole, f"{name!r} is of type {show_types(found[name])}; the domain expects {show_types(here.types)}")
-    return found
+    objects = {spelled.get(name.lower(), name): types for name, types in own.items()}
+    for name, use in borrowed.items():
+        if name not in objects:
+            raise wrong(whole, f"the object {name!r} is not declared; the domain names it at {use.position}")
+        if not symbols.domain.matches(objects[name], use.types):
+            raise wrong(whole, f"{name!r} is of type {show_types(objects[name])}; the domain expects {show_types(use.types)}")
+    return objects
 
 
 # --- predicates and functions --------------------------------------------------------------
@@ -114,70 +106,53 @@ def borrow(own: dict[str, Types], names: Names, whole: Node) -> dict[str, Types]
 _NUMBER: Final = "number"
 
 
-@dataclass(frozen=True, slots=True)
-class Once:
-    """Refuses what was declared before."""
-
-    kind: str
-    first: dict[str, Node] = field(default_factory=dict)
-    """Where each name, in lower case, was declared first."""
-
-    def check(self, name: str, node: Node) -> None:
-        """Refuse the name, if it is known already, where the node stands."""
-        first = self.first.setdefault(name.lower(), node)
-        if first is not node:
-            raise wrong(node, f"the {self.kind} {name!r} is declared twice; the first time in line {where(first).line}")
-
-
-def predicates(parts: Sequence[Node], names: Names) -> dict[str, Declaration]:
+def predicates(parts: Sequence[Node], symbols: SymbolTable) -> dict[str, Declaration]:
     """Read the declarations of predicates."""
-    table = _Table("predicate", names)
+    table = _DeclarationTable("predicate", symbols)
     for part in parts:
         table.add(part, ())
-    return table.found
+    return table.declarations
 
 
-def functions(lists: Lists, names: Names, facts: Mapping[str, Declaration]) -> dict[str, Declaration]:
-    """Read the declarations of functions, which a state must be able to tell from the predicates."""
-    table = _Table("function", names)
-    taken = {(name.lower(), len(declared.parameters)) for name, declared in facts.items()}
-    for group, kind in chain.from_iterable(map(runs, lists)):
-        numeric = kind is None or (isinstance(kind, Atom) and kind.key == _NUMBER)
-        if not numeric:
-            names.requirements.need(kind or group[0], ":object-fluents")
-        values = () if numeric else names.types(kind)
-        for part in group:
-            declared = table.add(part, values)
+def functions(lists: Lists, symbols: SymbolTable, predicates: Mapping[str, Declaration]) -> dict[str, Declaration]:
+    """Read the declarations of functions, none of which may have both the name and the arity of a predicate."""
+    table = _DeclarationTable("function", symbols)
+    taken = {(name.lower(), len(declared.parameters)) for name, declared in predicates.items()}
+    for nodes, types_node in chain.from_iterable(map(typed_runs, lists)):
+        is_numeric = types_node is None or (isinstance(types_node, Atom) and types_node.key == _NUMBER)
+        if not is_numeric:
+            symbols.requirements.need(types_node or nodes[0], ":object-fluents")
+        values = () if is_numeric else symbols.types(types_node)
+        for node in nodes:
+            declared = table.add(node, values)
             if (declared.name.lower(), len(declared.parameters)) in taken:
-                raise wrong(part, f"the function {declared.name!r} has the name and the number of arguments of a predicate")
-    return table.found
+                raise wrong(node, f"the function {declared.name!r} has the name and the number of arguments of a predicate")
+    return table.declarations
 
 
 @dataclass(frozen=True, slots=True)
-class _Table:
-    kind: str
-    names: Names
-    found: dict[str, Declaration] = field(default_factory=dict)
+class _DeclarationTable:
+    """Predicates or functions by name; one that is declared again takes the types of both declarations."""
+
+    kind: SymbolKind
+    symbols: SymbolTable
+    declarations: dict[str, Declaration] = field(default_factory=dict)
     first: dict[str, tuple[str, Node]] = field(default_factory=dict)
     """For every name in lower case, its spelling and where it stands first."""
 
     def add(self, node: Node, values: Types) -> Declaration:
         if not isinstance(node, Group) or not node.items:
-            raise wrong(node, f"expected {one(self.kind)} in parentheses such as (name ?x - type), found {node}")
+            raise wrong(node, f"expected {with_article(self.kind)} in parentheses such as (name ?x - type), found {node}")
         written = new_name(node.items[0], self.kind, CONNECTIVES)
         name, first = self.first.setdefault(written.lower(), (written, node))
-        declared = Declaration(name, self.names.variables(node.rest, declaring=True), values)
+        parameters = self.symbols.variables(node.rest, declaring=True)
         if first is not node:
-            declared = self._again(node, declared, self.found[name], where(first).line)
-        self.found[name] = declared
-        return declared
-
-    def _again(self, node: Node, new: Declaration, old: Declaration, line: int) -> Declaration:
-        if len(new.parameters) != len(old.parameters) or frozenset(new.values) != frozenset(old.values):
-            raise wrong(node, f"the {self.kind} {new.name!r} is declared twice, and differently; the first time in line {line}")
-        tolerate(node, f"the {self.kind} {new.name!r} is declared twice, the first time in line {line}; it takes the types of both")
-        return Declaration(old.name, tuple(map(_either, old.parameters, new.parameters)), old.values)
-
-
-def _either(old: Variable, new: Variable) -> Variable:
-    return Variable(old.name, tuple(dict.fromkeys((*old.types, *new.types))))
+            old, line = self.declarations[name], where(first).line
+            if len(parameters) != len(old.parameters) or frozenset(values) != frozenset(old.values):
+                raise wrong(node, f"the {self.kind} {name!r} is declared twice, and differently; the first time in line {line}")
+            Leniency.SYMBOL_TWICE.note(node, self.kind, name, line)
+            both = zip(old.parameters, parameters, strict=True)
+            parameters = tuple(Variable(first.name, tuple(dict.fromkeys((*first.types, *second.types)))) for first, second in both)
+            values = old.values
+        self.declarations[name] = Declaration(name, parameters, values)
+        return self.declarations[name]

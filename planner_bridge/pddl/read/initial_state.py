@@ -1,31 +1,30 @@
-"""The initial state of a PDDL problem: facts, values of functions, and what changes by itself later."""
+"""The initial state of a PDDL problem: facts, values of functions, and timed initial literals."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from typing import Final, TypeAlias
 
-from planner_bridge.pddl.read.terms import Scope
-from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, tolerate, wrong
-from planner_bridge.pddl.syntax.words import CONTINGENT, counted, is_number, number, operands, time, unsupported
+from planner_bridge.pddl.read.requirements import REFUSED_IN_INIT, Leniency
+from planner_bridge.pddl.read.terms import TermScope
+from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, wrong
+from planner_bridge.pddl.syntax.words import counted, is_number, number, operands, time
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Constant, Fluent, Value, fluent_text
 
-_UNCERTAIN: Final = ("or", "oneof", "unknown")
 _ASSIGNMENTS: Final = ("=", "assign")
-
 _Change: TypeAlias = tuple[Fluent, Value]
 
 
-def initial(parts: Iterable[Node], scope: Scope) -> tuple[dict[Fluent, Value], tuple[TimedChange, ...]]:
-    """Read what stands in ``(:init ...)``; a fact that no condition can ask for is left out."""
+def initial_state(parts: Iterable[Node], scope: TermScope) -> tuple[dict[Fluent, Value], tuple[TimedChange, ...]]:
+    """Read ``(:init ...)``: the state at first, without false facts, and the timed changes by time."""
     init: dict[Fluent, Value] = {}
     timed: dict[float, dict[Fluent, Value]] = {}
     for part in parts:
         match part:
             # `at` may also be a predicate; only a timed literal has a number before a list
             case Group(items=(Atom(), Atom() as moment, Group() as change)) if part.head == "at" and is_number(moment):
-                scope.names.requirements.need(part, ":timed-initial-literals", ":timed-initial-fluents")
+                scope.symbols.requirements.need(part, ":timed-initial-literals", ":timed-initial-fluents")
                 _put(timed.setdefault(time(moment), {}), _change(change, scope), part)
             case _:
                 _put(init, _change(part, scope), part)
@@ -33,7 +32,8 @@ def initial(parts: Iterable[Node], scope: Scope) -> tuple[dict[Fluent, Value], t
     return true, tuple([TimedChange(moment, timed[moment]) for moment in sorted(timed) if timed[moment]])
 
 
-def _change(node: Node, scope: Scope) -> _Change | None:
+def _change(node: Node, scope: TermScope) -> _Change | None:
+    """Return a fluent and its value; None for one that no condition can read."""
     match node:
         case Group() if node.head in _ASSIGNMENTS:
             return _assignment(node, scope)
@@ -41,8 +41,8 @@ def _change(node: Node, scope: Scope) -> _Change | None:
             (negated,) = operands(node, 1)
             fluent = _fact(negated, scope)
             return (fluent, False) if fluent else None
-        case Group() if node.head in _UNCERTAIN and not scope.names.has_predicate(node.head):
-            raise unsupported(node, f"uncertain initial states ({node.head} in :init)", CONTINGENT)
+        case Group() if node.head in REFUSED_IN_INIT and not scope.symbols.has_predicate(node.head):
+            raise REFUSED_IN_INIT[node.head].at(node)
         case Group():
             fluent = _fact(node, scope)
             return (fluent, True) if fluent else None
@@ -50,36 +50,30 @@ def _change(node: Node, scope: Scope) -> _Change | None:
             raise wrong(node, f"expected a fact, (= FUNCTION VALUE) or (at TIME ...), found {node}")
 
 
-def _fact(node: Node, scope: Scope) -> Fluent | None:
-    if isinstance(node, Group) and _is_idle(node, scope):
-        return None
+def _fact(node: Node, scope: TermScope) -> Fluent | None:
+    """Return a fact; None, with a warning, if it is not declared with these arguments."""
+    if isinstance(node, Group):
+        if scope.symbols.is_undeclared(node):
+            Leniency.FACT_UNDECLARED.note(node, node.items[0])
+            return None
+        declared = scope.symbols.predicate(node)
+        if len(node.rest) != len(declared.parameters):
+            Leniency.FACT_ARITY.note(node, declared, counted(len(declared.parameters), "argument"), len(node.rest))
+            return None
     fluent = scope.fact(node)
-    if fluent[0] in scope.names.derived:
+    if fluent[0] in scope.symbols.derived:
         raise wrong(node, f"{fluent[0]!r} is a derived predicate; it follows from others and cannot be given")
     return fluent
 
 
-def _is_idle(node: Group, scope: Scope) -> bool:
-    """Tell, with a warning, that no condition can ask for a fact like this."""
-    if scope.names.is_stray(node):
-        tolerate(node, f"the predicate {node.items[0]} is not declared; the fact is ignored")
-        return True
-    declared = scope.names.predicate(node)
-    if len(node.rest) != len(declared.parameters):
-        expected = counted(len(declared.parameters), "argument")
-        tolerate(node, f"{declared} takes {expected}, found {len(node.rest)}; the fact is ignored")
-        return True
-    return False
-
-
-def _assignment(node: Group, scope: Scope) -> _Change | None:
+def _assignment(node: Group, scope: TermScope) -> _Change | None:
     target, value = operands(node, 2)
     if node.head != "=":
-        tolerate(node, f"'{node.head}' is read as '='")
-    if scope.names.is_stray(target):
-        tolerate(node, f"the function {target} is not declared; its value is ignored")
+        Leniency.ASSIGN_IN_INIT.note(node, node.head)
+    if scope.symbols.is_undeclared(target):
+        Leniency.VALUE_UNDECLARED.note(node, target)
         return None
-    declared = scope.names.function(target)
+    declared = scope.symbols.function(target)
     fluent = scope.function(target)
     if not declared.values:
         return fluent, number(value)
@@ -89,15 +83,15 @@ def _assignment(node: Group, scope: Scope) -> _Change | None:
     return fluent, constant.value
 
 
-def _put(found: dict[Fluent, Value], change: _Change | None, node: Node) -> None:
+def _put(state: dict[Fluent, Value], change: _Change | None, node: Node) -> None:
     if change is None:
         return
     fluent, value = change
-    before = found.get(fluent, value)
+    before = state.get(fluent, value)
     if before != value:
         if isinstance(value, bool):
             raise wrong(node, f"{fluent_text(fluent)} has another value before; expected one value")
-        tolerate(node, f"{fluent_text(fluent)} has another value before; this one is used")
-    elif fluent in found:
-        tolerate(node, f"{fluent_text(fluent)} is there twice")
-    found[fluent] = value
+        Leniency.VALUE_TWICE.note(node, fluent_text(fluent))
+    elif fluent in state:
+        Leniency.FACT_TWICE.note(node, fluent_text(fluent))
+    state[fluent] = value

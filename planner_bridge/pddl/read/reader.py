@@ -17,14 +17,14 @@ from typing import Final, Literal
 from planner_bridge.model.problem import Domain, Metric, Problem
 from planner_bridge.pddl.read import declarations
 from planner_bridge.pddl.read.actions import DURATIVE, INSTANTANEOUS, actions
-from planner_bridge.pddl.read.constraints import constraints, told_apart
-from planner_bridge.pddl.read.derived import DERIVED, heads, rules
-from planner_bridge.pddl.read.initial_state import initial
-from planner_bridge.pddl.read.requirements import Requirements, requirements
-from planner_bridge.pddl.read.symbols import TOTAL_COST, Names
-from planner_bridge.pddl.read.terms import Scope
-from planner_bridge.pddl.syntax.expressions import Atom, Group, text_of, tolerate, wrong
-from planner_bridge.pddl.syntax.sections import Definition, define
+from planner_bridge.pddl.read.constraints import constraints, split_preferences
+from planner_bridge.pddl.read.derived import DERIVED, derived_predicates, rules
+from planner_bridge.pddl.read.initial_state import initial_state
+from planner_bridge.pddl.read.requirements import Leniency, Requirements, requirements
+from planner_bridge.pddl.read.sections import Definition, define
+from planner_bridge.pddl.read.symbols import TOTAL_COST, SymbolTable
+from planner_bridge.pddl.read.terms import TermScope
+from planner_bridge.pddl.syntax.expressions import Atom, Group, text_of, wrong
 from pnm.core.logic.conditions import TRUE, Condition
 from pnm.core.logic.domain import Preference
 from pnm.errors import Tolerated
@@ -52,7 +52,7 @@ def read_domain(path: Path) -> Domain:
         InputError: the file cannot be read, is not a domain, or uses PDDL that is not supported.
     """
     text, warnings = read_any_text(path, MAX_BYTES)
-    return domain_from(define(text, str(path), "domain", DOMAIN_SECTIONS), warnings)
+    return _domain(define(text, str(path), "domain", DOMAIN_SECTIONS), warnings)
 
 
 def read_problem(path: Path, domain: Domain) -> Problem:
@@ -62,7 +62,7 @@ def read_problem(path: Path, domain: Domain) -> Problem:
         InputError: the file cannot be read, is not a problem for this domain, or uses PDDL that is not supported.
     """
     text, warnings = read_any_text(path, MAX_BYTES)
-    return problem_from(define(text, str(path), "problem", PROBLEM_SECTIONS), domain, warnings)
+    return _problem(define(text, str(path), "problem", PROBLEM_SECTIONS), domain, warnings)
 
 
 def parse_domain(text: str, file: str = "domain.pddl") -> Domain:
@@ -74,7 +74,7 @@ def parse_domain(text: str, file: str = "domain.pddl") -> Domain:
     Raises:
         InputError: the text is not a domain, or uses PDDL that is not supported.
     """
-    return domain_from(define(text, file, "domain", DOMAIN_SECTIONS))
+    return _domain(define(text, file, "domain", DOMAIN_SECTIONS))
 
 
 def parse_problem(text: str, domain: Domain, file: str = "problem.pddl") -> Problem:
@@ -83,81 +83,81 @@ def parse_problem(text: str, domain: Domain, file: str = "problem.pddl") -> Prob
     Raises:
         InputError: the text is not a problem for this domain, or uses PDDL that is not supported.
     """
-    return problem_from(define(text, file, "problem", PROBLEM_SECTIONS), domain)
+    return _problem(define(text, file, "problem", PROBLEM_SECTIONS), domain)
 
 
 # --- domains -------------------------------------------------------------------------------
 
 
-def domain_from(definition: Definition, warnings: tuple[Tolerated, ...] = ()) -> Domain:
-    """Interpret the sections of a domain, of which these warnings have been given already.
-
-    Raises:
-        InputError: they use PDDL that is not supported, or names that are not declared.
-    """
+def _domain(definition: Definition, warnings: tuple[Tolerated, ...] = ()) -> Domain:
+    """Interpret the sections of a domain; `warnings` are those about the characters of the file."""
     words = requirements(definition.parts(":requirements"))
     needed = Requirements(words)
     domain = Domain(definition.name, declarations.types(definition.lists(":types"), needed), requirements=words)
-    names = Names(domain, {}, needed)
-    sections = definition.every(DERIVED)
-    facts = declarations.predicates(definition.parts(":predicates"), names)
+    symbols = SymbolTable(domain, {}, needed)
+    rule_sections = definition.every(DERIVED)
+    predicates = declarations.predicates(definition.parts(":predicates"), symbols)
     domain = replace(
         domain,
-        constants=declarations.objects(definition.lists(":constants"), names),
-        predicates=facts,
-        functions=declarations.functions(definition.lists(":functions"), names, facts),
+        constants=declarations.objects(definition.lists(":constants"), symbols),
+        predicates=predicates,
+        functions=declarations.functions(definition.lists(":functions"), symbols, predicates),
     )
-    derived = heads(sections, Names(domain, domain.constants, needed))
+    derived = derived_predicates(rule_sections, SymbolTable(domain, domain.constants, needed))
     domain = replace(domain, predicates={**domain.predicates, **derived})
-    names = Names(domain, domain.constants, needed, lenient=True, derived=frozenset(derived))
-    found = rules(sections, names)
-    hard, soft = constraints(definition.parts(":constraints"), Scope(names))
-    schemas = actions(definition.every(INSTANTANEOUS, DURATIVE), names)
+    symbols = SymbolTable(domain, domain.constants, needed, lenient=True, derived=frozenset(derived))
+    domain_rules = rules(rule_sections, symbols)
+    hard, soft = constraints(definition.parts(":constraints"), TermScope(symbols))
+    schemas = actions(definition.every(INSTANTANEOUS, DURATIVE), symbols)
     return replace(
         domain,
-        functions={**domain.functions, **({TOTAL_COST: names.costs} if names.costs else {})},
-        borrowed=names.borrowed,
+        functions={**domain.functions, **({TOTAL_COST: symbols.costs} if symbols.costs else {})},
+        borrowed=symbols.borrowed,
         actions=schemas,
-        rules=found,
+        rules=domain_rules,
         constraints=hard,
         preferences=soft,
-        hierarchy=_kept(definition, HIERARCHY, needed),
+        hierarchy=_verbatim_sections(definition, HIERARCHY, needed),
         warnings=(*warnings, *definition.whole.source.tolerated),
     )
 
 
-def _kept(definition: Definition, keys: tuple[str, ...], needed: Requirements) -> tuple[str, ...]:
+def _verbatim_sections(definition: Definition, keys: tuple[str, ...], needed: Requirements) -> tuple[str, ...]:
+    """Return the texts of sections that only hierarchical planners read (HDDL)."""
     sections = definition.every(*keys)
     for section in sections:
         needed.need(section, ":hierarchy", ":htn")
-    return tuple([definition.texts.get(section.offset) or text_of(section) for section in sections])
+    return tuple(map(text_of, sections))
 
 
 # --- problems ------------------------------------------------------------------------------
 
 
-def problem_from(definition: Definition, domain: Domain, warnings: tuple[Tolerated, ...] = ()) -> Problem:
-    """Interpret the sections of a problem, of which these warnings have been given already.
-
-    Raises:
-        InputError: they use PDDL that is not supported, or names that are not declared.
-    """
-    _belongs(definition, domain)
+def _problem(definition: Definition, domain: Domain, warnings: tuple[Tolerated, ...] = ()) -> Problem:
+    """Interpret the sections of a problem; `warnings` are those about the characters of the file."""
+    _check_domain_name(definition, domain)
+    if (length := definition.one(":length")) is not None:
+        Leniency.LENGTH.note(length)
     words = requirements(definition.parts(":requirements"))
     needed = Requirements((*domain.requirements, *words, ":typing"))
-    shared = Names(domain, domain.constants, needed)
+    shared = SymbolTable(domain, domain.constants, needed)
     own = declarations.borrow(declarations.objects(definition.lists(":objects"), shared), shared, definition.whole)
-    names = Names(
-        domain, {**domain.constants, **own}, needed, derived=frozenset(rule.name for rule in domain.rules), wishes=_wishes(domain)
+    preferences = (*domain.preferences, *(preference for action in domain.actions.values() for preference in action.preferences))
+    symbols = SymbolTable(
+        domain,
+        {**domain.constants, **own},
+        needed,
+        derived=frozenset(rule.name for rule in domain.rules),
+        preference_names={preference.name.lower(): preference.name for preference in preferences if preference.name},
     )
-    network = "\n".join(_kept(definition, NETWORK, needed))
-    init, timed = initial(definition.parts(":init"), Scope(names))
-    goal, goals = _goal(definition, Scope(names))
-    hard, soft = constraints(definition.parts(":constraints"), Scope(names))
-    metric = _metric(definition, Scope(names, metric=True))
+    network = "\n".join(_verbatim_sections(definition, NETWORK, needed))
+    init, timed = initial_state(definition.parts(":init"), TermScope(symbols))
+    goal, goals = _goal(definition, TermScope(symbols))
+    hard, soft = constraints(definition.parts(":constraints"), TermScope(symbols))
+    metric = _metric(definition, TermScope(symbols, metric=True))
     return Problem(
         definition.name,
-        replace(domain, functions={**domain.functions, TOTAL_COST: names.costs}) if names.costs else domain,
+        replace(domain, functions={**domain.functions, TOTAL_COST: symbols.costs}) if symbols.costs else domain,
         own,
         init,
         timed,
@@ -171,38 +171,30 @@ def problem_from(definition: Definition, domain: Domain, warnings: tuple[Tolerat
     )
 
 
-def _belongs(definition: Definition, domain: Domain) -> None:
+def _check_domain_name(definition: Definition, domain: Domain) -> None:
     section = definition.one(":domain")
     match section:
         case Group(items=(_, Atom() as name)):
             if name.key != domain.name.lower():
-                tolerate(name, f"the problem is for a domain {name}; this one is {domain.name!r}")
+                Leniency.OTHER_DOMAIN.note(name, name, domain.name)
         case None:
-            tolerate(definition.whole, f"the problem does not name its domain; expected (:domain {domain.name})")
+            Leniency.NO_DOMAIN.note(definition.whole, domain.name)
         case _:
             raise wrong(section, f"expected (:domain {domain.name})")
-    length = definition.one(":length")
-    if length is not None:
-        tolerate(length, "':length' is ignored")
 
 
-def _wishes(domain: Domain) -> dict[str, str]:
-    every = (*domain.preferences, *(one for action in domain.actions.values() for one in action.preferences))
-    return {one.name.lower(): one.name for one in every if one.name}
-
-
-def _goal(definition: Definition, scope: Scope) -> tuple[Condition, tuple[Preference, ...]]:
+def _goal(definition: Definition, scope: TermScope) -> tuple[Condition, tuple[Preference, ...]]:
     section = definition.one(":goal")
     if section is None:
         if not definition.every(*NETWORK):
-            tolerate(definition.whole, "there is no :goal; any state will do")
+            Leniency.NO_GOAL.note(definition.whole)
         return TRUE, ()
     if len(section.rest) != 1:
         raise wrong(section, f"expected (:goal CONDITION), found {len(section.rest)} conditions")
-    return told_apart(section.rest[0], scope)
+    return split_preferences(section.rest[0], scope)
 
 
-def _metric(definition: Definition, scope: Scope) -> Metric | None:
+def _metric(definition: Definition, scope: TermScope) -> Metric | None:
     section = definition.one(":metric")
     if section is None:
         return None

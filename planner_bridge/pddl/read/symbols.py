@@ -1,32 +1,21 @@
-"""The names a PDDL file may use: found without regard to case, spelled as first declared, checked by type."""
+"""The symbol table of a PDDL file: names are found without regard to case, spelled as first declared, checked by type."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Final, Literal, NoReturn, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 from planner_bridge.model.problem import Borrowed, Domain
-from planner_bridge.pddl.read.requirements import Requirements
-from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, tolerate, where, wrong
-from planner_bridge.pddl.syntax.words import (
-    CONNECTIVES,
-    CONTINGENT,
-    NAME,
-    Types,
-    is_number,
-    nearest,
-    one,
-    runs,
-    type_words,
-    unknown,
-    unsupported,
-)
+from planner_bridge.pddl.read.requirements import REFUSED_HEADS, Leniency, Requirements
+from planner_bridge.pddl.read.sections import type_words, typed_runs
+from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, where, wrong
+from planner_bridge.pddl.syntax.words import CONNECTIVES, NAME, Types, is_number, nearest, unknown, with_article
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Variable
 
-_Kind: TypeAlias = Literal["predicate", "function"]
+SymbolKind: TypeAlias = Literal["predicate", "function"]
 
 TOTAL_COST: Final = "total-cost"
 """The one function that is used undeclared."""
@@ -43,23 +32,19 @@ CONSTRAINTS: Final[Mapping[str, tuple[int, int]]] = {
 }
 """For every operator of a trajectory constraint, how many times and how many conditions it takes."""
 
-_UNCERTAIN: Final[Mapping[str, tuple[str, str]]] = {
-    "oneof": ("uncertain facts (oneof)", CONTINGENT),
-    "unknown": ("uncertain facts (unknown)", CONTINGENT),
-    "probabilistic": ("probabilistic effects", "a probabilistic planner"),
-}
 _PLACES: Final[Mapping[str, str]] = {
     "preference": "in a goal, a precondition or :constraints, and there only inside and, forall",
     "is-violated": "in :metric",
     **dict.fromkeys(CONSTRAINTS, "in :constraints"),
 }
+"""Where words may stand that are neither predicates nor functions."""
 
 
 @dataclass
-class Names:
-    """Everything declared so far: what a domain declares, and the objects.
+class SymbolTable:
+    """The types, objects, predicates and functions that are declared.
 
-    The mutable state is what is used without having been declared.
+    The mutable state is the symbols that are used without having been declared.
     """
 
     domain: Domain
@@ -68,20 +53,20 @@ class Names:
     lenient: bool = False
     """In a domain: actions may name objects of the problems to come, and ask for facts that no action brings about."""
     derived: frozenset[str] = frozenset()
-    """Predicates that follow from others."""
+    """The derived predicates."""
     costs: Declaration | None = None
-    """Of the total cost, when it is used undeclared."""
+    """The declaration of the total cost, when it is used undeclared."""
     borrowed: dict[str, Borrowed] = field(default_factory=dict)
-    """Objects that only problems declare."""
-    wishes: dict[str, str] = field(default_factory=dict)
-    """Names of preferences, by lower case."""
-    _strays: dict[str, bool] = field(default_factory=dict)
-    """Answers of `is_stray`, by lower case."""
+    """Objects that a domain uses and only problems declare."""
+    preference_names: dict[str, str] = field(default_factory=dict)
+    """By lower case."""
+    _undeclared: dict[str, bool] = field(default_factory=dict)
+    """Answers of `is_undeclared`, by lower case."""
 
     # --- types ---
 
     def types(self, node: Node | None) -> Types:
-        """Return the types a typed list gives; ``object`` when it gives none."""
+        """Return the declared types of a typed list; ``object`` when it has none."""
         if node is None:
             return ("object",)
         self.requirements.need(node, ":typing")
@@ -93,29 +78,26 @@ class Names:
 
     def variables(self, items: Sequence[Node], *, declaring: bool = False) -> tuple[Variable, ...]:
         """Read typed variables; only a declaration may repeat a name."""
-        found: list[Variable] = []
+        variables: list[Variable] = []
         seen: set[str] = set()
-        for names, kind in runs(items):
-            given = self.types(kind)
+        for names, types_node in typed_runs(items):
+            types = self.types(types_node)
             for name in names:
                 if not isinstance(name, Atom) or name.text[0] != "?" or not NAME.fullmatch(name.text[1:]):
                     raise wrong(name, f"expected a variable such as ?x, found {name}")
                 if name.key in seen:
                     if not declaring:
                         raise wrong(name, f"the variable {name} is there twice")
-                    tolerate(name, f"the variable {name} is there twice")
+                    Leniency.VARIABLE_TWICE.note(name, name)
                 seen.add(name.key)
-                found.append(Variable(name.text, given))
-        return tuple(found)
+                variables.append(Variable(name.text, types))
+        return tuple(variables)
 
     # --- objects ---
 
     def object(self, word: Atom, needed: Types) -> tuple[str, Types]:
-        """Return the object's name as declared, and its types; a problem may still have to declare it, as what is needed."""
-        found = self.find_object(word.text)
-        if found is None:
-            return self._borrow(word, needed)
-        return found
+        """Return the object's name as declared, and its types; a domain may use one of the needed types that its problems declare."""
+        return self.find_object(word.text) or self._borrow(word, needed)
 
     def find_object(self, name: str) -> tuple[str, Types] | None:
         """Return an object's name as declared and its types, or None when there is no such object."""
@@ -124,7 +106,7 @@ class Names:
     def _borrow(self, word: Atom, needed: Types) -> tuple[str, Types]:
         if not self.lenient or not NAME.fullmatch(word.text) or is_number(word) or nearest(word, self.objects):
             raise unknown("object", word, self.objects)
-        tolerate(word, f"the object {word} is not among the :constants; every problem has to declare it")
+        Leniency.OBJECT_OF_PROBLEMS.note(word, word)
         self.borrowed[word.text] = Borrowed(needed, where(word))
         self._objects[word.key] = (word.text, needed)
         return self._objects[word.key]
@@ -145,67 +127,54 @@ class Names:
         return self._functions.get(word.key) if isinstance(word, Atom) else None
 
     def has_predicate(self, key: str) -> bool:
-        """Tell whether a predicate has this name, in lower case."""
+        """Whether a predicate has this name, in lower case."""
         return key in self._predicates
 
-    def is_stray(self, node: Node) -> bool:
-        """Tell whether the list begins with a name that nothing has, nor anything alike: no slip of the pen."""
+    def is_undeclared(self, node: Node) -> bool:
+        """Whether the list begins with a name that is not declared and is unlike any that is, so that it is no misspelling."""
         word = node.items[0] if isinstance(node, Group) and node.items else node
         if not isinstance(word, Atom) or word.key in self._predicates or word.key in self._functions:
             return False
         if isinstance(node, Group) and any(isinstance(part, Group) for part in node.rest):
             return False
-        if word.key not in self._strays:
-            self._strays[word.key] = (
-                word.key not in (*_PLACES, *_UNCERTAIN, *CONNECTIVES, TOTAL_COST)
+        if word.key not in self._undeclared:
+            self._undeclared[word.key] = (
+                word.key not in (*_PLACES, *REFUSED_HEADS, *CONNECTIVES, TOTAL_COST)
                 and NAME.fullmatch(word.text) is not None
                 and not is_number(word)
                 and nearest(word, [*self._predicates, *self._functions]) is None
             )
-        return self._strays[word.key]
+        return self._undeclared[word.key]
 
     @cached_property
     def has_object_functions(self) -> bool:
         """Whether some function has objects for values."""
         return any(declared.values for declared in self._functions.values())
 
-    def _declared(self, node: Node, kind: _Kind) -> Declaration:
+    def _declared(self, node: Node, kind: SymbolKind) -> Declaration:
         word = node.items[0] if isinstance(node, Group) and node.items else node
         if not isinstance(word, Atom):
-            raise wrong(word, f"expected the name of {one(kind)}, found {word}")
-        known = self._known(kind)
+            raise wrong(word, f"expected the name of {with_article(kind)}, found {word}")
+        known, other = (self._predicates, self._functions) if kind == "predicate" else (self._functions, self._predicates)
         if word.key in known:
             return known[word.key]
-        return self._alike(word, kind) or self._undeclared_cost(word, kind) or self._refuse(node, word, kind)
-
-    def _known(self, kind: _Kind) -> dict[str, Declaration]:
-        return self._predicates if kind == "predicate" else self._functions
-
-    def _alike(self, word: Atom, kind: _Kind) -> Declaration | None:
-        for key, declared in self._known(kind).items():
+        for key, declared in known.items():
             if key.replace("_", "-") == word.key.replace("_", "-"):
-                tolerate(word, f"the {kind} {word} is read as {declared.name!r}")
+                Leniency.OTHER_SPELLING.note(word, kind, word, declared.name)
                 return declared
-        return None
-
-    def _undeclared_cost(self, word: Atom, kind: _Kind) -> Declaration | None:
-        if kind != "function" or word.key != TOTAL_COST:
-            return None
-        tolerate(word, f"the function {word} is not declared; it is read as (total-cost) - number")
-        self.costs = self._functions[TOTAL_COST] = Declaration(TOTAL_COST)
-        return self.costs
-
-    def _refuse(self, node: Node, word: Atom, kind: _Kind) -> NoReturn:
-        other: _Kind = "function" if kind == "predicate" else "predicate"
-        if word.key in self._known(other):
-            raise wrong(word, f"{word} is a {other}; expected a {kind}")
-        if word.key in _UNCERTAIN:
-            raise unsupported(node, *_UNCERTAIN[word.key])
+        if kind == "function" and word.key == TOTAL_COST:
+            Leniency.TOTAL_COST_UNDECLARED.note(word, word)
+            self.costs = self._functions[TOTAL_COST] = Declaration(TOTAL_COST)
+            return self.costs
+        if word.key in other:
+            raise wrong(word, f"{word} is a {'function' if kind == 'predicate' else 'predicate'}; expected a {kind}")
+        if word.key in REFUSED_HEADS:
+            raise REFUSED_HEADS[word.key].at(node)
         if word.key in _PLACES:
             raise wrong(word, f"{word} cannot stand here; expected it {_PLACES[word.key]}")
         if word.key in CONNECTIVES:
             raise wrong(word, f"{word} cannot stand here; expected a {kind}")
-        raise unknown(kind, word, [declared.name for declared in self._known(kind).values()])
+        raise unknown(kind, word, [declared.name for declared in known.values()])
 
     @cached_property
     def _types(self) -> dict[str, str]:

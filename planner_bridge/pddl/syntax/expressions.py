@@ -1,13 +1,12 @@
-"""Text to nested lists of words, as Lisp and PDDL write them; every part knows where it stands.
+"""S-expressions: text to nested lists of words, as Lisp and PDDL write them, with positions.
 
-Reading keeps its own stack, so depth is a number that is checked and never a RecursionError.
-A part holds its offset in the text; line and column are worked out when somebody asks.
+The parser keeps its own stack, so depth is a number that is checked and never a RecursionError.
+A part holds its offset in the text; line and column are computed when they are needed.
 """
 
 from __future__ import annotations
 
 import re
-import sys
 from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -17,7 +16,7 @@ from typing import Final, TypeAlias
 from pnm.errors import InputError, Position, Tolerated
 
 MAX_DEPTH: Final = 100
-"""Lists inside lists; what is read is walked recursively later, by several calls a level."""
+"""Lists inside lists; formulas are walked recursively later, by several calls a level."""
 
 _TOKEN: Final = re.compile(r"[()]|;[^\r\n]*|\?[^\s()?;]*|[^\s()?;]+")
 _LINE_END: Final = re.compile(r"\r\n?|\n")
@@ -28,7 +27,7 @@ _CLOSING: Final = re.compile(r"(?:[)\s]|;[^\r\n]*)*")
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A text and the name of its file. The mutable state is what was tolerated in it so far."""
+    """A text and the name of its file. The mutable state is the warnings about it so far."""
 
     file: str
     text: str = field(repr=False)
@@ -37,17 +36,13 @@ class Source:
 
     @property
     def tolerated(self) -> tuple[Tolerated, ...]:
-        """What was tolerated, in the order of the text."""
+        """The warnings, in the order of the text."""
         return tuple([Tolerated(message, self.position(offset)) for offset, message in sorted(self.found)])
 
     def position(self, offset: int) -> Position:
         """Return the line and column of an offset."""
         line = bisect_right(self._line_starts, offset)
         return Position(self.file, line, offset - self._line_starts[line - 1] + 1)
-
-    def offset(self, position: Position) -> int:
-        """Return the offset of a line and column."""
-        return self._line_starts[position.line - 1] + position.column - 1
 
     @cached_property
     def _line_starts(self) -> list[int]:
@@ -68,7 +63,7 @@ class Atom:
 
     @property
     def key(self) -> str:
-        """The word in lower case: PDDL does not tell `Jack` from `jack`."""
+        """The word in lower case: to PDDL, `Jack` and `jack` are the same."""
         return self.text.lower()
 
 
@@ -118,13 +113,13 @@ def wrong(node: Node, message: str) -> InputError:
 
 
 def tolerate(node: Node, message: str) -> None:
-    """Note that this part of the text is not as it should be."""
+    """Add a warning about this part of the text."""
     node.source.found.setdefault((node.offset, message))
 
 
-def plain(node: Node) -> object:
-    """Return the words of the part, in lower case and as nested as they are: what it says, wherever it stands."""
-    return node.key if isinstance(node, Atom) else tuple([plain(item) for item in node.items])
+def normalized(node: Node) -> object:
+    """Return the words of the part in lower case, nested as they are, without positions."""
+    return node.key if isinstance(node, Atom) else tuple([normalized(item) for item in node.items])
 
 
 def text_of(group: Group) -> str:
@@ -156,85 +151,56 @@ def parse(text: str, file: str) -> tuple[Node, ...]:
     return _Parser(Source(file, text)).parse()
 
 
-def parse_part(text: str, source: Source, start: int | None, near: int) -> tuple[Node, ...]:
-    """Return the parts of a text that stands somewhere in a file of another format.
-
-    Args:
-        text: the text, in which lists are closed.
-        source: the file.
-        start: the offset of the text in the file; None if the file does not have it in this form.
-        near: the offset to say in that case.
-    """
-    if start is not None:
-        return _Parser(source, start, start + len(text)).parse()
-    return tuple([_moved(part, source, near) for part in _Parser(Source(source.file, text)).parse()])
-
-
-def _moved(part: Node, source: Source, offset: int) -> Node:
-    if isinstance(part, Atom):
-        return Atom(part.text, offset, source)
-    return Group(tuple([_moved(item, source, offset) for item in part.items]), offset, source)
-
-
 @dataclass(slots=True)
 class _Parser:
+    """A parser with a stack of its own. The mutable state is the lists that are open."""
+
     source: Source
-    start: int = 0
-    end: int = sys.maxsize
     items: list[Node] = field(default_factory=list)
-    """What the innermost open list holds so far."""
+    """The parts so far of the innermost open list."""
     stack: list[tuple[int, list[Node]]] = field(default_factory=list)
-    """For every open list, its offset and what the list around it holds."""
+    """For every open list, its offset and the parts so far of the list around it."""
     suspect: tuple[int, Atom] | None = None
     """A section that was still open where another one, by its keyword, began."""
 
     def parse(self) -> tuple[Node, ...]:
-        word = self._word if _LONELY.search(self.source.text, self.start, self.end) is None else self._word_or_rest
-        for match in _TOKEN.finditer(self.source.text, self.start, self.end):
+        add = self._add_word if _LONELY.search(self.source.text) is None else self._add_word_or_rest
+        for match in _TOKEN.finditer(self.source.text):
             token, offset = match.group(), match.start()
             if token == "(":
-                self._open(offset)
+                if len(self.stack) == MAX_DEPTH:
+                    raise InputError(f"nested deeper than {MAX_DEPTH} lists", self.source.position(offset))
+                self.stack.append((offset, self.items))
+                self.items = []
             elif token == ")":
-                if self._nothing_more(offset):
+                if self.stack:
+                    start, outer = self.stack.pop()
+                    outer.append(Group(tuple(self.items), start, self.source))
+                    self.items = outer
+                elif self.items and _CLOSING.fullmatch(self.source.text, offset):
+                    self.source.found.setdefault((offset, "this ')' closes nothing"))
                     break
-                self._close(offset)
+                else:
+                    raise InputError("this ')' closes nothing; expected '(' or the end of the file", self.source.position(offset))
             elif token[0] != ";":
-                word(Atom(token, offset, self.source))
+                add(Atom(token, offset, self.source))
         if self.stack:
             raise self._never_closed()
         return tuple(self.items)
 
-    def _nothing_more(self, offset: int) -> bool:
-        if self.stack or not self.items or not _CLOSING.fullmatch(self.source.text, offset, self.end):
-            return False
-        self.source.found.setdefault((offset, "this ')' closes nothing"))
-        return True
-
-    def _open(self, offset: int) -> None:
-        if len(self.stack) == MAX_DEPTH:
-            raise InputError(f"nested deeper than {MAX_DEPTH} lists", self.source.position(offset))
-        self.stack.append((offset, self.items))
-        self.items = []
-
-    def _close(self, offset: int) -> None:
-        if not self.stack:
-            raise InputError("this ')' closes nothing; expected '(' or the end of the file", self.source.position(offset))
-        start, outer = self.stack.pop()
-        outer.append(Group(tuple(self.items), start, self.source))
-        self.items = outer
-
-    def _word(self, word: Atom) -> None:
+    def _add_word(self, word: Atom) -> None:
         if not self.items and len(self.stack) > 2 and word.text[0] == ":" and not self.suspect:
             self.suspect = self.stack[1][0], word
         self.items.append(word)
 
-    def _word_or_rest(self, word: Atom) -> None:
+    def _add_word_or_rest(self, word: Atom) -> None:
+        """Add the word, or join it to a lonely question mark before it."""
         before = self.items[-1] if self.items else None
         if isinstance(before, Atom) and before.text == "?":
             self.items[-1] = Atom("?" + word.text, before.offset, self.source)
             tolerate(before, f"'? {word.text}' is read as '?{word.text}'")
         else:
-            self._word(word)
+            self._add_word(word)
 
     def _never_closed(self) -> InputError:
         if self.suspect:

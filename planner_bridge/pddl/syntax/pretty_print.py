@@ -1,6 +1,6 @@
-"""Nested lists of words as text for people: a list that fits is one line, any other has a line for each of its parts.
+"""Pretty printer: nested lists of words as text. A list that fits is one line, any other has a line for each of its parts.
 
-Comments stand where they belong: above a part, or behind the line it begins in.
+Comments stand above their part, or behind the line it begins in.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import takewhile
 from typing import Final, TypeAlias
 
-from planner_bridge.pddl.comments.lines import Line, rendered
+from planner_bridge.pddl.comments.lines import Line, render_lines
 from planner_bridge.pddl.comments.table import NO_NOTE, Note
 
 
@@ -24,7 +24,7 @@ class Noted:
 
 @dataclass(frozen=True, slots=True)
 class Keyed:
-    """A keyword and what stands behind it."""
+    """A keyword and its form."""
 
     key: str
     form: Form
@@ -52,7 +52,7 @@ def definition_text(head: Form, sections: Iterable[Form], note: Note = NO_NOTE) 
     first = Line(0, f"(define {flat(head)}", note.beside)
     lines = [first, *(line for section in sections for line in _lines(section, 2))]
     _close(lines, 0)
-    return rendered([*_comments(note.before, 0), *lines, *_comments(note.below, 0)])
+    return render_lines([*_comments(note.before, 0), *lines, *_comments(note.below, 0)])
 
 
 def flat(form: Form) -> str:
@@ -85,21 +85,15 @@ def _lines(form: Form, indent: int, lead: str = "") -> list[Line]:
         case Keyed(key, inner):
             return _lines(inner, indent, f"{key} ")
         case list():
-            text = _on_one_line(form, indent, lead)
-            return _broken(form, indent, lead) if text is None else [Line(indent, text)]
+            is_tall = len(form) > 1 if form and form[0] in _ONE_A_LINE else any(map(_is_tall, form))
+            text = "" if is_tall else lead + flat(form)
+            return _broken(form, indent, lead) if is_tall or indent + len(text) > WIDTH else [Line(indent, text)]
         case _:
             return [Line(indent, lead + flat(form))]
 
 
-def _on_one_line(form: list[Form], indent: int, lead: str) -> str | None:
-    """Return the form as one line; None if it is to be broken."""
-    is_tall = len(form) > 1 if form and form[0] in _ONE_A_LINE else any(map(_is_tall, form))
-    text = "" if is_tall else lead + flat(form)
-    return None if is_tall or indent + len(text) > WIDTH else text
-
-
 def _is_tall(form: Form) -> bool:
-    """Tell whether the form needs lines of its own: it is an action's part, or something is said about it."""
+    """Whether the form needs lines of its own: it is an action's part, or has comments."""
     return not isinstance(form, str) and (not isinstance(form, list) or any(map(_is_tall, form)))
 
 

@@ -1,10 +1,10 @@
-"""Models of PDDL as nested lists of words: typed lists, conditions, expressions, effects."""
+"""Conditions, effects, expressions and typed lists of the model as nested lists of words."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import Final, assert_never
 
 from planner_bridge.pddl.comments.table import NO_NOTE, Note, Notes
@@ -16,32 +16,9 @@ from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expressio
 from pnm.errors import InputError
 
 _LONG: Final = 72
-"""Names take no more of a line."""
+"""Characters of names in a line, at most."""
 
 # --- typed lists ---------------------------------------------------------------------------
-
-
-def _runs(pairs: Iterable[tuple[str, tuple[str, ...]]]) -> list[list[Form]]:
-    """Write neighbours of the same types together: ``a b - t``."""
-    return [[*(name for name, _ in group), "-", types_form(types)] for types, group in groupby(pairs, key=itemgetter(1))]
-
-
-def _apart(names: Sequence[str], notes: Notes) -> Iterator[tuple[list[str], Note]]:
-    """Split names into lines that are not too long, so that every comment has one beside or above which it can stand."""
-    line: list[str] = []
-    told = NO_NOTE
-    for name in names:
-        note = notes.at(name.lower()).take()
-        if line and (note.before or len(" ".join(line)) + len(name) >= _LONG):
-            yield line, told
-            line, told = [], NO_NOTE
-        line.append(name)
-        told = told.joined(note)
-        if note.beside or note.below:
-            yield line, told
-            line, told = [], NO_NOTE
-    if line:
-        yield line, told
 
 
 def types_form(types: tuple[str, ...]) -> Form:
@@ -54,13 +31,33 @@ def typed_lines(pairs: Iterable[tuple[str, tuple[str, ...]]], notes: Notes) -> l
     return [
         (f"{' '.join(line)} - {flat(types_form(types))}", note)
         for types, group in groupby(pairs, key=itemgetter(1))
-        for line, note in _apart([name for name, _ in group], notes)
+        for line, note in _lines_with_notes([name for name, _ in group], notes)
     ]
 
 
+def _lines_with_notes(names: Sequence[str], notes: Notes) -> Iterator[tuple[list[str], Note]]:
+    """Split names into lines that are not too long, so that every comment has one beside or above which it can stand."""
+    line: list[str] = []
+    line_note = NO_NOTE
+    for name in names:
+        note = notes.at(name.lower()).take()
+        if line and (note.before or len(" ".join(line)) + len(name) >= _LONG):
+            yield line, line_note
+            line, line_note = [], NO_NOTE
+        line.append(name)
+        line_note = line_note.joined(note)
+        if note.beside or note.below:
+            yield line, line_note
+            line, line_note = [], NO_NOTE
+    if line:
+        yield line, line_note
+
+
 def variables_form(variables: tuple[Variable, ...]) -> list[Form]:
-    """Return typed variables; the last ones need not say that they are objects."""
-    forms = [form for run in _runs((variable.name, variable.types) for variable in variables) for form in run]
+    """Return typed variables, neighbours of the same types together: ``?a ?b - t``; the type of the last ones is left out if ``object``."""
+    forms: list[Form] = []
+    for types, group in groupby(variables, key=attrgetter("types")):
+        forms += (*(variable.name for variable in group), "-", types_form(types))
     return forms[:-2] if forms[-2:] == ["-", "object"] else forms
 
 
@@ -116,10 +113,10 @@ def expression_form(expression: Expression) -> Form:
 
 def effects_form(effects: Effects) -> Form:
     """Return effects as nested lists of words: one effect, or an ``and`` of several."""
-    return joined([_effect(effect) for effect in effects])
+    return joined([_effect_form(effect) for effect in effects])
 
 
-def _effect(effect: Effect) -> Form:
+def _effect_form(effect: Effect) -> Form:
     match effect:
         case Set(fluent, Constant(True)):
             return list(fluent)

@@ -1,7 +1,6 @@
-"""PDDL domains and problems: model to text, which reads back to an equal model.
+"""Writer of PDDL domains and problems: model to text, which reads back to an equal model.
 
-A model becomes nested lists of words first and these become lines: a list that fits is written
-on one line, any other with each of its parts on a line of its own.
+A model becomes nested lists of words first, which are then pretty-printed.
 """
 
 from __future__ import annotations
@@ -10,30 +9,30 @@ from collections.abc import Iterable, Iterator
 from typing import Final
 
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.pddl.comments.table import Notes, Table, with_all
-from planner_bridge.pddl.syntax.anchors import ACTION, INNER, PARTS, fact_said, hierarchy_said, is_timed, rule_said, said
+from planner_bridge.pddl.comments.table import Notes, Table, write_with_notes
+from planner_bridge.pddl.syntax.anchors import ACTION, COMPOUND, PARTS, fact_anchor, form_anchor, hierarchy_anchor, is_timed, rule_anchor
 from planner_bridge.pddl.syntax.pretty_print import Form, Keyed, Verbatim, definition_text, flat, noted
 from planner_bridge.pddl.syntax.words import number_text
 from planner_bridge.pddl.write.forms import condition_form, effects_form, expression_form, joined, typed_lines, types_form, variables_form
 from pnm.core.logic.conditions import TRUE, Condition, conjuncts
 from pnm.core.logic.domain import ActionSchema, Declaration, Preference
-from pnm.core.logic.effects import Effect, Effects, ForEach, TimedChange, When, is_early
+from pnm.core.logic.effects import Effect, Effects, ForEach, When, is_early
 from pnm.core.logic.expressions import Constant, Fluent, Value, Variable
-from pnm.core.logic.rules import Rule
+from pnm.core.logic.rules import DerivationRule
 from pnm.core.logic.trajectory import Constraint
 
 _NUMBER: Final = "number"
-NOTHING_SAID: Final[Table] = {}
+NO_COMMENTS: Final[Table] = {}
 
 
-def write_domain(domain: Domain, table: Table = NOTHING_SAID) -> str:
+def write_domain(domain: Domain, table: Table = NO_COMMENTS) -> str:
     """Write a domain as PDDL, with its own requirements and the comments of the table."""
-    return with_all(table, lambda notes: _domain(domain, notes.at("domain")))
+    return write_with_notes(table, lambda notes: _domain(domain, notes.at("domain")))
 
 
-def write_problem(problem: Problem, table: Table = NOTHING_SAID) -> str:
+def write_problem(problem: Problem, table: Table = NO_COMMENTS) -> str:
     """Write a problem as PDDL, with the comments of the table; its domain is only named."""
-    return with_all(table, lambda notes: _problem(problem, notes.at("problem")))
+    return write_with_notes(table, lambda notes: _problem(problem, notes.at("problem")))
 
 
 def _domain(domain: Domain, notes: Notes) -> str:
@@ -48,7 +47,10 @@ def _domain(domain: Domain, notes: Notes) -> str:
         sections.append(_declarations(":predicates", map(_declaration, domain.predicates.values()), domain.predicates, notes))
     if domain.functions:
         sections.append(_declarations(":functions", _functions(tuple(domain.functions.values())), domain.functions, notes))
-    sections.extend(_rule(rule, notes) for rule in domain.rules)
+    for rule in domain.rules:
+        key, head, body = form = rule_form(rule)
+        own = notes.at(":derived", rule_anchor(form))
+        sections.append(noted([key, head, commented(body, own)], own.take()))
     sections.extend(_constraints(domain.constraints, domain.preferences, notes))
     sections.extend(_verbatim(text, notes) for text in domain.hierarchy)  # other planners read tasks only in front of actions
     sections.extend(_action(schema, notes.at(ACTION, schema.name.lower())) for schema in domain.actions.values())
@@ -64,7 +66,7 @@ def _problem(problem: Problem, notes: Notes) -> str:
     if problem.network:
         sections.append(_verbatim(problem.network, notes))  # other planners read it only in front of :init
     facts = notes.at(":init")
-    init: list[Form] = [noted(form, facts.at(fact_said(form)).take()) if facts else form for form in _initial(problem)]
+    init: list[Form] = [noted(form, facts.at(fact_anchor(form)).take()) if facts else form for form in _initial(problem)]
     sections.append(noted([":init", *init], facts.take()))
     goal = notes.at(":goal")
     wanted = _with_preferences(problem.goal, problem.preferences)
@@ -75,7 +77,7 @@ def _problem(problem: Problem, notes: Notes) -> str:
     return definition_text(["problem", problem.name], sections, notes.take())
 
 
-# --- sections, with what is said about them ------------------------------------------------
+# --- sections with their comments ----------------------------------------------------------
 
 
 def _section(form: list[Form], notes: Notes) -> Form:
@@ -95,19 +97,19 @@ def _declarations(head: str, forms: Iterable[Form], names: Iterable[str], notes:
 
 
 def _verbatim(text: str, notes: Notes) -> Form:
-    return noted(Verbatim(text), notes.at(*hierarchy_said(text)).take())
+    return noted(Verbatim(text), notes.at(*hierarchy_anchor(text)).take())
 
 
 def commented(form: Form, notes: Notes) -> Form:
-    """Put the comments on conditions or effects, and on what is in them, where they belong."""
+    """Return a form of conditions or effects with the comments on these and on the forms inside them."""
     if not notes or not isinstance(form, list) or not form or str(form[0]).startswith("?"):
         return form
     if form[0] == "and":
         return ["and", *(commented(part, notes) for part in form[1:])]
     if is_timed(form):
         return [*form[:2], commented(form[2], notes)]
-    own = notes.at(said(form))
-    inner: list[Form] = [form[0], *(commented(part, own) for part in form[1:])] if form[0] in INNER else form
+    own = notes.at(form_anchor(form))
+    inner: list[Form] = [form[0], *(commented(part, own) for part in form[1:])] if form[0] in COMPOUND else form
     return noted(inner, own.take())
 
 
@@ -128,13 +130,9 @@ def _initial(problem: Problem) -> Iterator[Form]:
     for fluent, value in problem.init.items():
         if value is not False:
             yield change_form(fluent, value)
-    for change in problem.timed:
-        yield from _timed_change(change)
-
-
-def _timed_change(timed: TimedChange) -> Iterator[Form]:
-    for fluent, value in timed.changes.items():
-        yield ["at", number_text(timed.time), change_form(fluent, value)]
+    for timed in problem.timed:
+        for fluent, value in timed.changes.items():
+            yield ["at", number_text(timed.time), change_form(fluent, value)]
 
 
 def change_form(fluent: Fluent, value: Value) -> Form:
@@ -151,28 +149,22 @@ def change_form(fluent: Fluent, value: Value) -> Form:
 # --- rules, preferences, constraints -------------------------------------------------------
 
 
-def rule_form(rule: Rule) -> list[Form]:
+def rule_form(rule: DerivationRule) -> list[Form]:
     """Return a rule as its section."""
     # each variable with its type: one without has the type of the declaration, not ``object``
     typed: list[Form] = [form for variable in rule.variables for form in (variable.name, "-", types_form(variable.types))]
     return [":derived", [rule.name, *typed], condition_form(rule.condition)]
 
 
-def _rule(rule: Rule, notes: Notes) -> Form:
-    key, head, body = form = rule_form(rule)
-    own = notes.at(":derived", rule_said(form))
-    return noted([key, head, commented(body, own)], own.take())
-
-
 def _with_preferences(condition: Condition, preferences: Iterable[Preference]) -> Form:
     """Write a goal or a precondition, with the preferences that stand in it."""
-    soft = [preference_form(one) for one in preferences if not isinstance(one.wanted, tuple)]
+    soft = [preference_form(preference) for preference in preferences if not isinstance(preference.wanted, tuple)]
     return joined([*map(condition_form, conjuncts(condition)), *soft]) if soft else condition_form(condition)
 
 
 def _constraints(constraints: tuple[Constraint, ...], preferences: tuple[Preference, ...], notes: Notes) -> Iterator[Form]:
     own = notes.at(":constraints")
-    soft = [preference_form(one) for one in preferences if isinstance(one.wanted, tuple)]
+    soft = [preference_form(preference) for preference in preferences if isinstance(preference.wanted, tuple)]
     if constraints or soft:
         yield noted([":constraints", commented(joined([*map(constraint_form, constraints), *soft]), own)], own.take())
 
@@ -208,15 +200,14 @@ def _under(variables: tuple[Variable, ...], form: Form) -> Form:
 
 def _action(schema: ActionSchema, notes: Notes) -> Form:
     kind = ":action" if schema.duration is None else ":durative-action"
-    parts: list[Form] = [_part(key, form, notes.at(PARTS[key])) for key, form in _body(schema)]
+    parts: list[Form] = []
+    for key, form in _parts(schema):
+        inner = notes.at(PARTS[key])
+        parts.append(noted(Keyed(key, commented(form, inner)), inner.take()))
     return noted([kind, schema.name, *parts], notes.take())
 
 
-def _part(key: str, form: Form, notes: Notes) -> Form:
-    return noted(Keyed(key, commented(form, notes)), notes.take())
-
-
-def _body(schema: ActionSchema) -> Iterator[tuple[str, Form]]:
+def _parts(schema: ActionSchema) -> Iterator[tuple[str, Form]]:
     yield ":parameters", variables_form(schema.parameters)
     if schema.duration is None:
         if schema.precondition != TRUE or schema.preferences:
@@ -240,11 +231,11 @@ def _at(moment: str, form: Form) -> Form:
 
 
 def _timed_effects(moment: str, effects: Effects) -> list[Form]:
+    """Return effects with their time specifier inside `forall` and `when`: other planners read no other order."""
     return [_timed_effect(moment, effect) for effect in effects]
 
 
 def _timed_effect(moment: str, effect: Effect) -> Form:
-    # The moment goes inside `forall` and `when`: other planners read no other order.
     match effect:
         case ForEach(variables, effects) if effects:
             return ["forall", variables_form(variables), joined(_timed_effects(moment, effects))]

@@ -1,8 +1,8 @@
-"""The door to unified-planning: its Problems in, ours out, and its engines, in a child process of their own.
+"""Unified-planning: its Problems to ours and back, and its engines, which run in a process of their own.
 
 The only package that imports unified-planning, and only what asks for it loads a module of this
 package: that takes 1 to 3 seconds and 150 MB. `declarations` → `expressions` → `problems` is the
-way out; run as a program this is the child of `planner_bridge.planning.engine_process`, and `engine` what it does.
+way out; run as a program this is the process of `planner_bridge.planning.engine_process`, and `engine` what it does.
 """
 
 from typing import TYPE_CHECKING

@@ -1,6 +1,6 @@
-"""What a problem talks about, in unified-planning: types, objects and fluents, each with a name of its own.
+"""The types, objects and fluents of a problem in unified-planning, each with a name of its own.
 
-PDDL's types as a tree, in which everything is of one type and every type has one parent.
+There types are a tree: every object has one type and every type one parent.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ ROOT: Final = "object"
 
 
 class TypeTree:
-    """What a problem declares, for planners that know no `either`.
+    """The types of a problem as a tree, for planners without `either`.
 
     A type with several parents, or an object of several types, is put below what these have in
-    common. Where variables of some types would then range over too many objects, `is_exact` says so.
+    common. Where variables of some types would then range over too many objects, `is_exact` is False.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -47,7 +47,7 @@ class TypeTree:
         return {name: self._common(types) for name, types in self._problem.objects.items()}
 
     def cover(self, types: Iterable[str]) -> str:
-        """Return the smallest type in the tree to which belongs whatever is of one of the types."""
+        """Return the smallest type in the tree that has all objects of the given types."""
         kinds = set(types)
         below = [name for name in self._problem.domain.types if kinds & self._problem.domain.supertypes(name)]
         return self._common([*kinds, *below, *{self.type_of[name] for name in self.extent(kinds)}])
@@ -58,7 +58,7 @@ class TypeTree:
         return tuple(name for name in self._problem.objects if name in members)
 
     def is_exact(self, types: Iterable[str]) -> bool:
-        """Tell whether the cover of the types has no other objects than theirs."""
+        """Whether the cover of the types has no other objects than theirs."""
         kinds = set(types)
         cover = self.cover(kinds)
         return len(self.extent(kinds)) == sum(cover in _path(own, self.parents) for own in self.type_of.values())
@@ -80,11 +80,11 @@ def _common(paths: list[list[str]]) -> str:
 
 
 Terms: TypeAlias = Mapping[str, Any]
-"""What the variables in scope have become."""
+"""The terms that stand for the variables in scope."""
 
 
 class Declarations:
-    """Types, objects and fluents. The mutable state is the names that are taken, and what guards types that the tree lacks."""
+    """Types, objects and fluents. The mutable state is the names taken, and the guard predicates for types that the tree lacks."""
 
     def __init__(self, problem: Problem, translated: up.Problem, functions: frozenset[str], whole: bool) -> None:
         self.tree = TypeTree(problem)
@@ -112,7 +112,7 @@ class Declarations:
         return name
 
     def knows(self, fluent: Fluent) -> bool:
-        """Tell whether the fluent is one of those that matter."""
+        """Whether the fluent is declared here: predicates are, and functions that matter."""
         return (fluent[0], len(fluent) - 1) in self._fluents
 
     def fluent(self, fluent: Fluent) -> Any:
@@ -126,17 +126,17 @@ class Declarations:
         return self._fluents[fluent[0], len(fluent) - 1]
 
     def type_of(self, types: Iterable[str]) -> Any:
-        """Return the type of what is of one of the types."""
+        """Return the type there that covers the given types."""
         return self.types[self.tree.cover(types)]
 
     def variables(self, variables: Iterable[Variable], terms: Terms) -> tuple[tuple[Any, ...], tuple[Any, ...], Terms]:
-        """Return the variables of a quantifier, what must hold of them, and the terms in its scope."""
+        """Return the variables of a quantifier, their guards, and the terms in its scope."""
         chosen = {variable: up.Variable(variable.name[1:], self.type_of(variable.types)) for variable in variables}
         inner = {**terms, **{variable.name: up.VariableExp(one) for variable, one in chosen.items()}}
         return tuple(chosen.values()), tuple(self.guards(chosen, inner)), inner
 
     def guards(self, variables: Iterable[Variable], terms: Terms) -> Iterator[Any]:
-        """Yield what says that the variables are of their types, where the tree cannot say it."""
+        """Yield the conditions that the variables are of their types, where the tree cannot express it."""
         for variable in variables:
             types = frozenset(variable.types)
             if not self.tree.is_exact(types):

@@ -1,4 +1,4 @@
-"""Asks an engine of unified-planning for a plan."""
+"""The request to an engine of unified-planning, and its answer as plain data."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from unified_planning.model import ProblemKind
 from planner_bridge.model.plan import PlanningStatus
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.planning.engines import ENGINES, Feature, features
+from planner_bridge.planning.engines import ENGINES, Feature, problem_kind
 from planner_bridge.planning.unified_planning.problems import Translation
 from pnm.errors import InputError, suggestion
 
@@ -36,20 +36,20 @@ _STATUS: Final = {
 _OUT_OF_MEMORY: Final = re.compile(r"OutOfMemoryError|bad_alloc|MemoryError|insufficient memory|exit code: -9")
 _UNSUPPORTED: Final = re.compile(r"^Unsupported \w|not supported")
 _LENGTH: Final = 400
-"""Characters of what an engine says that are passed on, half of them from the beginning and half from the end."""
+"""Characters of an engine's message that are passed on, half of them from the beginning and half from the end."""
 
 
-class _Stated(up.Problem):  # type: ignore[misc]  # unified-planning ships no types
-    """A problem as planners want it that are given PDDL: without a value for every combination of objects."""
+class _StatedProblem(up.Problem):  # type: ignore[misc]  # unified-planning ships no types
+    """A problem for planners that are given PDDL: without a value for every combination of objects."""
 
     @property
     def initial_values(self) -> dict[Any, Any]:
-        """Only what is stated: the rest is false, or has no value."""
+        """Only the values stated: other fluents are false, or have no value."""
         return self.explicit_initial_values  # type: ignore[no-any-return]
 
     @cached_property
     def kind(self) -> ProblemKind:
-        """Which is asked for again and again, and is long in the making."""
+        """Cached, because it is read often and slow to compute."""
         return super().kind
 
 
@@ -62,19 +62,19 @@ def ask(name: str, seconds: float) -> Answer:
 
     An engine that cannot cope with the metric is asked for any plan.
     """
-    if unknown := look_for(name):
+    if unknown := look_up(name):
         return unknown
     deadline = time.monotonic() + seconds
     problem = parse_problem(Path("problem.pddl").read_text(), parse_domain(Path("domain.pddl").read_text()))
     answer = _answer(name, problem, deadline)
-    if problem.metric is None or not _cannot(answer):
+    if problem.metric is None or not _is_refused(answer):
         return answer
     again = _answer(name, replace(problem, metric=None), deadline)
-    return answer if _cannot(again) else {**again, "message": f"{again['message']} (without the metric: {answer['message']})".strip()}
+    return answer if _is_refused(again) else {**again, "message": f"{again['message']} (without the metric: {answer['message']})".strip()}
 
 
-def look_for(name: str) -> Answer:
-    """Say so if there is no such engine; nothing if there is."""
+def look_up(name: str) -> Answer:
+    """Return the error if there is no such engine; nothing if there is."""
     environment = up.get_environment()
     environment.credits_stream = None
     there = sorted(one for one in environment.factory.engines if environment.factory.engine(one).is_oneshot_planner())
@@ -88,7 +88,7 @@ def look_for(name: str) -> Answer:
     return {"unknown": f"there is no planner {name!r}; installed: {', '.join(planners)}{f'; {hint}' if hint else ''}"}
 
 
-def _cannot(answer: Answer) -> bool:
+def _is_refused(answer: Answer) -> bool:
     return answer["status"] in (PlanningStatus.UNSUPPORTED.name, PlanningStatus.CRASHED.name)
 
 
@@ -114,22 +114,22 @@ def _answer(name: str, problem: Problem, deadline: float) -> Answer:
 
 
 def _reason(name: str, result: PlanGenerationResult) -> Answer:
-    said = "\n".join(one.message for one in result.log_messages or ())
+    log = "\n".join(one.message for one in result.log_messages or ())
     match _STATUS.get(result.status, PlanningStatus.NO_PLAN):
-        case PlanningStatus.UNSOLVABLE if not (name in ENGINES and ENGINES[name].proves):
+        case PlanningStatus.UNSOLVABLE if not (name in ENGINES and ENGINES[name].proves_unsolvability):
             return _no_plan(PlanningStatus.NO_PLAN, f"{name} says that there is none, which is not taken for proved")
-        case PlanningStatus.CRASHED if _OUT_OF_MEMORY.search(said):
-            return _no_plan(PlanningStatus.OUT_OF_MEMORY, said)
-        case PlanningStatus.CRASHED if _UNSUPPORTED.search(said):
-            return _no_plan(PlanningStatus.UNSUPPORTED, said)
+        case PlanningStatus.CRASHED if _OUT_OF_MEMORY.search(log):
+            return _no_plan(PlanningStatus.OUT_OF_MEMORY, log)
+        case PlanningStatus.CRASHED if _UNSUPPORTED.search(log):
+            return _no_plan(PlanningStatus.UNSUPPORTED, log)
         case PlanningStatus.CRASHED:
-            return _no_plan(PlanningStatus.CRASHED, said)
+            return _no_plan(PlanningStatus.CRASHED, log)
         case status:
             return _no_plan(status, "")
 
 
-def _no_plan(status: PlanningStatus, said: str) -> Answer:
-    words = " ".join(said.split())
+def _no_plan(status: PlanningStatus, log: str) -> Answer:
+    words = " ".join(log.split())
     return {"status": status.name, "message": words if len(words) <= _LENGTH else f"{words[: _LENGTH // 2]} ... {words[-_LENGTH // 2 :]}"}
 
 
@@ -143,10 +143,10 @@ def _problem(name: str, problem: Problem) -> tuple[Any, dict[str, str], dict[str
         InputError: unified-planning cannot express the problem, or the engine does not support it.
     """
     engine = up.get_environment().factory.engine(name)
-    if Feature.TASKS in features(problem):
+    if Feature.TASKS in problem_kind(problem):
         there, actions, objects = _hierarchical(), dict[str, str](), dict[str, str]()
     else:
-        translation = Translation(problem, (_Stated if issubclass(engine, PDDLPlanner) else up.Problem)(problem.name))
+        translation = Translation(problem, (_StatedProblem if issubclass(engine, PDDLPlanner) else up.Problem)(problem.name))
         there, actions, objects = translation.translated, translation.actions, translation.objects
     undeclared = ENGINES[name].undeclared if name in ENGINES else frozenset[str]()
     asked = there.kind.features - undeclared

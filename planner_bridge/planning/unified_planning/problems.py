@@ -1,4 +1,4 @@
-"""Problems of unified-planning into ours, by way of PDDL, and ours into theirs, directly."""
+"""Translation of problems: unified-planning's to ours, by way of PDDL, and ours to unified-planning's, directly."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from unified_planning.io import PDDLWriter
 from planner_bridge.model.grounding import dynamic_names
 from planner_bridge.model.problem import Metric, Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.planning.engines import Feature, features
-from planner_bridge.planning.normal_form import Assignment, cost_function, functions_in_use, is_whole, moments
+from planner_bridge.planning.engines import Feature, problem_kind
+from planner_bridge.planning.normal_form import Assignment, cost_function, functions_in_use, is_whole, schema_assignments
 from planner_bridge.planning.unified_planning.declarations import Declarations, Terms
 from planner_bridge.planning.unified_planning.expressions import condition_there, expression_there, fluent_there, number_there
 from pnm.core.logic.conditions import Condition, conjuncts, names
@@ -52,8 +52,8 @@ def from_unified_planning(problem: up.Problem) -> Problem:
 def to_unified_planning(problem: Problem) -> up.Problem:
     """Turn a problem into one of unified-planning, without going through text.
 
-    Functions that neither a condition nor the metric reads are left out, and what bears a name
-    that something else has already is renamed.
+    Functions that neither a condition nor the metric reads are left out, and a name that is taken
+    already is changed.
 
     Raises:
         InputError: the problem uses what unified-planning cannot express.
@@ -71,7 +71,8 @@ class Translation:
         self._cost = cost_function(problem)
         functions = functions_in_use(problem)
         try:
-            _refuse(problem)
+            if missing := problem_kind(problem) & {Feature.DERIVED, Feature.PREFERENCES, Feature.TASKS}:
+                raise InputError(" and ".join(sorted(feature.value for feature in missing)))
             self._declared = Declarations(problem, translated, functions - {self._cost}, is_whole(problem, functions))
             self.objects = {there.name: name for name, there in self._declared.objects.items()}
             """For every object there, its name here."""
@@ -92,13 +93,13 @@ class Translation:
         action = make(self._declared.named(schema.name), parameters)
         terms = _parameters(schema, action)
         guards = [*self._declared.guards(schema.parameters, terms)]
-        start, end = moments(schema)
+        start, end = schema_assignments(schema)
         if schema.duration is None:
             for condition in (*guards, *self._conjuncts(schema.precondition, terms)):
                 action.add_precondition(condition)
             self._effects(schema, action, (), end, terms)
         else:
-            self._last(schema, action, terms)
+            self._set_duration(schema, action, terms)
             during = up.OpenTimeInterval(up.StartTiming(), up.EndTiming())
             for condition in (*guards, *self._conjuncts(schema.precondition, terms)):
                 action.add_condition(up.StartTiming(), condition)
@@ -111,8 +112,8 @@ class Translation:
         self.translated.add_action(action)
         return action
 
-    def _last(self, schema: ActionSchema, action: Any, terms: Terms) -> None:
-        """Set how long the action lasts."""
+    def _set_duration(self, schema: ActionSchema, action: Any, terms: Terms) -> None:
+        """Set the duration of the action."""
         bounds = {operation: [one.bound for one in schema.duration or () if one.operation == operation] for operation in ("=", ">=", "<=")}
         match bounds["="], bounds[">="], bounds["<="]:
             case [exactly], [], []:
@@ -183,9 +184,9 @@ class Translation:
         self.translated.add_quality_metric(measure)
 
     def _costs(self, name: str, action: Any) -> Any:
-        """Return what the action adds to the costs."""
+        """Return the cost that the action adds."""
         schema = self._problem.domain.actions[name]
-        costs = [one.value for moment in moments(schema) for one in moment if one.fluent[0] == self._cost]
+        costs = [one.value for moment in schema_assignments(schema) for one in moment if one.fluent[0] == self._cost]
         total: Expression = Constant(0) if not costs else costs[0] if len(costs) == 1 else Arithmetic("+", tuple(costs))
         return self._expression(total, self._timed(schema, _parameters(schema, action)))
 
@@ -200,13 +201,3 @@ class Translation:
 
 def _parameters(schema: ActionSchema, action: Any) -> Terms:
     return {variable.name: up.ParameterExp(action.parameter(variable.name[1:])) for variable in schema.parameters}
-
-
-def _refuse(problem: Problem) -> None:
-    """Refuse what unified-planning has no word for.
-
-    Raises:
-        InputError: the problem uses such a thing.
-    """
-    if missing := features(problem) & {Feature.DERIVED, Feature.PREFERENCES, Feature.TASKS}:
-        raise InputError(" and ".join(sorted(feature.value for feature in missing)))

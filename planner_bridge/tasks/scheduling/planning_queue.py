@@ -1,4 +1,4 @@
-"""Lets one after the other try something that they would spoil for each other, such as finding room for a plan."""
+"""The queue of tasks that want to plan: one plans after the other, and again after a change if it failed."""
 
 from __future__ import annotations
 
@@ -6,73 +6,74 @@ import asyncio
 from collections.abc import Callable
 from typing import Final, Generic, TypeVar
 
-PATIENCE: Final = 5
-"""So many who try again in vain, one after the other, after a change; those behind them try after the next one."""
+MAX_FAILURES: Final = 5
+"""Failed attempts in a row after a change; the tasks behind those try after the next change."""
 SLOW: Final = 1.0
-"""Seconds after which the next one is let through beside somebody who is still trying."""
+"""Seconds after which the next task may plan beside one that is still planning."""
 
-Who = TypeVar("Who")
+T = TypeVar("T")
 
 
-class Turnstile(Generic[Who]):
-    """The line of those who are to try, and those who have tried in vain and wait for a change.
+class PlanningQueue(Generic[T]):
+    """The tasks that want to plan, and those whose attempt failed, which wait for a change.
 
-    The mutable state is both, who has been let through and has not left, who of them is slow or has been overtaken by a change,
-    and how many have tried again in vain since the last change.
+    The mutable state is both; the tasks that are planning, and which of them are slow or have been outdated by a change; and the
+    number of failed attempts since the last change.
 
     Args:
-        rank: those with the lowest are let through first.
+        rank: the task of the lowest rank plans first.
     """
 
-    def __init__(self, rank: Callable[[Who], tuple[int, int]]) -> None:
+    def __init__(self, rank: Callable[[T], tuple[int, int]]) -> None:
         self._rank = rank
-        self._line: dict[Who, asyncio.Future[None]] = {}
-        self._disappointed: set[Who] = set()
-        self._inside: dict[Who, asyncio.TimerHandle] = {}
-        self._slow: set[Who] = set()
-        self._overtaken: set[Who] = set()
-        self._misses = 0
+        self._waiting: dict[T, asyncio.Future[None]] = {}
+        self._waiting_for_change: set[T] = set()
+        self._planning: dict[T, asyncio.TimerHandle] = {}
+        self._slow: set[T] = set()
+        self._outdated: set[T] = set()
+        self._failures = 0
 
-    async def enter(self, who: Who) -> None:
-        """Wait for one's turn; who has left in vain waits for a change first."""
+    async def enter(self, task: T) -> None:
+        """Wait for the turn of the task; one whose attempt failed waits for a change first."""
         turn: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._line[who] = turn
-        # everybody who comes at this moment is in line before the first is let through
+        self._waiting[task] = turn
+        # all tasks that come at this moment are in the queue before the first is admitted
         asyncio.get_running_loop().call_soon(self._admit)
         try:
             await turn
         finally:
-            self._line.pop(who, None)
+            self._waiting.pop(task, None)
 
-    def leave(self, who: Who, *, in_vain: bool = False) -> None:
-        """Note that somebody does not try any more; of who is not inside nothing is noted.
+    def leave(self, task: T, *, failed: bool = False) -> None:
+        """End the turn of the task, if it has the turn.
 
-        Who has been overtaken by a change has not tried in vain what can be tried now.
+        If the world changed during the attempt, its failure does not count and the task may try again at once.
         """
-        if who in self._inside:
-            self._inside.pop(who).cancel()
-            self._slow.discard(who)
-            self._misses = self._misses + 1 if in_vain else 0
-            if in_vain and who not in self._overtaken:
-                self._disappointed.add(who)
-            self._overtaken.discard(who)
+        if task in self._planning:
+            self._planning.pop(task).cancel()
+            self._slow.discard(task)
+            self._failures = self._failures + 1 if failed else 0
+            if failed and task not in self._outdated:
+                self._waiting_for_change.add(task)
+            self._outdated.discard(task)
             self._admit()
 
     def changed(self) -> None:
-        """Let those try again who have tried in vain."""
-        self._disappointed.clear()
-        self._overtaken = {*self._inside}
-        self._misses = 0
+        """Let the tasks whose attempts failed try again."""
+        self._waiting_for_change.clear()
+        self._outdated = {*self._planning}
+        self._failures = 0
         self._admit()
 
     def _admit(self) -> None:
-        if self._inside.keys() - self._slow:
+        if self._planning.keys() - self._slow:
             return
-        waiting = [who for who in sorted(self._line, key=self._rank) if who not in self._disappointed and not self._line[who].done()]
-        if waiting and self._misses < PATIENCE:
-            self._inside[waiting[0]] = asyncio.get_running_loop().call_later(SLOW, self._let_another_in, waiting[0])
-            self._line[waiting[0]].set_result(None)
+        ready = (task for task, turn in self._waiting.items() if task not in self._waiting_for_change and not turn.done())
+        first = min(ready, key=self._rank, default=None)
+        if first is not None and self._failures < MAX_FAILURES:
+            self._planning[first] = asyncio.get_running_loop().call_later(SLOW, self._admit_beside, first)
+            self._waiting[first].set_result(None)
 
-    def _let_another_in(self, slow: Who) -> None:
+    def _admit_beside(self, slow: T) -> None:
         self._slow.add(slow)
         self._admit()

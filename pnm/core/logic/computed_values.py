@@ -112,7 +112,7 @@ class Operation:
 
 
 Data: TypeAlias = Literal | Parameter | Query | Compound | Operation | ValueOf
-"""`ValueOf` is the value of a fluent, which for a fact is true or false."""
+"""`ValueOf` is the value of a fluent; of a fact, its truth."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,9 +247,6 @@ LOGICAL: Final = frozenset(_LAZY)
 
 def _null(value: object) -> object:
     return None if value is MISSING else value
-
-
-# --- looking into data ---------------------------------------------------------------------
 
 
 def parts(data: Data) -> Iterator[Data]:

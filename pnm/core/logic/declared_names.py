@@ -1,4 +1,4 @@
-"""The names that files about a domain may use, and a clear refusal of all others."""
+"""The declared names of a domain and problem, and the refusal of all others in files about them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pnm.errors import InputError, Position, suggestion
 
 
 class FluentKind(Enum):
-    """What a fluent has for its value."""
+    """The kind of a fluent's values."""
 
     FACT = "predicate"
     NUMBER = "function with numbers for values"
@@ -31,7 +31,7 @@ class Signature:
 
 @dataclass(frozen=True, slots=True)
 class Vocabulary:
-    """What a domain and its problem declare. Whatever checks a name raises InputError, with the position and the nearest name."""
+    """The declared names of a domain and its problem. Checks raise InputError, with the position and the nearest name."""
 
     actions: Mapping[str, tuple[str, ...]]
     """For every action, the names of its parameters, without ``?``."""
@@ -43,12 +43,12 @@ class Vocabulary:
     signatures: Mapping[str, Signature] = field(default_factory=dict)
     """How predicates and functions are used."""
     types: Mapping[str, frozenset[str]] = field(default_factory=dict)
-    """For every type, the type itself and all that it is a kind of."""
+    """For every type, the type itself and its supertypes."""
     types_of: Mapping[str, frozenset[str]] = field(default_factory=dict)
-    """For every object, all types to which it belongs."""
+    """For every object, its types and their supertypes."""
 
     def check_action(self, name: str, position: Position) -> None:
-        """Refuse an action that is not there."""
+        """Refuse an action that is not declared."""
         _check(name, self.actions, "action", position)
 
     def check_parameter(self, action: str, name: str, position: Position) -> None:
@@ -58,11 +58,11 @@ class Vocabulary:
             raise InputError(f"{name} is not a parameter of {action} ({', '.join(known) or 'it has none'})", position)
 
     def check_call(self, what: str, position: Position) -> None:
-        """Refuse ``move(r1, hall)`` if there is no such action, or no such object, or not as many parameters."""
+        """Refuse ``move(r1, hall)`` if the action or an object is not declared, or the number of arguments is wrong."""
         name, _, rest = what.partition("(")
         self.check_action(name, position)
         if rest:
-            arguments = [one.strip() for one in rest.rstrip(")").split(",") if one.strip()]
+            arguments = [argument.strip() for argument in rest.rstrip(")").split(",") if argument.strip()]
             if len(arguments) != len(self.actions[name]):
                 raise InputError(f"{name} takes {len(self.actions[name])} arguments, found {len(arguments)}", position)
             for argument in arguments:
@@ -89,14 +89,14 @@ class Vocabulary:
         _check(name, self.types, "type", position)
 
     def check_object(self, name: str, types: Iterable[str], position: Position) -> None:
-        """Refuse an object that is not there, or that is of none of the types."""
+        """Refuse an object that is not declared, or that is of none of the types."""
         _check(name, self.objects, "object", position)
         if self.types_of[name].isdisjoint(types):
             raise InputError(f"{name} is a {_alternatives(self.types_of[name])}; expected a {_alternatives(types)}", position)
 
     def check_kind(self, name: str, kind: FluentKind, position: Position) -> Signature:
-        """Return how a predicate or function is used, which must be of this kind and be told by somebody."""
-        known = [one for one, signature in self.signatures.items() if signature.kind is kind]
+        """Return the signature of a predicate or function, which must be of this kind and not derived."""
+        known = [declared for declared, signature in self.signatures.items() if signature.kind is kind]
         if name in self.signatures and name not in known:
             raise InputError(f"{name} is a {self.signatures[name].kind.value}; expected a {kind.value}", position)
         _check(name, known, kind.value, position)

@@ -1,9 +1,9 @@
-"""What follows from recorded facts by rules: found when asked for, remembered until its grounds change.
+"""Derived facts: computed from recorded ones by rules when asked for, and remembered until a fact below them changes.
 
-A fact is derived from the question backwards. It is taken to be false and attempts are made to derive
-it, one for every body and every choice of objects for the body's own variables, step by step. A step
-that asks about a fact of the same stratum opens that question too; the attempt goes on from there
-whenever the answer turns out to be more than was thought. When no attempt can go on, every fact that
+A fact is derived backwards from the question. It is taken to be false, and attempts are made to derive
+it: one for every body and every binding of the body's own variables, step by step. A step
+that asks about a fact of the same stratum opens that question too; the attempt is resumed
+whenever that fact turns out to be more than it was taken for. When no attempt can go on, every fact that
 was asked about has its value in the least fixpoint. Facts of lower strata are settled first.
 """
 
@@ -19,17 +19,18 @@ from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, State, Trut
 from pnm.core.logic.rules import Body, CheckCondition, ChooseObject, FindFact, Rules
 
 LISTED: Final = 4
-"""How many reasons are named; the others are counted."""
+"""Reasons that an explanation names; the others are counted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Attempt:
-    """A body being followed to derive a fact: so many of its steps have succeeded, for these objects."""
+    """A partial derivation of a fact: the first steps of a body have succeeded for a binding of its variables."""
 
     fact: Fluent
     body: Body
-    chosen: Environment
+    env: Environment
     position: int = 0
+    """Number of steps that have succeeded."""
     truth: Truth = True
     """Unknown as soon as one step is."""
 
@@ -38,22 +39,22 @@ class _Attempt:
         """Whether all steps have succeeded, as far as is known."""
         return self.position == len(self.body.steps)
 
-    def on(self, chosen: Environment, truth: Truth = True) -> _Attempt:
+    def advanced(self, env: Environment, truth: Truth = True) -> _Attempt:
         """Return the attempt after one more step."""
-        return _Attempt(self.fact, self.body, chosen, self.position + 1, self.truth if truth is True else truth)
+        return _Attempt(self.fact, self.body, env, self.position + 1, self.truth if truth is True else truth)
 
 
 class DerivedFacts:
-    """The facts that follow from recorded ones: a state that answers for both.
+    """A state with the recorded facts and those that rules derive from them.
 
-    The mutable state is what is remembered: for every derived name the truth of its facts, the attempt that
-    showed a fact to be true, and what a fact waits for that is unknown; for every recorded name its facts by
-    some of their terms.
+    The mutable state is a cache: for every derived name the truth of its facts, the attempt that
+    proved a fact, and the unknown fluents that an unknown fact depends on; for every recorded name its facts,
+    indexed by some of their terms.
 
     Args:
-        rules: what derives facts.
-        recorded: the recorded facts; whoever changes them calls `forget`.
-        objects: gives the objects of any of some types; these do not change.
+        rules: the rules.
+        recorded: the recorded facts; `forget` must be called after they change.
+        objects: returns the objects of any of some types; these do not change.
     """
 
     def __init__(
@@ -69,13 +70,13 @@ class DerivedFacts:
         self._tables: dict[str, dict[tuple[int, tuple[int, ...]], dict[Fluent, list[Fluent]]]] = {}
 
     def forget(self, names: Iterable[str]) -> None:
-        """Note that recorded facts of these names have changed."""
+        """Invalidate the cache: recorded facts of these names have changed."""
         for name in names:
             self._tables.pop(name, None)
-            for one in self.rules.above.get(name, ()):
-                self._truth[one].clear()
-                self._proofs[one].clear()
-                self._undecided[one].clear()
+            for derived in self.rules.above.get(name, ()):
+                self._truth[derived].clear()
+                self._proofs[derived].clear()
+                self._undecided[derived].clear()
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
         """Return the truth of a derived fact, or what is recorded for any other fluent."""
@@ -91,7 +92,7 @@ class DerivedFacts:
         return self._truth[fluent[0]].get(fluent)
 
     def remember(self, fluent: Fluent, truth: Truth, proof: _Attempt | None) -> None:
-        """Note the truth of a derived fact, and what showed it if it is true."""
+        """Store the truth of a derived fact, and its proof if it is true."""
         self._truth[fluent[0]][fluent] = truth
         if proof:
             self._proofs[fluent[0]][fluent] = proof
@@ -100,55 +101,55 @@ class DerivedFacts:
 
     def rests_on(self, fluent: Fluent) -> frozenset[Fluent]:
         """Return the unknown recorded fluents that decide whether a derived fact holds; none when that is known."""
-        found: set[Fluent] = set()
+        unknown: set[Fluent] = set()
         waiting = {fluent} if self.value(fluent) is UNKNOWN else set()
         while waiting:
-            asked = waiting.pop()
-            found.add(asked)
-            if asked[0] in self.rules.derived:
-                waiting |= self._waits_for(asked) - found
-        return frozenset(one for one in found if one[0] not in self.rules.derived)
+            undecided = waiting.pop()
+            unknown.add(undecided)
+            if undecided[0] in self.rules.derived:
+                waiting |= self._waits_for(undecided) - unknown
+        return frozenset(fluent for fluent in unknown if fluent[0] not in self.rules.derived)
 
     def _waits_for(self, fluent: Fluent) -> frozenset[Fluent]:
-        """Return the unknown fluents in what may still turn out to derive the fact."""
+        """Return the unknown fluents in the bodies that may still turn out to derive the fact."""
         remembered = self._undecided[fluent[0]]
         if fluent not in remembered:
-            open_ = (one for one in self._ended(fluent) if one.succeeded and one.truth is UNKNOWN)
-            parts = ((part, one.chosen) for one in open_ for part in one.body.parts if evaluate(part, self, one.chosen) is UNKNOWN)
-            asked = (one for part, chosen in parts for one in fluents(part, self, chosen))
-            remembered[fluent] = frozenset(one for one in asked if self.value(one) is UNKNOWN)
+            attempts = [attempt for attempt in self._ended(fluent) if attempt.succeeded and attempt.truth is UNKNOWN]
+            parts = ((part, attempt.env) for attempt in attempts for part in attempt.body.parts)
+            asked = (below for part, env in parts if evaluate(part, self, env) is UNKNOWN for below in fluents(part, self, env))
+            remembered[fluent] = frozenset(below for below in asked if self.value(below) is UNKNOWN)
         return remembered[fluent]
 
     def because(self, fluent: Fluent) -> str:
-        """Say why a derived fact has its truth, by what is recorded: "because of …", or "for want of …" if it is false."""
+        """Return why a derived fact has its truth, in recorded facts: "because of …", or "for want of …" if it is false."""
         truth = self.value(fluent)
         if truth is UNKNOWN:
             return _listed("because of", sorted(map(fluent_text, self.rests_on(fluent))))
         derived, seen, reasons = [fluent], {fluent}, dict[str, None]()
         for fact in derived:  # grows
-            for part, chosen in self._grounds(fact):
-                one = bind(part.fluent, chosen) if isinstance(part, Holds) else ()
-                if one[:1] and one[0] in self.rules.derived:
-                    derived += {one} - seen
-                    seen.add(one)
+            for part, env in self._grounds(fact):
+                below = bind(part.fluent, env) if isinstance(part, Holds) else ()
+                if below[:1] and below[0] in self.rules.derived:
+                    derived += {below} - seen
+                    seen.add(below)
                 elif names(part):
-                    reasons[str(ground(part, chosen))] = None
-        # where the last possibility ended tells more than where the first did
+                    reasons[str(ground(part, env))] = None
+        # the last attempt explains more than the first: it usually got furthest
         return _listed("because of", list(reasons)) if truth else _listed("for want of", list(reversed(reasons)))
 
     def _grounds(self, fluent: Fluent) -> Iterator[tuple[Condition, Environment]]:
-        """Yield what shows the fact to be true, or what stopped every attempt to."""
+        """Yield the conditions that prove the fact, or those at which every attempt failed, with their bindings."""
         if fluent in self._proofs[fluent[0]]:
             proof = self._proofs[fluent[0]][fluent]
-            yield from ((part, proof.chosen) for part in proof.body.parts)
+            yield from ((part, proof.env) for part in proof.body.parts)
             return
         for attempt in self._ended(fluent):
             step = attempt.body.steps[attempt.position]
             if not isinstance(step, ChooseObject):
-                yield step.condition, attempt.chosen
+                yield step.condition, attempt.env
 
     def _ended(self, fluent: Fluent) -> Iterator[_Attempt]:
-        """Yield all attempts to derive the fact, as far as they go now that all is settled."""
+        """Yield all attempts to derive the fact, each at its last step, now that all facts are settled."""
         waiting = list(reversed(self.attempts(fluent)))
         while waiting:
             attempt = waiting.pop()
@@ -163,30 +164,30 @@ class DerivedFacts:
     def attempts(self, fluent: Fluent) -> list[_Attempt]:
         """Return an attempt to derive the fact for every body that is about it."""
         return [
-            _Attempt(fluent, body, dict(zip((one.name for one in body.head), fluent[1:], strict=True)))
+            _Attempt(fluent, body, dict(zip((variable.name for variable in body.head), fluent[1:], strict=True)))
             for body in self.rules.bodies[fluent[0]]
-            if len(body.head) == len(fluent) - 1 and all(map(self._is_one, fluent[1:], (one.types for one in body.head)))
+            if len(body.head) == len(fluent) - 1 and all(map(self._is_of, fluent[1:], (variable.types for variable in body.head)))
         ]
 
     def further(self, attempt: _Attempt, state: State) -> list[_Attempt]:
-        """Return the attempt after its next step, as often as there are ways to take it; none when it fails."""
+        """Return the attempt after its next step, once for every binding with which that succeeds."""
         match attempt.body.steps[attempt.position]:
             case CheckCondition(condition):
-                truth = evaluate(condition, state, attempt.chosen)
-                return [] if truth is False else [attempt.on(attempt.chosen, truth)]
+                truth = evaluate(condition, state, attempt.env)
+                return [] if truth is False else [attempt.advanced(attempt.env, truth)]
             case ChooseObject(variable):
-                return [attempt.on({**attempt.chosen, variable.name: name}) for name in self.objects(variable.types)]
+                return [attempt.advanced({**attempt.env, variable.name: name}) for name in self.objects(variable.types)]
             case FindFact() as find:
-                return [attempt.on(chosen, truth) for chosen, truth in self._found(find, attempt.chosen)]
+                return [attempt.advanced(env, truth) for env, truth in self._matches(find, attempt.env)]
             case other:
                 assert_never(other)
 
-    def _found(self, find: FindFact, env: Environment) -> Iterator[tuple[Environment, Truth]]:
-        """Yield what each recorded fact like the one looked for makes of the new variables, and whether it is true."""
+    def _matches(self, find: FindFact, env: Environment) -> Iterator[tuple[Environment, Truth]]:
+        """Yield the environment extended by each recorded fact that matches, and the truth of that fact."""
         pattern = bind(find.condition.fluent, env)
-        for fact in self._table(pattern[0], len(pattern), find.known).get(tuple(pattern[one] for one in find.known), ()):
+        for fact in self._table(pattern[0], len(pattern), find.known).get(tuple(pattern[position] for position in find.known), ()):
             inner = dict(env)
-            if all(self._is_one(fact[at], new.types) and inner.setdefault(new.name, fact[at]) == fact[at] for at, new in find.new):
+            if all(self._is_of(fact[at], new.types) and inner.setdefault(new.name, fact[at]) == fact[at] for at, new in find.new):
                 yield inner, UNKNOWN if self._recorded[fact] is UNKNOWN else True
 
     def _table(self, name: str, length: int, known: tuple[int, ...]) -> dict[Fluent, list[Fluent]]:
@@ -196,36 +197,36 @@ class DerivedFacts:
             table = tables[length, known] = {}
             for fact, value in self._recorded.items():
                 if fact[0] == name and len(fact) == length and (value is UNKNOWN or value):
-                    table.setdefault(tuple(fact[one] for one in known), []).append(fact)
+                    table.setdefault(tuple(fact[position] for position in known), []).append(fact)
         return tables[length, known]
 
-    def _is_one(self, name: str, types: tuple[str, ...]) -> bool:
+    def _is_of(self, name: str, types: tuple[str, ...]) -> bool:
         if types not in self._members:
             self._members[types] = frozenset(self.objects(types))
         return name in self._members[types]
 
 
 class _Fixpoint:
-    """The facts of one stratum that bear on a question: false until shown to be more.
+    """The least fixpoint of the facts of one stratum on which a question depends: false until derived.
 
     The mutable state is what the constructor sets besides `objects`.
     """
 
-    def __init__(self, all: DerivedFacts, stratum: int) -> None:
-        self.objects = all.objects
-        self._all = all
+    def __init__(self, facts: DerivedFacts, stratum: int) -> None:
+        self.objects = facts.objects
+        self._facts = facts
         self._stratum = stratum
         self._truth: dict[Fluent, Truth] = {}
         self._proofs: dict[Fluent, _Attempt] = {}
         self._agenda: list[_Attempt] = []
-        self._askers: dict[Fluent, dict[_Attempt, None]] = {}
-        """For every fact the attempts to be made again when it becomes more than it is."""
+        self._dependents: dict[Fluent, dict[_Attempt, None]] = {}
+        """For every fact, the attempts to be resumed when its truth rises."""
         self._passed: dict[_Attempt, Truth] = {}
-        """How the next step of an attempt went, if it went on."""
-        self._asking: _Attempt
+        """The truth of the next step of an attempt, if it went on."""
+        self._current: _Attempt
 
     def settle(self, question: Fluent) -> None:
-        """Answer the question and all that it depends on."""
+        """Compute the truth of the question and of all facts that it depends on."""
         self._open(question)
         while self._agenda:
             attempt = self._agenda.pop()
@@ -234,38 +235,38 @@ class _Fixpoint:
             if attempt.succeeded:
                 self._show(attempt)
                 continue
-            self._asking = attempt
-            further = self._all.further(attempt, self)
+            self._current = attempt
+            further = self._facts.further(attempt, self)
             if further and further[0].truth is not self._passed.get(attempt):
                 self._passed[attempt] = further[0].truth
                 self._agenda += further
         for fact, truth in self._truth.items():
-            self._all.remember(fact, truth, self._proofs.get(fact))
+            self._facts.remember(fact, truth, self._proofs.get(fact))
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
-        """Return what the fact is so far taken for, if it is of this stratum, and note who asked."""
-        if self._all.rules.strata.get(fluent[0]) != self._stratum:
-            return self._all.value(fluent)
-        settled = self._all.remembered(fluent)
+        """Return the truth so far of a fact of this stratum, and note that the current attempt depends on it."""
+        if self._facts.rules.strata.get(fluent[0]) != self._stratum:
+            return self._facts.value(fluent)
+        settled = self._facts.remembered(fluent)
         if settled is not None:
             return settled
         if fluent not in self._truth:
             self._open(fluent)
         if self._truth[fluent] is not True:
-            self._askers[fluent][self._asking] = None
+            self._dependents[fluent][self._current] = None
         return self._truth[fluent]
 
     def _open(self, fluent: Fluent) -> None:
         self._truth[fluent] = False
-        self._askers[fluent] = {}
-        self._agenda += self._all.attempts(fluent)
+        self._dependents[fluent] = {}
+        self._agenda += self._facts.attempts(fluent)
 
     def _show(self, attempt: _Attempt) -> None:
         fact = attempt.fact
         if attempt.truth is not self._truth[fact]:
             self._truth[fact] = attempt.truth
-            self._agenda += self._askers[fact]
-            self._askers[fact] = {}
+            self._agenda += self._dependents[fact]
+            self._dependents[fact] = {}
             if attempt.truth is True:
                 self._proofs[fact] = attempt
 

@@ -214,19 +214,18 @@ def read_early(effects: Effects, state: State) -> frozenset[Fluent]:
 
 def ground_effects(effects: Effects, env: Environment) -> Effects:
     """Substitute the environment's values for the variables; quantified variables stay."""
-    return tuple(_ground(effect, env) for effect in effects)
-
-
-def _ground(effect: Effect, env: Environment) -> Effect:
-    match effect:
-        case Set(fluent, value, operation):
-            return Set(bind(fluent, env), ground_expression(value, env), operation)
-        case When(condition, inner, early):
-            return When(ground(condition, env), ground_effects(inner, env), early)
-        case ForEach(variables, inner):
-            return ForEach(variables, ground_effects(inner, hidden(env, variables)))
-        case _:
-            assert_never(effect)
+    result: list[Effect] = []
+    for effect in effects:
+        match effect:
+            case Set(fluent, value, operation):
+                result.append(Set(bind(fluent, env), ground_expression(value, env), operation))
+            case When(condition, inner, early):
+                result.append(When(ground(condition, env), ground_effects(inner, env), early))
+            case ForEach(variables, inner):
+                result.append(ForEach(variables, ground_effects(inner, hidden(env, variables))))
+            case _:
+                assert_never(effect)
+    return tuple(result)
 
 
 def values_before(after: Changes, state: State) -> Changes:

@@ -162,7 +162,7 @@ def text_of(value: object) -> str:
     """Write a value as the argument of a fluent: a name as it is, a number shortly, all else as JSON."""
     if isinstance(value, str):
         return value
-    return f"{value:.12g}" if isinstance(value, float) else json.dumps(value)
+    return f"{value:.12g}" if isinstance(value, float) else json.dumps(value, default=str)
 
 
 def _plain(value: object) -> Value:

@@ -1,14 +1,14 @@
-"""Derived facts: rules say when they hold; nobody writes them (PDDL 2.2, derived predicates).
+"""Derived facts: rules that say when a fact holds which no action and no sensor sets (PDDL 2.2, derived predicates).
 
-A derived fact holds if the condition of one of its rules does, and nothing holds without such a
-reason: the derived facts are the least ones closed under the rules. Negation must be *stratified*:
+A derived fact holds if the condition of one of its rules does, and not otherwise: the derived facts are
+the least fixpoint of the rules. Negation must be *stratified*:
 no name may depend on its own negation. Then the names fall into strata; a rule negates only names
 of lower ones, and each stratum has a least fixpoint once those below it are settled. With the truth
 values ordered false < unknown < true that is so for three values as for two.
 
 Names that no rule derives are *base* names. For `pnm.core.logic.derived_facts` a rule is split into *bodies*:
-conjunctions with variables of their own, whose steps are ordered so that objects are looked up
-among the facts that are recorded before they are looked for among all there are.
+conjunctions with variables of their own, whose steps are ordered as a join: objects are looked up
+among the recorded facts before all objects of a type are tried.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from pnm.errors import PnmError
 
 
 class UnstratifiedError(PnmError):
-    """Some derived fact would depend on its own negation, so the rules do not say what holds."""
+    """A derived fact would depend on its own negation, so the rules have no unique least fixpoint."""
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
+class DerivationRule:
     """The facts of this name hold for every choice of objects for which the condition does.
 
     Several rules may derive facts of one name: one that holds is enough.
@@ -41,25 +41,25 @@ class Rule:
 
 @dataclass(frozen=True, slots=True)
 class CheckCondition:
-    """The condition must hold; all of its variables are known here."""
+    """A step: the condition must hold; all of its variables are bound by now."""
 
     condition: Condition
 
 
 @dataclass(frozen=True, slots=True)
 class FindFact:
-    """Some recorded fact must be like this one; it tells the variables that are still unknown."""
+    """A step: some recorded fact must match this one, which binds its other variables."""
 
     condition: Holds
     known: tuple[int, ...]
-    """Positions of the terms that are objects by now."""
+    """Positions of the terms that are bound by now."""
     new: tuple[tuple[int, Variable], ...]
-    """Positions of the other terms, with their variables."""
+    """Positions of the variables that the fact binds, with these."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChooseObject:
-    """Any object of its types will do for the variable."""
+    """A step: bind the variable to any object of its types."""
 
     variable: Variable
 
@@ -69,7 +69,7 @@ BodyStep: TypeAlias = CheckCondition | FindFact | ChooseObject
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """One way to derive a fact: the steps succeed for some choice of objects for the body's own variables."""
+    """One way to derive a fact: all steps succeed for some binding of the body's own variables."""
 
     head: tuple[Variable, ...]
     steps: tuple[BodyStep, ...]
@@ -88,11 +88,12 @@ class Rules:
         UnstratifiedError: a derived name depends on its own negation.
     """
 
-    rules: tuple[Rule, ...] = ()
+    rules: tuple[DerivationRule, ...] = ()
 
     def __post_init__(self) -> None:
         for name in self.derived:
-            if name in self._negated_below(name):
+            negated = (other for other, is_negated in self._mentioned[name] if is_negated)
+            if any(name in self._below(other) for other in negated):
                 raise UnstratifiedError(f"whether ({name} …) holds would depend on its own negation")
 
     @cached_property
@@ -103,58 +104,54 @@ class Rules:
     @cached_property
     def strata(self) -> dict[str, int]:
         """For every derived name its stratum: a rule negates only names of lower strata, and mentions none of higher ones."""
-        found = dict.fromkeys(self.derived, 0)
+        levels = dict.fromkeys(self.derived, 0)
         for _ in self.derived:  # the longest chain of names settles in as many rounds
             for name, mentioned in self._mentioned.items():
-                found[name] = max((found[other] + negated for other, negated in mentioned), default=0)
-        return found
+                levels[name] = max((levels[other] + negated for other, negated in mentioned), default=0)
+        return levels
 
     @cached_property
     def bodies(self) -> dict[str, tuple[Body, ...]]:
         """For every derived name, the ways to derive a fact of it."""
-        found: dict[str, tuple[Body, ...]] = {}
+        bodies: dict[str, tuple[Body, ...]] = {}
         for rule in self.rules:
             head = frozenset(variable.name for variable in rule.variables)
             split = (_body(rule.variables, own, parts, self.derived) for own, parts in _split(rule.condition, head))
-            found[rule.name] = (*found.get(rule.name, ()), *split)
-        return found
+            bodies[rule.name] = (*bodies.get(rule.name, ()), *split)
+        return bodies
 
     def base(self, mentioned: Iterable[str]) -> frozenset[str]:
-        """Return the base names on which conditions with these names finally depend: a derived one stands for those below it."""
+        """Return the base names on which facts of these names depend, each derived name replaced by those below it."""
         return frozenset().union(*(self._base.get(name, (name,)) for name in mentioned))
 
     @cached_property
     def above(self) -> dict[str, frozenset[str]]:
         """For every base name below one, the derived names that depend on it."""
         names = frozenset().union(*self._base.values())
-        return {name: frozenset(one for one, below in self._base.items() if name in below) for name in names}
+        return {name: frozenset(derived for derived, below in self._base.items() if name in below) for name in names}
 
     @cached_property
     def _base(self) -> dict[str, frozenset[str]]:
         own = {name: frozenset[str]().union(*(names(rule.condition) for rule in self.rules if rule.name == name)) for name in self.derived}
-        return {name: frozenset().union(*(own[one] for one in self._below(name))) - self.derived for name in self.derived}
+        return {name: frozenset().union(*(own[below] for below in self._below(name))) - self.derived for name in self.derived}
 
     @cached_property
     def _mentioned(self) -> dict[str, frozenset[tuple[str, bool]]]:
         """For every derived name, the derived names in its rules, and whether they are negated there."""
-        found = {name: frozenset[tuple[str, bool]]() for name in self.derived}
+        mentioned = {name: frozenset[tuple[str, bool]]() for name in self.derived}
         for rule in self.rules:
-            found[rule.name] |= {(name, not positive) for name, positive in polarities(rule.condition) if name in self.derived}
-        return found
+            mentioned[rule.name] |= {(name, not positive) for name, positive in polarities(rule.condition) if name in self.derived}
+        return mentioned
 
     def _below(self, name: str) -> frozenset[str]:
         """Return the derived name and all those it depends on."""
-        found, waiting = {name}, [name]
+        below, waiting = {name}, [name]
         while waiting:
             for other, _ in self._mentioned[waiting.pop()]:
-                if other not in found:
-                    found.add(other)
+                if other not in below:
+                    below.add(other)
                     waiting.append(other)
-        return frozenset(found)
-
-    def _negated_below(self, name: str) -> frozenset[str]:
-        """Return what the name depends on by way of a negation of its own rules."""
-        return frozenset().union(*(self._below(other) for other, negated in self._mentioned[name] if negated))
+        return frozenset(below)
 
 
 NO_RULES: Final = Rules()
@@ -164,9 +161,9 @@ NO_RULES: Final = Rules()
 
 
 def _split(condition: Condition, taken: frozenset[str]) -> Iterator[tuple[tuple[Variable, ...], tuple[Condition, ...]]]:
-    """Yield variables and conjuncts: the condition holds if for one of them the conjuncts do for some choice for the variables.
+    """Split a condition into alternatives: existential variables, and conjuncts that must hold for some binding of them.
 
-    A conjunction with a disjunction in it is not multiplied out. Variables in `taken` mean something else.
+    A conjunction with a disjunction in it is not multiplied out. Variables are renamed apart from those in `taken`.
     """
     match condition:
         case Any(operands):
@@ -196,7 +193,7 @@ def _unused(name: str, taken: frozenset[str]) -> str:
 
 
 def _body(head: tuple[Variable, ...], own: tuple[Variable, ...], parts: tuple[Condition, ...], derived: frozenset[str]) -> Body:
-    """Order the parts: what can be checked is checked, base facts first; then the base fact is looked for of which most is known."""
+    """Order the conjuncts: those without unbound variables first, base before derived; then the base fact with most terms bound."""
     open_ = {variable.name: variable for variable in own}
     left, steps = list(parts), list[BodyStep]()
     while left or open_:
@@ -207,10 +204,11 @@ def _body(head: tuple[Variable, ...], own: tuple[Variable, ...], parts: tuple[Co
             continue
         finds = [part for part in left if isinstance(part, Holds) and part.fluent[0] not in derived]
         if finds:
-            found = max((_find(part, open_) for part in finds), key=lambda find: len(find.known))
-            steps.append(found)
-            left.remove(found.condition)
-            for _, variable in found.new:
+            # the most selective lookup first, as in a database join
+            best = max((_find(part, open_) for part in finds), key=lambda find: len(find.known))
+            steps.append(best)
+            left.remove(best.condition)
+            for _, variable in best.new:
                 open_.pop(variable.name, None)
         else:
             steps.append(ChooseObject(open_.pop(next(iter(open_)))))

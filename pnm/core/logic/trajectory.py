@@ -1,9 +1,9 @@
-"""What must be so over a whole course of states, not only at its end (PDDL 3.0, state-trajectory constraints).
+"""Constraints on a whole trajectory of states, not only on its end (PDDL 3.0, state-trajectory constraints).
 
-A constraint is *progressed* through the states that a course passes: from a constraint and a state
-follow the constraints that the rest of the course, this state included, must keep. So what is left
-of it is always said in constraints, too, and can be handed to a planner. One that is violated leaves
-`IMPOSSIBLE`; one that is fulfilled leaves nothing.
+A constraint is *progressed* through the states of a trajectory: a constraint and a state
+yield the constraints that the rest of the trajectory, this state included, must keep. So what is left
+of it is always constraints, too, and can be handed to a planner. A violated constraint leaves
+`IMPOSSIBLE`; a fulfilled one leaves nothing.
 
 The meaning is that of A. Gerevini and D. Long, *Plan Constraints and Preferences in PDDL3* (2005).
 A state is in force until the next one: ``hold-during`` and ``hold-after`` speak of the states that
@@ -47,7 +47,7 @@ class Constraint:
 
 
 IMPOSSIBLE: Final = Constraint("always", (Any(),))
-"""What is left of a constraint that is violated: no course keeps it."""
+"""What is left of a violated constraint: no trajectory keeps it."""
 
 
 def instances(constraint: Constraint, state: State, env: Environment = NOTHING) -> tuple[Constraint, ...]:
@@ -62,27 +62,27 @@ def instances(constraint: Constraint, state: State, env: Environment = NOTHING) 
 
 
 def progressed(constraints: Iterable[Constraint], state: State, now: float = 0.0) -> tuple[Constraint, ...]:
-    """Return what is left of ground constraints when the course has come to this state.
+    """Progress ground constraints through a state: return the constraints on the rest of the trajectory.
 
     Args:
-        constraints: what the course must keep from its previous state on.
-        state: the state it has come to.
-        now: when, in seconds from the start of the whole course; later than the previous state.
+        constraints: the constraints on the trajectory from its previous state on.
+        state: its next state.
+        now: when that begins, in seconds from the start of the whole trajectory; later than the previous state.
     """
-    found = [left for constraint in constraints for left in _progressed(constraint, state, now)]
-    if IMPOSSIBLE in found:
+    left = [rest for constraint in constraints for rest in _progressed(constraint, state, now)]
+    if IMPOSSIBLE in left:
         return (IMPOSSIBLE,)
-    return tuple(found) if len(found) < 2 else _merged(found)
+    return tuple(left) if len(left) < 2 else _merged(left)
 
 
-def _merged(found: Iterable[Constraint]) -> tuple[Constraint, ...]:
-    """Leave out what is there twice; of several deadlines for the same, the earliest includes the others."""
-    left: dict[object, Constraint] = {}
-    for one in found:
-        key = one.conditions if one.operator == "within" else one
-        if key not in left or one.times < left[key].times:
-            left[key] = one
-    return tuple(left.values())
+def _merged(constraints: Iterable[Constraint]) -> tuple[Constraint, ...]:
+    """Drop duplicates; of several deadlines for the same condition, the earliest includes the others."""
+    merged: dict[object, Constraint] = {}
+    for constraint in constraints:
+        key = constraint.conditions if constraint.operator == "within" else constraint
+        if key not in merged or constraint.times < merged[key].times:
+            merged[key] = constraint
+    return tuple(merged.values())
 
 
 def _progressed(constraint: Constraint, state: State, now: float) -> tuple[Constraint, ...]:
@@ -130,16 +130,16 @@ def moments(constraint: Constraint) -> tuple[float, ...]:
 
 
 def is_fulfilled(constraints: Iterable[Constraint], state: State, now: float = 0.0) -> bool:
-    """Tell whether ground constraints are kept by a course whose rest is this one state."""
-    for one in progressed(constraints, state, now):
-        owed = one == IMPOSSIBLE or one.operator in ("sometime", "within")
-        if owed or (one.operator == "at end" and evaluate(one.conditions[0], state) is not True):
+    """Return whether ground constraints are kept by a trajectory that ends with this state."""
+    for left in progressed(constraints, state, now):
+        owed = left == IMPOSSIBLE or left.operator in ("sometime", "within")
+        if owed or (left.operator == "at end" and evaluate(left.conditions[0], state) is not True):
             return False
     return True
 
 
 def shifted(constraint: Constraint, elapsed: float) -> Constraint:
-    """Return what is left of the constraint, with times that count from so many seconds after the start of the whole course."""
+    """Return the constraint with its times counted from `elapsed` seconds after the start of the whole trajectory."""
     if constraint.operator == "always-within":
         return constraint
     if constraint.operator == "hold-after" and constraint.times[0] <= elapsed + TOLERANCE:
@@ -152,31 +152,31 @@ def shifted(constraint: Constraint, elapsed: float) -> Constraint:
 
 @dataclass(frozen=True, slots=True)
 class ConstraintProgress:
-    """What is left of a ground constraint while a course is being observed.
+    """What is left of a ground constraint while a trajectory is being observed.
 
-    What happens at one moment may be reported in pieces and late. What a constraint asks for counts
-    as soon as it is seen. But that something is violated, or from now on forbidden, counts only if it
-    still looks so after the lag of the reports; what becomes known until then is taken to have been
-    so all the time.
+    The changes of one moment may be reported in pieces and late. A fulfilment counts
+    as soon as it is seen. A violation, or a condition that is forbidden from now on, counts only if it
+    still looks so after the lag of the reports; facts that become known until then are taken to have held
+    all the time.
     """
 
     rest: tuple[Constraint, ...]
     doubtful_since: float | None = None
-    """When it began to look as if `rest` were violated, or something were forbidden from then on."""
+    """When `rest` began to look violated, or a condition forbidden from then on."""
 
     def seen(self, state: State, now: float, lag: float) -> ConstraintProgress:
-        """Return the watch after a look at the state, with reports that may be so many seconds late."""
+        """Return the progress after a look at the state, with reports that may be `lag` seconds late."""
         moment = now if self.doubtful_since is None else self.doubtful_since
         left = progressed(self.rest, state, moment)
-        if now < moment + lag - TOLERANCE and any(one.operator == "always" and one not in self.rest for one in left):
+        if now < moment + lag - TOLERANCE and any(new.operator == "always" and new not in self.rest for new in left):
             return ConstraintProgress(self.rest, moment)
         return ConstraintProgress(left)
 
     def next_look(self, now: float, lag: float) -> float:
-        """Return when to look again even if nothing is reported."""
+        """Return when to look again even without a report."""
         if self.doubtful_since is not None:
             return self.doubtful_since + lag
-        return min((time for one in self.rest for time in moments(one) if time > now + TOLERANCE), default=inf)
+        return min((time for left in self.rest for time in moments(left) if time > now + TOLERANCE), default=inf)
 
     @property
     def violated(self) -> bool:
@@ -190,6 +190,6 @@ def names_in(constraint: Constraint) -> frozenset[str]:
 
 
 def observed_of(constraint: Constraint, state: Witness) -> str:
-    """Say what the state has in place of a ground constraint that is not fulfilled."""
+    """Return the observed values of the fluents in a ground constraint that is not fulfilled."""
     parts = [part for condition in constraint.conditions for part in failing(condition, state) or conjuncts(condition)]
     return "; ".join(dict.fromkeys(observed(part, state) for part in parts))

@@ -4,14 +4,14 @@
 `register_source` adds to. None of the sources ever blocks the event loop, and every wait has a limit.
 """
 
-from pnm.knowledge.sources.registry import Choice, Surroundings, check_source, open_sources, register_source, source_names
+from pnm.knowledge.sources.registry import SourceChoice, Surroundings, check_source, open_sources, register_source, source_names
 from pnm.knowledge.sources.router import Sources
 from pnm.knowledge.sources.source import Asker, Source, SourceError
 
 __all__ = [
     "Asker",
-    "Choice",
     "Source",
+    "SourceChoice",
     "SourceError",
     "Sources",
     "Surroundings",

@@ -19,7 +19,7 @@ def write_value(value: object) -> str:
     """Return the value as JSON text, all of it ASCII.
 
     Raises:
-        SourceError: JSON cannot say it (there is no NaN), or it is too large.
+        SourceError: it is not JSON (there is no NaN), or it is too large.
     """
     try:
         text = json.dumps(value, allow_nan=False)
@@ -31,7 +31,7 @@ def write_value(value: object) -> str:
 
 
 def read_value(text: str) -> object:
-    """Return the value that a JSON text says.
+    """Return the value of a JSON text.
 
     Raises:
         SourceError: it is not JSON, or too large.
@@ -53,7 +53,7 @@ def _short(text: str) -> str:
 
 
 class MemoryKnowledge:
-    """Variables by name, each kept as JSON so that nobody changes another's value.
+    """Variables by name, each kept as JSON, so that no run can change the value of another.
 
     The mutable state is the variables.
     """
@@ -76,4 +76,4 @@ class MemoryKnowledge:
             del self._variables[question.name]
 
     async def close(self) -> None:
-        """Keep everything: there is nothing to let go of."""
+        """Do nothing: there is nothing to close."""

@@ -1,9 +1,7 @@
-"""Sources by name: files name them, and nothing but what is registered here can be named.
+"""The registry of knowledge sources: files choose a registered source by its name, and give it options.
 
-A package of somebody else registers its own with an entry point in the group ``pnm.knowledge.sources``, or ``pnm.people`` if it
-speaks for people; a program with `register_source`.
-
-How the built-in sources are made from the options in a file.
+A package registers a source with an entry point in the group ``pnm.knowledge.sources``, or ``pnm.people`` if the source
+stands for a person; a program with `register_source`.
 """
 
 from __future__ import annotations
@@ -24,26 +22,26 @@ from pnm.knowledge.sources.sqlite import SqliteKnowledge
 from pnm.knowledge.sources.terminal import TerminalSource, is_terminal
 
 GROUPS: Final = {"pnm.knowledge.sources": Layer.GLOBAL, "pnm.people": Layer.PERSON}
-"""The groups of entry points, and whom the sources in them speak for."""
+"""The groups of entry points, and the layer of the sources in them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What sources are made in."""
+    """The process that sources are made in."""
 
     ros: Any = None
     """The `pnm.ros.node.ros_thread.RosThread` of this process; None when it has none."""
     folder: Path = field(default_factory=Path)
-    """What paths in the options are relative to."""
+    """The folder that paths in the options are relative to."""
 
 
 Factory: TypeAlias = Callable[[Mapping[str, object], Surroundings], Source]
-"""Makes a source, given its options; raises `InputError` or `SourceError`. An option ``limit`` is the seconds it may take."""
+"""Makes a source, given its options; raises `InputError` or `SourceError`. The option ``limit`` is its time limit in seconds."""
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
-    """A source that a file names, and what it says about it."""
+class SourceChoice:
+    """A source chosen in a file, with its options."""
 
     name: str
     options: Mapping[str, object] = field(default_factory=dict)
@@ -64,32 +62,32 @@ _OWN: Final = {
     "terminal": ("pnm.knowledge.sources.registry:terminal", Layer.PERSON),
     "topics": ("pnm.ros.knowledge.person_source:topics", Layer.PERSON),
 }
-"""Built in, and loaded like those of others: nothing here imports ROS 2."""
-_DEFAULTS: Final = {Layer.GLOBAL: Choice("sqlite"), Layer.PERSON: Choice("person")}
-"""What is used when nothing is chosen."""
+"""The built-in sources, loaded like those of other packages, so that nothing here imports ROS 2."""
+_DEFAULTS: Final = {Layer.GLOBAL: SourceChoice("sqlite"), Layer.PERSON: SourceChoice("person")}
+"""The sources used when none is chosen."""
 _ORIGINAL: Final = dict.fromkeys(("RPKnowledgeBase", "ROSExternalKnowledgeBase", "ExternalKnowledgeBase"), _DEFAULTS[Layer.GLOBAL].name)
-"""Classes that files for the original implementation name, and what they get here."""
+"""Classes named in files for the original implementation, with the sources used in their place."""
 _registered: Final[dict[str, _Registered]] = {}
 
 
 def register_source(name: str, factory: Factory, *, layer: Layer = Layer.GLOBAL) -> None:
-    """Let files name a source; one of the same name is replaced.
+    """Register a source that files can choose; one of the same name is replaced.
 
     Args:
         name: such as ``ontology``, or the ``module.class`` that a file for the original implementation names.
-        factory: makes it, given its options and `Surroundings`; whole classes that take these will do.
-        layer: `Layer.PERSON` if it speaks for people.
+        factory: makes it, given its options and `Surroundings`; a class that takes these will do.
+        layer: `Layer.PERSON` if it stands for a person.
     """
     _registered[name] = _Registered(lambda: factory, layer)
 
 
 def source_names() -> tuple[str, ...]:
-    """Return all names that files may use."""
+    """Return the names of all registered sources."""
     return tuple(sorted(_all()))
 
 
 def check_source(name: str, position: Position | None = None) -> str:
-    """Return the registered name that is meant: the name itself, or that of the last part of ``module.class``.
+    """Return the registered name for a name in a file: itself, or the last part of ``module.class``.
 
     Raises:
         InputError: there is none; the message names the nearest and says how to register one.
@@ -106,23 +104,23 @@ def check_source(name: str, position: Position | None = None) -> str:
     raise InputError(f"there is no source of knowledge {name!r}; {hint}; {how}", position)
 
 
-def open_sources(choices: Sequence[Choice], surroundings: Surroundings, file: Path | None = None) -> Sources:
-    """Make the sources that were chosen, and the default ones where none was: the file of this user, and a person.
+def open_sources(choices: Sequence[SourceChoice], surroundings: Surroundings, file: Path | None = None) -> Sources:
+    """Make the chosen sources, and the default ones where none was chosen: the knowledge file of this user, and a person.
 
-    Nothing is opened or asked yet: what a source lacks is said when it is needed.
+    Nothing is opened or asked yet: a source that cannot be used fails when it is needed.
 
     Args:
-        choices: what files chose.
-        surroundings: what sources are made in.
-        file: what global knowledge is kept in, whatever was chosen for it; an SQLite file.
+        choices: the sources chosen in files.
+        surroundings: the process that they are made in.
+        file: an SQLite file for global knowledge, in place of the chosen source.
 
     Raises:
-        InputError: a name or an option is wrong, or there are two people.
+        InputError: a name or an option is wrong, or there are two sources for people.
         SourceError: a source cannot be made here.
     """
-    chosen: dict[Layer, list[Choice]] = {layer: [] for layer in _DEFAULTS}
+    chosen: dict[Layer, list[SourceChoice]] = {layer: [] for layer in _DEFAULTS}
     if file is not None:
-        chosen[Layer.GLOBAL].append(Choice("sqlite", {"file": str(file.absolute())}))
+        chosen[Layer.GLOBAL].append(SourceChoice("sqlite", {"file": str(file.absolute())}))
     for choice in choices:
         layer = _all()[check_source(choice.name, choice.position)].layer
         if layer is Layer.PERSON and chosen[layer]:
@@ -138,13 +136,13 @@ def open_sources(choices: Sequence[Choice], surroundings: Surroundings, file: Pa
     )
 
 
-def _patience(choices: Sequence[Choice], default: float) -> float:
-    """Return the seconds to wait for any of them: a ``limit`` that is chosen is theirs to keep."""
+def _patience(choices: Sequence[SourceChoice], default: float) -> float:
+    """Return the time limit in seconds for any of them; a source with a ``limit`` of its own keeps that itself, hence the grace."""
     limits = (choice.options.get("limit") for choice in choices)
     return max([default, *(limit + GRACE for limit in limits if isinstance(limit, int | float))])
 
 
-def make_source(choice: Choice, surroundings: Surroundings) -> Source:
+def make_source(choice: SourceChoice, surroundings: Surroundings) -> Source:
     """Make one source.
 
     Raises:
@@ -160,7 +158,7 @@ def make_source(choice: Choice, surroundings: Surroundings) -> Source:
 
 
 def _all() -> dict[str, _Registered]:
-    """Return what is registered, by name; programs go before packages, and those before what is built in."""
+    """Return all registered sources by name; those of programs go before those of packages, and these before the built-in ones."""
     own = {name: _Registered(EntryPoint(name, value, "").load, layer) for name, (value, layer) in _OWN.items()}
     original = {name: own[ours] for name, ours in _ORIGINAL.items()}
     packages = {entry.name: _Registered(entry.load, layer) for group, layer in GROUPS.items() for entry in entry_points(group=group)}
@@ -168,35 +166,35 @@ def _all() -> dict[str, _Registered]:
 
 
 def memory(options: Mapping[str, object], surroundings: Surroundings) -> Source:
-    """Make knowledge that lasts as long as the process; it has no options."""
+    """Make the source ``memory``: knowledge that lasts as long as the process. It has no options."""
     only(options)
     return MemoryKnowledge()
 
 
 def sqlite(options: Mapping[str, object], surroundings: Surroundings) -> Source:
-    """Make knowledge in a ``file``; the user's own when none is named."""
+    """Make the source ``sqlite``: knowledge in a ``file``, by default the user's own."""
     only(options, "file")
     file = text(options, "file", "")
     return SqliteKnowledge(surroundings.folder / Path(file).expanduser() if file else None)
 
 
 def terminal(options: Mapping[str, object], surroundings: Surroundings) -> Source:
-    """Make a person at the terminal, who has so many seconds (``limit``) for an answer."""
+    """Make the source ``terminal``: a person at the terminal, with ``limit`` seconds for an answer."""
     only(options, "limit")
     return TerminalSource(limit=seconds(options, "limit", people.LIMIT))
 
 
 def person(options: Mapping[str, object], surroundings: Surroundings) -> Source:
-    """Make a person at the terminal if there is one, or no ROS 2; otherwise one behind topics. Options are theirs."""
-    found = "terminal" if is_terminal() or surroundings.ros is None else "topics"
-    return make_source(Choice(found, options), surroundings)
+    """Make the source ``person``: ``terminal`` if there is one, or no ROS 2, else ``topics``; with the options of that source."""
+    name = "terminal" if is_terminal() or surroundings.ros is None else "topics"
+    return make_source(SourceChoice(name, options), surroundings)
 
 
 # --- options -------------------------------------------------------------------------------
 
 
 def only(options: Mapping[str, object], *known: str) -> None:
-    """Refuse every option but the known ones, naming the nearest.
+    """Refuse unknown options, naming the nearest known one.
 
     Raises:
         InputError: there is another.

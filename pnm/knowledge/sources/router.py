@@ -1,4 +1,4 @@
-"""Sends every question to whoever it is for, and waits no longer than there is sense in it."""
+"""Routes every question to a knowledge base or the person, with a time limit."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from pnm.knowledge.sources import person_text as people
 from pnm.knowledge.sources.source import Asker, Source, SourceError
 
 GRACE: Final = 1.0
-"""Seconds more for those that have a limit of their own, and say better what the matter is."""
+"""Seconds more for sources with a time limit of their own, whose error message is more precise."""
 LIMIT: Final = 5.0
-"""Seconds a knowledge base may take."""
+"""Time limit of a knowledge base, in seconds."""
 PERSON_LIMIT: Final = people.LIMIT + GRACE
-"""The same for a person."""
+"""Time limit of a person, in seconds."""
 
 T = TypeVar("T")
 
@@ -25,15 +25,17 @@ _log = logging.getLogger(__name__)
 
 
 class Sources:
-    """The global knowledge, in as many knowledge bases as there are, and a person; itself a `Source`.
+    """The global knowledge in one or more knowledge bases, and a person; itself a `Source`.
 
-    A query goes through the knowledge bases in order until one has a value, which null is not; an update goes to the first, where every
-    later query finds it. What is for people (`people.is_for_people`) goes to the person. One that fails is an error, never
-    passed over: the next one might answer with something else.
+    A query goes through the knowledge bases in order until one has a value other than null; an update goes to the first, where every
+    later query finds it. Questions for people (`people.is_for_people`) go to the person. A knowledge base that fails is an error and
+    never skipped: the next one might have another value.
 
     Args:
         shared: the knowledge bases.
-        person: who is asked and told; may be nobody.
+        person: the source that stands for a person, if there is one.
+        limit: of a knowledge base, in seconds.
+        person_limit: of the person, in seconds.
     """
 
     def __init__(
@@ -48,28 +50,28 @@ class Sources:
         return f"<Sources {', '.join(map(repr, self._shared)) or 'no knowledge base'}; {self._person or 'nobody'!r}>"
 
     async def query(self, question: Question, asker: Asker, /) -> object:
-        """Return the first value that anybody has, or `MISSING`.
+        """Return the first value in any of the knowledge bases, or the person's answer; or `MISSING`.
 
         Raises:
-            SourceError: somebody could not be asked, or did not answer in time.
+            SourceError: one of them failed, or did not answer in time.
         """
         if people.is_for_people(question):
-            person = self._somebody(question)
+            person = self._person_for(question)
             return await self._within(self._person_limit, person.query(question, asker), f"nobody has answered {question}")
         for source in self._shared:
-            found = await self._within(self._limit, source.query(question, asker), f"{source!r} has not answered {question}")
-            if found is not MISSING and found is not None:
-                return found
+            value = await self._within(self._limit, source.query(question, asker), f"{source!r} has not answered {question}")
+            if value is not MISSING and value is not None:
+                return value
         return MISSING
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
-        """Store the value in the first knowledge base, or tell the person.
+        """Store the value in the first knowledge base, or show it to the person.
 
         Raises:
             SourceError: there is none, it failed, or it took too long.
         """
         if people.is_for_people(question):
-            person = self._somebody(question)
+            person = self._person_for(question)
             await self._within(self._person_limit, person.update(question, value, asker), f"nobody has heard {question}")
             return
         if not self._shared:
@@ -78,14 +80,14 @@ class Sources:
         await self._within(self._limit, first.update(question, value, asker), f"{first!r} has not stored {question}")
 
     async def close(self) -> None:
-        """Close all of them, whatever becomes of one."""
-        everybody = [*self._shared, *([self._person] if self._person is not None else [])]
-        ended = await asyncio.gather(*(self._within(self._limit, one.close(), "not closed") for one in everybody), return_exceptions=True)
-        for source, error in zip(everybody, ended, strict=True):
+        """Close all of them; one that fails is logged."""
+        sources = [*self._shared, *([self._person] if self._person is not None else [])]
+        errors = await asyncio.gather(*(self._within(self._limit, each.close(), "not closed") for each in sources), return_exceptions=True)
+        for source, error in zip(sources, errors, strict=True):
             if isinstance(error, Exception):
                 _log.warning("%r cannot be closed: %s", source, error)
 
-    def _somebody(self, question: Question) -> Source:
+    def _person_for(self, question: Question) -> Source:
         if self._person is None:
             raise SourceError(f"there is nobody who could be asked or told {question}")
         return self._person
@@ -96,7 +98,7 @@ class Sources:
             async with timer:
                 return await answer
         except TimeoutError as error:
-            if not timer.expired():  # a source of somebody's own has failed so
+            if not timer.expired():  # raised by the source itself
                 raise SourceError(f"{otherwise}: {str(error) or type(error).__name__}") from error
             raise SourceError(f"{otherwise} within {limit:g} s") from error
         except PnmError as error:

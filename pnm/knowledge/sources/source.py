@@ -1,4 +1,4 @@
-"""What a run asks of anything that has answers, or takes values, outside of it."""
+"""The protocol of knowledge sources: global knowledge bases and people, outside of runs."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ class SourceError(PnmError):
 
 @dataclass(frozen=True, slots=True)
 class Asker:
-    """Who asks or tells."""
+    """The run that sends a query or update."""
 
     run: UUID
     plan: str = ""
-    """What a person may know the run by."""
+    """Its plan, as shown to a person."""
 
 
 class Source(Protocol):
     """A knowledge base outside of runs, or a person. Every method is called on the event loop, by many runs at once."""
 
     async def query(self, question: Question, asker: Asker, /) -> object:
-        """Return what the question is answered with, or `MISSING`; cancelled when the answer is no longer needed.
+        """Return the answer to the question, or `MISSING`; cancelled when the answer is no longer needed.
 
         Raises:
-            SourceError: it could not be asked.
+            SourceError: the source could not be reached.
         """
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
         """Store the value, or forget it if it is None; when this returns, every later query finds it so.
 
-        A person is told, and stores nothing.
+        A person is shown the value, and stores nothing.
 
         Raises:
-            SourceError: it could not be stored; a value that JSON cannot say never is.
+            SourceError: the value could not be stored; one that is not JSON never is.
         """
 
     async def close(self) -> None:
-        """Let go of files and connections; open questions end with a `SourceError`."""
+        """Close files and connections; open questions end with a `SourceError`."""
 
 
 FindKnowledge: TypeAlias = Callable[[UUID], tuple[Layered, Asker] | None]

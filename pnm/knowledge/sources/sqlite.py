@@ -33,13 +33,13 @@ _STORE: Final = (
     " ON CONFLICT (name) DO UPDATE SET value = excluded.value, changed = excluded.changed, run = excluded.run"
 )
 _AGAIN: Final = 0.02
-"""Seconds until something is tried again for which SQLite itself does not wait."""
+"""Seconds until a retry of an operation for which SQLite itself does not wait."""
 
 T = TypeVar("T")
 
 
 def default_path() -> Path:
-    """Return where the knowledge is kept when nobody says where.
+    """Return the default path of the global knowledge.
 
     Raises:
         SourceError: the user has no home.
@@ -133,11 +133,7 @@ class SqliteKnowledge:
 
 
 def _prepare(connection: sqlite3.Connection) -> None:
-    """Make the file ours if it is new, and refuse it if it is somebody else's.
-
-    Raises:
-        ValueError: it is somebody else's, or of a later version.
-    """
+    """Initialise a new file, and refuse the database of another application or of a later version."""
     connection.execute("PRAGMA synchronous = FULL")
     if _number(connection, "application_id") != _APPLICATION:
         if connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0]:
@@ -157,7 +153,7 @@ def _number(connection: sqlite3.Connection, pragma: str) -> int:
 
 
 def _patiently(work: Callable[[], None]) -> None:
-    """Try again for a while when others have the file: SQLite does not wait by itself while its journal mode is being changed."""
+    """Retry while another process has the file: SQLite does not wait by itself while its journal mode is being changed."""
     until = monotonic() + LIMIT
     while True:
         try:

@@ -22,16 +22,16 @@ _LINE: Final = 4096
 
 
 class TerminalSource:
-    """Asks on one stream and reads the answers from another, which must be a terminal.
+    """A person at the terminal: questions are written to one stream and answers read from another, which must be a terminal.
 
-    An answer is JSON or a text as it stands; an empty line says that the person does not know. What was typed before
+    An answer is JSON or a text as it stands; an empty line means that the person does not know. Input from before
     a question appeared does not count as its answer.
 
     The mutable state is the queue of the questions, which the lock holds.
 
     Args:
-        answers: where the person types; by default the standard input.
-        shown: where questions appear; by default the standard error, since the standard output is for results.
+        answers: the input stream; by default the standard input.
+        shown: the stream for questions; by default the standard error, since the standard output is for results.
         limit: seconds for an answer, on a real clock.
     """
 
@@ -115,7 +115,7 @@ class TerminalSource:
 
 
 def is_terminal(stream: TextIO | None = None) -> bool:
-    """Tell whether there is a person behind the stream, or the standard input."""
+    """Return whether the stream, or the standard input, is a terminal."""
     try:
         return (sys.stdin if stream is None else stream).isatty()
     except (ValueError, AttributeError):  # it was closed, or never there

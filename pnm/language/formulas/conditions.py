@@ -1,7 +1,6 @@
 """Conditions and expressions: from YAML to `pnm.core.logic.conditions`, every shape of them.
 
-What speaks of facts, functions and objects alone becomes PDDL's own kinds of conditions; what speaks of
-variables is `Computed`.
+Those over facts, functions and objects alone become PDDL's own kinds of conditions; those over variables are `Computed`.
 """
 
 from __future__ import annotations
@@ -13,8 +12,9 @@ from typing import Final
 from pnm.core.logic.computed_values import Parameter
 from pnm.core.logic.conditions import TRUE, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, ValueOf, Variable
+from pnm.errors import InputError
 from pnm.files.yaml_nodes import Node
-from pnm.language.formulas.scope import ANYTHING, Scope, fluent_in, is_variable, read_fluent, read_typed, shown
+from pnm.language.formulas.scope import ANYTHING, FormulaScope, fluent_in, is_variable, read_fluent, read_typed, shown
 from pnm.language.formulas.values import comparison_parts, operation_parts, read_form
 from pnm.language.formulas.words import ARITHMETIC, COMPARISONS, QUERIES, TESTS, Form, form, needed_form, read_operator
 
@@ -25,7 +25,7 @@ _OPERANDS: Final = {"-": range(1, 3), "/": range(2, 3)}
 """How many operands arithmetic takes; the others take any number from 2."""
 
 
-def read_condition(node: Node, scope: Scope = ANYTHING) -> Condition:
+def read_condition(node: Node, scope: FormulaScope = ANYTHING) -> Condition:
     """Read a condition.
 
     Raises:
@@ -35,17 +35,17 @@ def read_condition(node: Node, scope: Scope = ANYTHING) -> Condition:
         return conjunction(read_condition(item, scope) for item in node.items)
     if node.is_mapping:
         return TRUE if not node.mapped().nodes else _condition(needed_form(node, TESTS, "a condition"), scope)
-    if node.text is not None and is_variable(node.text):
-        scope.check_variable(node.text, node.position)
+    if node.text is not None and is_variable(node.text) and not scope.strict:
+        scope.check_variable(node.text, node)
         return Computed(Parameter(node.text))
     if node.text is None and isinstance(node.plain(), bool):
         return TRUE if node.plain() else FALSE
     if node.text is None or fluent_in(node.text) is None:
         raise node.wrong(f"expected a condition, such as (at ?r kitchen) or {{Exists: [Query: name]}}, found {shown(node)}")
-    return Holds(read_fluent(node, scope))
+    return Holds(read_fluent(node, scope, "predicate"))
 
 
-def _condition(found: Form, scope: Scope) -> Condition:
+def _condition(found: Form, scope: FormulaScope) -> Condition:
     match found.word:
         case "and":
             return conjunction(read_condition(one, scope) for one in found.operands())
@@ -57,7 +57,7 @@ def _condition(found: Form, scope: Scope) -> Condition:
             left, right = found.items(2)
             return Implies(read_condition(left, scope), read_condition(right, scope))
         case "holds":
-            return Holds(read_fluent(found.items(1)[0], scope))
+            return Holds(read_fluent(found.items(1)[0], scope, "predicate"))
         case "forall":
             variables, body = read_quantified(found, "condition", scope)
             return ForAll(variables, read_condition(body, scope.inside(variables)))
@@ -69,12 +69,14 @@ def _condition(found: Form, scope: Scope) -> Condition:
         case "operation" if len(operation_parts(found)[1]) == 2:
             operator, (left, right) = operation_parts(found)
             return _comparison(found, operator, left, right, scope)
+        case _ if scope.strict:
+            raise InputError(f"PDDL has no {found.written!r}: it knows facts and functions, not variables", found.position)
         case _:
             return Computed(read_form(found, scope))
 
 
-def read_quantified(found: Form, inner: str, scope: Scope) -> tuple[tuple[Variable, ...], Node]:
-    """Return the variables of a quantifier, and what is said of them under the key."""
+def read_quantified(found: Form, inner: str, scope: FormulaScope) -> tuple[tuple[Variable, ...], Node]:
+    """Return the variables of a quantifier, and its body, which stands under the key."""
     entry = found.argument.mapped()
     entry.only("variables", inner)
     return read_typed(entry.needed("variables"), scope), entry.needed(inner)
@@ -83,9 +85,11 @@ def read_quantified(found: Form, inner: str, scope: Scope) -> tuple[tuple[Variab
 # --- comparisons ---------------------------------------------------------------------------
 
 
-def _comparison(found: Form, operator: Node, left: Node, right: Node, scope: Scope) -> Condition:
+def _comparison(found: Form, operator: Node, left: Node, right: Node, scope: FormulaScope) -> Condition:
     """Compare numbers or objects as PDDL does if both sides are of its kinds, and any values else."""
     name = read_operator(operator)
+    if scope.strict:
+        return _typed_comparison(operator, name, left, right, scope)
     first, second = _expression(left), _expression(right)
     if isinstance(first, ValueOf) or isinstance(second, ValueOf):
         _check_truth(left)
@@ -94,7 +98,23 @@ def _comparison(found: Form, operator: Node, left: Node, right: Node, scope: Sco
         return Computed(read_form(found, scope))
     for side, expression in ((left, first), (right, second)):
         _check(side, expression, scope, objects=isinstance(first, ValueOf) or isinstance(second, ValueOf))
-    return Not(Compare("=", first, second)) if name == "ne" else Compare(COMPARISONS[name], first, second)
+    return _compared(name, first, second)
+
+
+def _compared(name: str, left: Expression, right: Expression) -> Condition:
+    return Not(Compare("=", left, right)) if name == "ne" else Compare(COMPARISONS[name], left, right)
+
+
+def _typed_comparison(operator: Node, name: str, left: Node, right: Node, scope: FormulaScope) -> Condition:
+    """Compare two numbers, or two objects for equality, as planners do."""
+    if name not in COMPARISONS:
+        raise operator.wrong(f"PDDL does not compare with {shown(operator)}; expected one of {', '.join(COMPARISONS.values())}")
+    first, second = read_expression(left, scope), read_expression(right, scope)
+    if scope.is_object(first) != scope.is_object(second):
+        raise right.wrong(f"a number and an object cannot be compared: {first}, {second}")
+    if scope.is_object(first) and name not in ("eq", "ne"):
+        raise operator.wrong(f"objects are equal or they are not; expected = or !=, found {shown(operator)}")
+    return _compared(name, first, second)
 
 
 def _check_truth(node: Node) -> None:
@@ -121,21 +141,25 @@ def _counts_with_names(expression: Expression) -> bool:
             return False
 
 
-def _check(node: Node, expression: Expression, scope: Scope, *, objects: bool = True) -> None:
+def _check(node: Node, expression: Expression, scope: FormulaScope, *, objects: bool = True) -> None:
     """Refuse names that are not there."""
     match expression:
-        case ValueOf(fluent) if fluent != DURATION:
-            scope.check_fluent(fluent, node.position)
+        case ValueOf(fluent) if fluent == DURATION:
+            scope.check_variable(DURATION[0], node)
+        case ValueOf(fluent):
+            scope.check_fluent(fluent, node, "function")
         case Constant(str() as name) if objects or name.startswith("?"):
-            scope.check_object(name, node.position)
+            scope.check_object(name, node)
         case Arithmetic(_, operands):
             for operand in operands:
                 _check(node, operand, scope)
+                if scope.strict:
+                    scope.check_value(operand, (), node)
         case _:
             pass
 
 
-def read_expression(node: Node, scope: Scope = ANYTHING) -> Expression:
+def read_expression(node: Node, scope: FormulaScope = ANYTHING) -> Expression:
     """Read a number, an object, a parameter, ``?duration``, the value of a function, or arithmetic over these.
 
     Raises:

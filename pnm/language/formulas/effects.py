@@ -1,38 +1,42 @@
-"""What actions do: from YAML to `pnm.core.logic.effects`, and what is tested rather than done; durations and moments.
+"""Effects, durations and moments of actions: from YAML to `pnm.core.logic.effects`.
 
-An effect on facts and functions is done. A test of variables, which action servers write, is expected to hold
-once the action is done.
+An effect on facts and functions is applied. A test of variables, which action servers write, is an expected condition:
+it should hold once the action is done.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 from pnm.core.logic.computed_values import Layer, Query, parts
 from pnm.core.logic.conditions import TRUE, Condition, conjunction, data_in
+from pnm.core.logic.domain import DurationConstraint
 from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, Set, When
-from pnm.core.logic.expressions import Constant, Expression
+from pnm.core.logic.expressions import Constant, Expression, ValueOf
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Node
 from pnm.language.formulas.conditions import read_condition, read_expression, read_quantified
-from pnm.language.formulas.scope import ANYTHING, Scope, fluent_in, read_fluent, shown
+from pnm.language.formulas.scope import ANYTHING, FormulaScope, fluent_in, read_fluent, shown
 from pnm.language.formulas.words import TESTS, Form, form, needed_form
 
 _CHANGES: Final = dict(zip((*OPERATIONS, "scale_up", "scale_down"), (*OPERATIONS, *OPERATIONS[-2:]), strict=True))
 _WORDS: Final = (*TESTS, *_CHANGES, "when")
+_PLANNED: Final = ("and", "holds", "not", "forall", *_CHANGES, "when")
+"""The words of effects that planners know: they have no tests."""
 MOMENTS: Final = ("at_start", "over_all", "at_end")
 
 
 @dataclass(frozen=True, slots=True)
-class Written:
-    """What an action does, and what is expected besides."""
+class WrittenEffects:
+    """The effects of an action, and the condition that is expected besides."""
 
     effects: Effects = ()
     expected: Condition = TRUE
 
 
-def read_effects(node: Node, scope: Scope = ANYTHING) -> Written:
+def read_effects(node: Node, scope: FormulaScope = ANYTHING) -> WrittenEffects:
     """Read effects: a list, or one of them.
 
     Raises:
@@ -41,17 +45,17 @@ def read_effects(node: Node, scope: Scope = ANYTHING) -> Written:
     found = _parts(node, scope)
     effects = tuple(one for one in found if isinstance(one, Set | When | ForEach))
     tests = [one for one in found if not isinstance(one, Set | When | ForEach)]
-    return Written(effects, conjunction(tests))
+    return WrittenEffects(effects, conjunction(tests))
 
 
-def _parts(node: Node, scope: Scope) -> tuple[Effect | Condition, ...]:
+def _parts(node: Node, scope: FormulaScope) -> tuple[Effect | Condition, ...]:
     if node.items is not None:
         return tuple(part for item in node.items for part in _parts(item, scope))
     if node.is_mapping and not node.mapped().nodes:
         return ()
     if not node.is_mapping:
         return (_becomes(node, True, scope),)
-    found = needed_form(node, _WORDS, "an effect")
+    found = needed_form(node, _PLANNED if scope.strict else _WORDS, "an effect")
     match found.word:
         case "and":
             return tuple(part for item in found.operands() for part in _parts(item, scope))
@@ -68,27 +72,35 @@ def _parts(node: Node, scope: Scope) -> tuple[Effect | Condition, ...]:
             return (ForEach(variables, _only_effects(body, scope.inside(variables))),)
         case word if word in _CHANGES:
             return (_change(found, scope),)
+        case _ if scope.strict:
+            raise node.wrong("expected an effect, such as (at ?r kitchen), or not of a fact")
         case _:
             return (read_condition(node, scope),)
 
 
-def _becomes(node: Node, truth: bool, scope: Scope) -> Set:
+def _becomes(node: Node, truth: bool, scope: FormulaScope) -> Set:
     if node.text is None:
         hint = f"; write {node.written!r} with quotes" if node.written else ""
         raise node.wrong(f"expected an effect, such as (at ?r kitchen), found {shown(node)}{hint}")
-    return Set(read_fluent(node, scope), Constant(truth))
+    effect = Set(read_fluent(node), Constant(truth))
+    scope.check_change(effect.fluent, node, effect.value)
+    return effect
 
 
 def _is_fact(node: Node) -> bool:
     return form(node, ("holds",)) is not None or (node.text is not None and fluent_in(node.text) is not None)
 
 
-def _change(found: Form, scope: Scope) -> Set:
+def _change(found: Form, scope: FormulaScope) -> Set:
     target, value = found.items(2)
-    return Set(read_fluent(target, scope), read_expression(value, scope), _CHANGES[found.word])
+    effect = Set(read_fluent(target), read_expression(value, scope), _CHANGES[found.word])
+    scope.check_change(effect.fluent, target, effect.value, value)
+    if scope.strict and effect.operation != "assign" and scope.is_object(ValueOf(effect.fluent)):
+        raise target.wrong(f"the values of {effect.fluent[0]!r} are objects; expected assign, found {found.written}")
+    return effect
 
 
-def _when(found: Form, scope: Scope) -> When:
+def _when(found: Form, scope: FormulaScope) -> When:
     entry = found.argument.mapped()
     entry.only("condition", "at_start", "effects")
     late, early, body = entry.node("condition"), entry.node("at_start"), entry.node("effects")
@@ -98,7 +110,7 @@ def _when(found: Form, scope: Scope) -> When:
     return When(read_condition(condition, scope), _only_effects(body, scope), early=late is None)
 
 
-def _only_effects(node: Node, scope: Scope) -> Effects:
+def _only_effects(node: Node, scope: FormulaScope) -> Effects:
     found = read_effects(node, scope)
     if found.expected != TRUE:
         raise node.wrong("expected effects on facts and functions alone; tests of variables stand at the top of the effects")
@@ -109,7 +121,7 @@ def _only_effects(node: Node, scope: Scope) -> Effects:
 
 
 @dataclass(frozen=True, slots=True)
-class Timed:
+class TimedConditions:
     """Conditions of an action by the moment they must hold."""
 
     start: Condition = TRUE
@@ -117,42 +129,42 @@ class Timed:
     end: Condition = TRUE
 
 
-def read_conditions(node: Node | None, scope: Scope = ANYTHING) -> Timed:
+def read_conditions(node: Node | None, scope: FormulaScope = ANYTHING) -> TimedConditions:
     """Read preconditions: a condition, or conditions by moment: ``{at_start: c, over_all: c, at_end: c}``.
 
     Raises:
         InputError: they are something else, malformed, or have names that are not there.
     """
-    if node is None or node.is_null:
-        return Timed()
+    if node is None:
+        return TimedConditions()
     if not _has_moments(node):
-        return Timed(read_condition(node, scope))
+        return TimedConditions(read_condition(node, scope))
     entry = node.mapped()
     entry.only(*MOMENTS)
-    found = [entry.node(moment) for moment in MOMENTS]
-    start, always, end = (TRUE if one is None or one.is_null else read_condition(one, scope) for one in found)
+    found = [entry.filled(moment) for moment in MOMENTS]
+    start, always, end = (TRUE if condition is None else read_condition(condition, scope) for condition in found)
     if any(isinstance(part, Query) and part.layer is not Layer.LOCAL for data in data_in(always) for part in parts(data)):
         message = "what must hold over all is watched, and nobody is asked all the time; expected LocalQuery, facts or functions"
         raise InputError(message, entry.position("over_all"))
-    return Timed(start, always, end)
+    return TimedConditions(start, always, end)
 
 
-def read_timed_effects(node: Node | None, scope: Scope = ANYTHING) -> tuple[Effects, Written]:
+def read_timed_effects(node: Node | None, scope: FormulaScope = ANYTHING) -> tuple[Effects, WrittenEffects]:
     """Read effects: at the end, or by moment: ``{at_start: [...], at_end: [...]}``; return those at the start and the others.
 
     Raises:
         InputError: they are something else, malformed, or have names that are not there.
     """
-    if node is None or node.is_null:
-        return (), Written()
+    if node is None:
+        return (), WrittenEffects()
     if not _has_moments(node):
         return (), read_effects(node, scope)
     entry = node.mapped()
     entry.only("at_start", "at_end")
-    start, end = entry.node("at_start"), entry.node("at_end")
+    start, end = entry.filled("at_start"), entry.filled("at_end")
     return (
-        () if start is None or start.is_null else _only_effects(start, scope),
-        Written() if end is None or end.is_null else read_effects(end, scope),
+        () if start is None else _only_effects(start, scope),
+        WrittenEffects() if end is None else read_effects(end, scope),
     )
 
 
@@ -160,16 +172,23 @@ def _has_moments(node: Node) -> bool:
     return node.is_mapping and not node.mapped().nodes.keys().isdisjoint(MOMENTS)
 
 
-_BOUNDS: Final = ("=", "<=", ">=")
+_BOUNDS: Final[Mapping[str, Literal["=", "<=", ">="]]] = {"=": "=", "<=": "<=", ">=": ">="}
 
 
-def read_duration(node: Node, scope: Scope = ANYTHING) -> tuple[tuple[str, Expression], ...]:
+def read_duration(node: Node, scope: FormulaScope = ANYTHING) -> tuple[DurationConstraint, ...]:
     """Read a duration: an expression, or a list of bounds ``{"<=": expression}``; an empty list for any duration.
 
     Raises:
         InputError: it is something else, malformed, or has names that are not there.
     """
     if node.items is None and form(node, _BOUNDS) is None:
-        return (("=", read_expression(node, scope)),)
-    found = [needed_form(one, _BOUNDS, "a bound") for one in ((node,) if node.items is None else node.items)]
-    return tuple((one.word, read_expression(one.argument, scope)) for one in found)
+        return (DurationConstraint("=", _bound(node, scope)),)
+    found = [needed_form(item, _BOUNDS, "a bound") for item in ((node,) if node.items is None else node.items)]
+    return tuple([DurationConstraint(_BOUNDS[form.word], _bound(form.argument, scope)) for form in found])
+
+
+def _bound(node: Node, scope: FormulaScope) -> Expression:
+    bound = read_expression(node, scope)
+    if scope.strict:
+        scope.check_value(bound, (), node)
+    return bound

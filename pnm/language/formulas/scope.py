@@ -6,66 +6,140 @@ import re
 from collections import Counter, deque
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Literal, TypeAlias
 
-from pnm.core.logic.expressions import DURATION, UNDEFINED, Fluent, Variable
+from pnm.core.logic.domain import Declaration, DomainModel, ProblemModel, Types
+from pnm.core.logic.expressions import DURATION, UNDEFINED, Constant, Expression, Fluent, ValueOf, Variable
 from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import Node
+
+FluentKind: TypeAlias = Literal["predicate", "function"]
 
 _FLUENT: Final = re.compile(r"\(\s*([^\s()?][^\s()]*(?:\s+[^\s()]+)*)\s*\)\Z")
 _VARIABLE: Final = re.compile(r"\?[^\s()?]+\Z")
 _TOKEN: Final = re.compile(r"[()]|[^\s()]+")
 
 
+NOTHING_DECLARED: Final = ProblemModel("", DomainModel(""))
+_ANY: Final = ("object",)
+
+
 @dataclass(frozen=True, slots=True)
-class Scope:
-    """The names that a formula may use; anything goes where a field is None."""
+class FormulaScope:
+    """The names that a formula may use: what is declared, and the variables bound around it.
 
-    variables: frozenset[str] | None = None
-    """With ``?``: the parameters of the action, and what quantifiers around the formula bind."""
-    fluents: Mapping[str, int | None] | None = None
-    """Predicates and functions, each with how many arguments it takes, if that is known."""
-    objects: frozenset[str] | None = None
-    types: frozenset[str] | None = None
-    predicates: frozenset[str] = frozenset()
-    """Which of the fluents are known to be true or false."""
+    Where no names of a kind are declared, any will do, unless the scope is strict.
+    """
 
-    def inside(self, variables: Iterable[Variable]) -> Scope:
+    declared: ProblemModel = NOTHING_DECLARED
+    variables: Mapping[str, Types] | None = None
+    """With ``?``, the parameters of the action and what quantifiers around the formula bind, with their types; any if None."""
+    strict: bool = False
+    """Whether the formula is for planners: all names are declared, of the right kind and type, and it has facts and functions alone."""
+    borrows: bool = False
+    """Of a strict scope: whether objects may be named that only problems declare."""
+
+    def inside(self, variables: Iterable[Variable]) -> FormulaScope:
         """Return the scope inside of a quantifier."""
         if self.variables is None:
             return self
-        return replace(self, variables=self.variables | {variable.name for variable in variables})
+        return replace(self, variables={**self.variables, **{variable.name: variable.types for variable in variables}})
 
-    def check_variable(self, name: str, position: Position) -> None:
-        """Refuse a variable that is not there."""
-        if self.variables is not None and name != DURATION[0] and name not in self.variables:
-            raise unknown("parameter", name, self.variables, position)
+    def check_variable(self, name: str, node: Node) -> None:
+        """Refuse a variable that is not bound here."""
+        if self.variables is not None and name not in self.variables and (self.strict or name != DURATION[0]):
+            raise unknown("parameter", name, self.variables, node.position_of(name))
 
-    def check_object(self, name: str, position: Position) -> None:
-        """Refuse an object, or a variable, that is not there."""
+    def check_object(self, name: str, node: Node, needed: Types = _ANY) -> None:
+        """Refuse an object, or a variable, that is not there; in a strict scope, one that is of none of the needed types, too."""
+        known = self.declared.objects
         if name.startswith("?"):
-            self.check_variable(name, position)
-        elif self.objects is not None and name != UNDEFINED and name not in self.objects:
-            raise unknown("object", name, self.objects, position)
+            self.check_variable(name, node)
+        elif name not in known and name != UNDEFINED and (not self.borrows if self.strict else known):
+            raise unknown("object", name, known, node.position_of(name))
+        if not self.strict:
+            return
+        domain = self.declared.domain
+        types = (self.variables or {}).get(name, _ANY) if name.startswith("?") else known.get(name, needed)
+        if not (domain.may_match if name.startswith("?") else domain.matches)(types, needed):
+            raise InputError(f"{name!r} is of type {' or '.join(types)}; expected {' or '.join(needed)}", node.position_of(name))
 
-    def check_fluent(self, fluent: Fluent, position: Position) -> None:
-        """Refuse a fluent of names that are not there, or with another number of arguments than it takes."""
-        if self.fluents is not None:
-            if fluent[0] not in self.fluents:
-                raise unknown("predicate or function", fluent[0], self.fluents, position)
-            takes = self.fluents[fluent[0]]
-            if takes is not None and takes != len(fluent) - 1:
-                raise InputError(f"{fluent[0]} takes {takes} arguments, found {len(fluent) - 1}", position)
-        for name in fluent[1:]:
-            self.check_object(name, position)
+    def check_fluent(self, fluent: Fluent, node: Node, kind: FluentKind | None = None) -> None:
+        """Refuse a fluent of names that are not there, or with another number of arguments than it takes.
 
-    def check_type(self, name: str, position: Position) -> None:
+        In a strict scope, refuse one of another kind, or with arguments of other types, too.
+        """
+        declaration = self._declaration(fluent[0], node, kind)
+        if declaration is not None and len(declaration.parameters) != len(fluent) - 1:
+            raise InputError(f"{fluent[0]} takes {len(declaration.parameters)} arguments, found {len(fluent) - 1}", node.position)
+        needed = [_ANY] * (len(fluent) - 1) if declaration is None else [variable.types for variable in declaration.parameters]
+        for name, types in zip(fluent[1:], needed, strict=True):
+            self.check_object(name, node, types)
+
+    def _declaration(self, name: str, node: Node, kind: FluentKind | None) -> Declaration | None:
+        domain = self.declared.domain
+        known = domain.fluents
+        if not self.strict or kind is None:
+            if known and name not in known:
+                raise unknown("predicate or function", name, known, node.position_of(name))
+            return known.get(name)
+        own: Mapping[str, Declaration] = domain.predicates if kind == "predicate" else domain.functions
+        if name not in own and name in known:
+            other = "function" if kind == "predicate" else "predicate"
+            raise InputError(f"{name} is a {other}; expected a {kind}", node.position_of(name))
+        if name not in own:
+            raise unknown(kind, name, own, node.position_of(name))
+        return own[name]
+
+    def check_change(self, fluent: Fluent, node: Node, value: Expression, value_node: Node | None = None) -> None:
+        """Refuse a new value of what is not there; in a strict scope, one of another kind or type, or of a derived predicate, too.
+
+        The value stands in the node of the fluent, if not in one of its own.
+        """
+        is_truth = isinstance(value, Constant) and isinstance(value.value, bool)
+        self.check_fluent(fluent, node, "predicate" if is_truth else "function")
+        if not self.strict:
+            return
+        if is_truth:
+            if any(rule.name == fluent[0] for rule in self.declared.domain.rules):
+                raise InputError(f"{fluent[0]!r} is a derived predicate; it follows from others", node.position_of(fluent[0]))
+            return
+        self.check_value(value, self.declared.domain.functions[fluent[0]].values, value_node or node)
+
+    def check_value(self, value: Expression, types: Types, node: Node) -> None:
+        """Refuse an expression that is no number, or, where types are given, no object of any of these."""
+        match value:
+            case Constant(str() as name) if types:
+                self.check_object(name, node, types)
+            case ValueOf(fluent) if types and (own := self.declared.domain.functions[fluent[0]].values):
+                if not self.declared.domain.may_match(own, types):
+                    raise node.wrong(f"{value} is of type {' or '.join(own)}; expected {' or '.join(types)}")
+            case _ if types or self.is_object(value):
+                raise node.wrong(f"expected {'an object' if types else 'a number'}, found {value}")
+
+    def check_number(self, fluent: Fluent, node: Node) -> None:
+        """Refuse a fluent that is no numeric function."""
+        self.check_fluent(fluent, node, "function")
+        self.check_value(ValueOf(fluent), (), node)
+
+    def is_object(self, value: Expression) -> bool:
+        """Return whether the expression stands for an object rather than a number."""
+        match value:
+            case Constant(constant):
+                return isinstance(constant, str)
+            case ValueOf(fluent):
+                return fluent != DURATION and bool(self.declared.domain.functions[fluent[0]].values)
+            case _:
+                return False
+
+    def check_type(self, name: str, node: Node) -> None:
         """Refuse a type that is not there."""
-        if self.types is not None and name != "object" and name not in self.types:
-            raise unknown("type", name, self.types, position)
+        known = self.declared.domain.types
+        if name != "object" and name not in known and (known or self.strict):
+            raise unknown("type", name, known, node.position_of(name))
 
 
-ANYTHING: Final = Scope()
+ANYTHING: Final = FormulaScope()
 """Where no names are declared."""
 
 
@@ -77,7 +151,7 @@ def unknown(what: str, name: str, known: Collection[str], position: Position | N
 
 
 def is_variable(text: str) -> bool:
-    """Tell whether the text names a parameter: ``?x``."""
+    """Return whether the text names a parameter: ``?x``."""
     return _VARIABLE.match(text) is not None
 
 
@@ -87,7 +161,7 @@ def fluent_in(text: str) -> Fluent | None:
     return tuple(found[1].split()) if found else None
 
 
-def read_fluent(node: Node, scope: Scope = ANYTHING) -> Fluent:
+def read_fluent(node: Node, scope: FormulaScope = ANYTHING, kind: FluentKind | None = None) -> Fluent:
     """Read the text of a fact, or of a function with its arguments: ``(at ?r kitchen)``.
 
     Raises:
@@ -96,11 +170,11 @@ def read_fluent(node: Node, scope: Scope = ANYTHING) -> Fluent:
     found = fluent_in(node.text) if node.text is not None else None
     if found is None:
         raise node.wrong(f"expected something like (at ?r kitchen), found {shown(node)}")
-    scope.check_fluent(found, node.position)
+    scope.check_fluent(found, node, kind)
     return found
 
 
-def read_typed(node: Node, scope: Scope = ANYTHING) -> tuple[Variable, ...]:
+def read_typed(node: Node, scope: FormulaScope = ANYTHING) -> tuple[Variable, ...]:
     """Read variables with their types: PDDL's text ``?r - robot ?from ?to - place``, or a list of such texts.
 
     In a list a name may stand without its ``?``.
@@ -112,8 +186,8 @@ def read_typed(node: Node, scope: Scope = ANYTHING) -> tuple[Variable, ...]:
     return _variables([pair for part in parts if not part.is_null for pair in _typed(_text(part), part, scope)], node)
 
 
-def read_typed_text(text: str, node: Node, scope: Scope = ANYTHING, *, distinct: bool = True) -> tuple[Variable, ...]:
-    """Read variables with their types from a part of the node's text; where they only say how many there are, names may repeat."""
+def read_typed_text(text: str, node: Node, scope: FormulaScope = ANYTHING, *, distinct: bool = True) -> tuple[Variable, ...]:
+    """Read variables with their types from a part of the node's text; names that only give the arity may repeat."""
     return _variables(_typed(text, node, scope), node, distinct=distinct)
 
 
@@ -125,20 +199,23 @@ def _variables(pairs: list[tuple[str, tuple[str, ...]]], node: Node, *, distinct
     return found
 
 
-def read_names(node: Node, scope: Scope = ANYTHING) -> dict[str, tuple[str, ...]]:
+def read_names(node: Node, scope: FormulaScope = ANYTHING) -> dict[str, tuple[str, ...]]:
     """Read names with their types, such as objects: ``r1 r2 - robot kitchen - place``, or a list of such texts."""
     parts = (node,) if node.items is None else node.items
-    return {name: types for part in parts if not part.is_null for name, types in _typed(_text(part), part, scope)}
+    found: dict[str, Types] = {}
+    for name, types in [pair for part in parts if not part.is_null for pair in _typed(_text(part), part, scope)]:
+        found[name] = tuple(dict.fromkeys((*found.get(name, ()), *types)))
+    return found
 
 
 def _text(node: Node) -> str:
     if node.text is None:
-        hint = f"; write {node.written!r} with quotes" if node.written else ""
+        hint = f"; write {node.written!r} with quotes" if node.written else f", found {shown(node)}"
         raise node.wrong(f"expected names and types such as '?r - robot ?to - place'{hint}")
     return node.text
 
 
-def _typed(text: str, node: Node, scope: Scope) -> list[tuple[str, tuple[str, ...]]]:
+def _typed(text: str, node: Node, scope: FormulaScope) -> list[tuple[str, tuple[str, ...]]]:
     tokens: deque[str] = deque(_TOKEN.findall(text))
     found: list[tuple[str, tuple[str, ...]]] = []
     waiting: list[str] = []
@@ -147,7 +224,7 @@ def _typed(text: str, node: Node, scope: Scope) -> list[tuple[str, tuple[str, ..
         if token == "-" and waiting:
             types = _types(tokens, node)
             for one in types:
-                scope.check_type(one, node.position)
+                scope.check_type(one, node)
             found += [(name, types) for name in waiting]
             waiting = []
         elif token in ("-", "(", ")", "?"):
@@ -172,7 +249,7 @@ def _types(tokens: deque[str], node: Node) -> tuple[str, ...]:
 
 
 def shown(node: Node) -> str:
-    """Say what stands there, in few words."""
+    """Return what stands there, in few words, for errors."""
     if node.text is not None:
         return repr(node.text if len(node.text) < 60 else f"{node.text[:59]}…")
     return "a mapping" if node.is_mapping else "a list" if node.items is not None else node.written or "nothing"

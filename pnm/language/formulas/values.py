@@ -1,4 +1,4 @@
-"""Values that are computed from what a run knows, and what a step does to knowledge: from YAML to `pnm.core.logic.computed_values`.
+"""Computed values, and operations on knowledge: from YAML to `pnm.core.logic.computed_values`.
 
 A text that begins with ``?`` is a parameter of the action, and ``(battery r1)`` the value of a function or the
 truth of a fact; any other text, number, list or mapping stands for itself, and ``{Literal: x}`` does whatever x is.
@@ -12,11 +12,11 @@ from functools import reduce
 from pnm.core.logic.computed_values import Compound, Data, KnowledgeOperation, Literal, Operation, Parameter, Query, Update
 from pnm.core.logic.expressions import ValueOf
 from pnm.files.yaml_nodes import Node
-from pnm.language.formulas.scope import ANYTHING, Scope, fluent_in, is_variable, read_fluent, shown
+from pnm.language.formulas.scope import ANYTHING, FormulaScope, fluent_in, is_variable, read_fluent, shown
 from pnm.language.formulas.words import ARITHMETIC, QUERIES, UPDATES, VALUES, Form, form, needed_form, read_operator
 
 
-def read_data(node: Node, scope: Scope = ANYTHING) -> Data:
+def read_data(node: Node, scope: FormulaScope = ANYTHING) -> Data:
     """Read a value.
 
     Raises:
@@ -41,17 +41,17 @@ def _whole(items: tuple[Data, ...], keys: tuple[str, ...] | None) -> Data:
     return Literal.of(values if keys is None else dict(zip(keys, values, strict=True)))
 
 
-def _scalar(node: Node, scope: Scope) -> Data:
+def _scalar(node: Node, scope: FormulaScope) -> Data:
     text = node.text
     if text is None:
         return read_literal(node)
     if is_variable(text):
-        scope.check_variable(text, node.position)
+        scope.check_variable(text, node)
         return Parameter(text)
     fluent = fluent_in(text)
     if fluent is not None:
-        scope.check_fluent(fluent, node.position)
-        return _truth(ValueOf(fluent)) if fluent[0] in scope.predicates else ValueOf(fluent)
+        scope.check_fluent(fluent, node)
+        return _truth(ValueOf(fluent)) if fluent[0] in scope.declared.domain.predicates else ValueOf(fluent)
     return Literal.of(text)
 
 
@@ -69,7 +69,7 @@ def read_literal(node: Node) -> Literal:
     return Literal.of(value)
 
 
-def read_form(found: Form, scope: Scope) -> Data:
+def read_form(found: Form, scope: FormulaScope) -> Data:
     """Read a value that is computed."""
     word = found.word
     if word in QUERIES:
@@ -82,10 +82,11 @@ def read_form(found: Form, scope: Scope) -> Data:
         case "imply":
             left, right = (read_data(one, scope) for one in found.items(2))
             return Operation("or", (Operation("not", (left,)), right))
-        case "exists":
-            return _exists(found, scope)
+        case "exists":  # ``Exists: [Query: v]`` or ``Exists: {Query: v}``
+            return Operation("exists", (_query(needed_form(found.items(1)[0], QUERIES, "a query"), scope),))
         case "comparison":
-            return _compared(found, scope)
+            operator, first, second = comparison_parts(found)
+            return Operation(read_operator(operator), _compared_values(read_data(first, scope), read_data(second, scope)))
         case "operation":
             return _operation(found, scope)
         case "booleanAssertion":
@@ -100,30 +101,18 @@ def read_form(found: Form, scope: Scope) -> Data:
             raise found.argument.wrong(f"{found.written} changes knowledge; it is a step of its own, not a value")
 
 
-def _query(found: Form, scope: Scope) -> Query:
+def _query(found: Form, scope: FormulaScope) -> Query:
     name, *meta = found.items(1, 2)
     return Query(_name(name, scope), QUERIES[found.word], *(read_data(one, scope) for one in meta))
 
 
-def _name(node: Node, scope: Scope) -> Data:
+def _name(node: Node, scope: FormulaScope) -> Data:
     """Read the name of a variable, which may be computed."""
     found = read_data(node, scope)
     if isinstance(found, Compound) or (isinstance(found, Literal) and not isinstance(found.value, str)):
         hint = f"; write {node.written!r} with quotes" if node.written else ""
         raise node.wrong(f"expected the name of a variable{hint}")
     return found
-
-
-def _exists(found: Form, scope: Scope) -> Operation:
-    """Read whether a variable has a value: ``Exists: [Query: v]`` or ``Exists: {Query: v}``."""
-    (inner,) = found.items(1)
-    return Operation("exists", (_query(needed_form(inner, QUERIES, "a query"), scope),))
-
-
-def _compared(found: Form, scope: Scope) -> Operation:
-    """Read ``Comparison: [operator, [a, b]]``."""
-    name, left, right = comparison_parts(found)
-    return Operation(read_operator(name), _compared_values(read_data(left, scope), read_data(right, scope)))
 
 
 def _compared_values(left: Data, right: Data) -> tuple[Data, Data]:
@@ -136,7 +125,7 @@ def _is_flag(data: Data) -> bool:
 
 
 def _truth(data: Data) -> Data:
-    """Return the truth of a fact, which is false when nobody has recorded it; anything else as it is."""
+    """Return the truth of a fact, which is false when it is not recorded; anything else as it is."""
     return Operation("truth", (data,)) if isinstance(data, ValueOf) else data
 
 
@@ -154,7 +143,7 @@ def operation_parts(found: Form) -> tuple[Node, tuple[Node, ...]]:
     return operator, (rest,) if rest.items is None else rest.items
 
 
-def _operation(found: Form, scope: Scope, *, changing: bool = False) -> Operation:
+def _operation(found: Form, scope: FormulaScope, *, changing: bool = False) -> Operation:
     operator, rest = operation_parts(found)
     name = read_operator(operator, changing=changing)
     if not rest:
@@ -168,7 +157,7 @@ def _operation(found: Form, scope: Scope, *, changing: bool = False) -> Operatio
     return Operation(name, operands)
 
 
-def _assertion(found: Form, scope: Scope) -> Operation:
+def _assertion(found: Form, scope: FormulaScope) -> Operation:
     """Read ``BooleanAssertion: [e, true]``: e is true; with false, that it is false."""
     inner, wanted = found.items(2)
     value = wanted.plain()
@@ -177,8 +166,8 @@ def _assertion(found: Form, scope: Scope) -> Operation:
     return Operation("eq", _compared_values(read_data(inner, scope), Literal.of(value)))
 
 
-def read_operation(node: Node, scope: Scope = ANYTHING) -> KnowledgeOperation:
-    """Read what a step does to knowledge: an update, a query, or an operation.
+def read_operation(node: Node, scope: FormulaScope = ANYTHING) -> KnowledgeOperation:
+    """Read an operation on knowledge: an update, a query, or an operator that changes it.
 
     Raises:
         InputError: it is something else, malformed, or has names that are not there.
@@ -192,7 +181,7 @@ def read_operation(node: Node, scope: Scope = ANYTHING) -> KnowledgeOperation:
     return _changing(found, scope)
 
 
-def _changing(found: Form, scope: Scope) -> Operation:
+def _changing(found: Form, scope: FormulaScope) -> Operation:
     operation = _operation(found, scope, changing=True)
     sizes = {"setitem": 3, "delitem": 2}
     if operation.operator in sizes:

@@ -48,7 +48,7 @@ _NAMES: Final = {symbol: name for table in (COMPARISONS, ARITHMETIC) for name, s
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """A mapping with one key: a word, and what it is said of."""
+    """A mapping with one key: a word, and its argument."""
 
     word: str
     """In the spelling of the tables of this module."""
@@ -59,7 +59,7 @@ class Form:
     """The word as the file has it."""
 
     def items(self, *allowed: int) -> tuple[Node, ...]:
-        """Return the operands: those of a list, or the one that stands for itself; so many are allowed."""
+        """Return the operands: those of a list, or the one that stands for itself; only these counts are allowed."""
         items = (self.argument,) if self.argument.items is None else self.argument.items
         if len(items) not in allowed:
             raise self.argument.wrong(f"{self.written} takes {' or '.join(map(str, allowed))} operands, found {len(items)}")

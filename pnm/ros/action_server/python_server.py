@@ -1,4 +1,4 @@
-"""For people who write action servers: one that asks, and changes, what the run knows that has sent the goal.
+"""Action servers in Python that can query and update the knowledge of the run that sent the goal.
 
     class Guide(Node):
         def __init__(self):
@@ -11,10 +11,9 @@
             goal.succeed()
             return GroundAction.Result()
 
-An ordinary function as the execute callback runs on a thread of its own, so it may wait as long as it likes, whatever
-executor spins the node. A coroutine runs on the executor, as usual in `rclpy`, and awaits `query_kb_async` and
-`update_kb_async`. To clients other than an executive the server is like any other; asking for knowledge is a
-`KnowledgeError` then.
+An ordinary function as the execute callback runs on a thread of its own, so it may block, whatever executor spins the
+node. A coroutine runs on the executor, as usual in `rclpy`, and awaits `query_kb_async` and `update_kb_async`. Goals of
+clients other than an executive are executed as usual; a query for one of them is a `KnowledgeError`.
 """
 
 from __future__ import annotations
@@ -35,54 +34,54 @@ from pnm.ros.node.service_server import DEPTH
 __all__ = ["LIMIT", "KnowledgeError", "PnmActionServer", "PnmSimpleActionServer"]
 
 LIMIT: Final = 10.0
-"""Seconds for an answer. A first contact over DDS takes up to 5; people need more than that: say so with ``timeout``."""
+"""Seconds for an answer. A first contact over DDS takes up to 5; give people more, by ``timeout``."""
 
 _Execute = Callable[[Any], Any]
 
 
 class _ServerWithKnowledge(ActionServer):  # type: ignore[misc]
-    """What both kinds of servers have in common: all arguments are those of `rclpy.action.ActionServer`.
+    """The base of both servers; takes the arguments of `rclpy.action.ActionServer`.
 
-    An execute callback that fails, or returns something else than a result, aborts its goal and nothing more.
+    An execute callback that fails, or does not return a result, aborts its goal and nothing more.
     The mutable state, besides that of `rclpy`, is which thread spins.
     """
 
     QUERY_LOCAL = UPDATE_LOCAL = Layer.LOCAL
     """The knowledge of the run."""
     QUERY_GLOBAL = UPDATE_GLOBAL = QUERY_REMOTE = UPDATE_REMOTE = Layer.GLOBAL
-    """What all runs share; also called remote."""
+    """The knowledge that all runs share; also called remote."""
     QUERY_ALL = UPDATE_ALL = Layer.ALL
     """A query asks the local, then the global knowledge; an update goes to both."""
     QUERY_PERSON = UPDATE_PERSON = Layer.PERSON
-    """Whoever answers the questions of the run."""
+    """The person who answers questions of the run."""
 
     def __init__(self, node: Any, action_type: Any, action_name: str, execute_callback: _Execute, **options: Any) -> None:
         self._spinning: int | None = None
         self._knowledge = RunKnowledge(node)
-        deep = QoSProfile(depth=DEPTH)  # the default of 10 loses goals without a word
+        deep = QoSProfile(depth=DEPTH)  # the default of 10 loses goals silently
         for service in ("goal", "result", "cancel"):
             options.setdefault(f"{service}_service_qos_profile", deep)
         super().__init__(node, action_type, action_name, execute_callback, **options)
 
     def take_data(self) -> Any:
-        """Note which thread spins: `rclpy` calls this there."""
+        """Note which thread spins: `rclpy` calls this on it."""
         self._spinning = threading.get_ident()
         return super().take_data()
 
     def notify_execute(self, goal_handle: Any, execute_callback: _Execute | None) -> None:
-        """Carry the goal out; called on the executor."""
+        """Execute the goal; called on the executor."""
         callback = execute_callback or self._execute_callback
-        self._knowledge.meet(goal_handle)
+        self._knowledge.connect(goal_handle)
         if inspect.iscoroutinefunction(callback):
             super().notify_execute(goal_handle, self._guarded(callback))
         else:
             self._begin(goal_handle, callback)
 
     def _begin(self, goal_handle: Any, callback: _Execute) -> None:
-        threading.Thread(target=self._carry_out, args=(goal_handle, callback), daemon=True).start()
+        threading.Thread(target=self._run_callback, args=(goal_handle, callback), daemon=True).start()
 
-    def _carry_out(self, goal_handle: Any, callback: _Execute) -> None:
-        """Call back and have the executor send the result; not on the executor."""
+    def _run_callback(self, goal_handle: Any, callback: _Execute) -> None:
+        """Call back, then have the executor send the result; called on another thread."""
         try:
             result = self._result(callback(goal_handle))
         except Exception as error:
@@ -100,14 +99,14 @@ class _ServerWithKnowledge(ActionServer):  # type: ignore[misc]
         return run
 
     def _result(self, returned: Any) -> Any:
-        """Return what the callback has returned; over anything but a result `rclpy` would end the whole server."""
+        """Return the callback's result; anything else would end the whole server in `rclpy`."""
         if not isinstance(returned, self.action_type.Result):
             raise TypeError(f"it returned {returned!r}; expected a {self.action_type.__name__}.Result")
         return returned
 
     def _failed(self, error: Exception) -> Any:
-        said = f"the execute callback failed, so the goal is aborted: {type(error).__name__}: {error}"
-        self._logger.error(said)
+        message = f"the execute callback failed, so the goal is aborted: {type(error).__name__}: {error}"
+        self._logger.error(message)  # a logger of `rclpy`, which formats nothing
         return self.action_type.Result()
 
     def _query(self, goal_handle: Any, layer: Layer, name: str, meta: object, timeout: float) -> object:
@@ -124,21 +123,21 @@ class _ServerWithKnowledge(ActionServer):  # type: ignore[misc]
 
 
 class PnmActionServer(_ServerWithKnowledge):
-    """An action server for any number of goals at a time, each of which is in touch with the run that has sent it."""
+    """An action server for any number of goals at a time, each with the knowledge of its run."""
 
     def query_kb(self, goal_handle: Any, layer: Layer, name: str, meta: object = None, *, timeout: float = LIMIT) -> object:
-        """Return the value of a variable, or `pnm.MISSING` when nobody has one; waits on this thread.
+        """Return the value of a variable, or `pnm.MISSING` if there is none; blocks this thread.
 
         Raises:
-            KnowledgeError: it could not be asked for, or not in time; or the goal is being cancelled.
+            KnowledgeError: it could not be queried in time, or the goal is being cancelled.
         """
         return self._query(goal_handle, layer, name, meta, timeout)
 
     def update_kb(self, goal_handle: Any, layer: Layer, name: str, value: object, meta: object = None, *, timeout: float = LIMIT) -> None:
-        """Store a variable, anything that JSON can say; when this returns, whoever asks finds it. Waits on this thread.
+        """Store a variable of a type of JSON; when this returns, every query finds it. Blocks this thread.
 
         Raises:
-            KnowledgeError: it could not be stored, or not in time; or the goal is being cancelled.
+            KnowledgeError: it could not be stored in time, or the goal is being cancelled.
         """
         self._update(goal_handle, layer, name, value, meta, timeout)
 
@@ -169,10 +168,10 @@ class PnmActionServer(_ServerWithKnowledge):
 
 
 class PnmSimpleActionServer(_ServerWithKnowledge):
-    """An action server that carries out one goal at a time, in the order in which they come.
+    """An action server that executes one goal at a time, in the order of their arrival.
 
     A goal that is cancelled before its turn is not begun. The execute callback is an ordinary function.
-    The mutable state is the goals that wait, and the one that is carried out.
+    The mutable state is the goals that wait, and the one that is executed.
     """
 
     def __init__(self, node: Any, action_type: Any, action_name: str, execute_callback: _Execute, **options: Any) -> None:
@@ -184,18 +183,18 @@ class PnmSimpleActionServer(_ServerWithKnowledge):
         super().__init__(node, action_type, action_name, execute_callback, **options)
 
     def query_kb(self, layer: Layer, name: str, meta: object = None, *, timeout: float = LIMIT) -> object:
-        """Return the value of a variable for the current goal, or `pnm.MISSING` when nobody has one.
+        """Return the value of a variable for the current goal, or `pnm.MISSING` if there is none.
 
         Raises:
-            KnowledgeError: it could not be asked for, or not in time; or the goal is being cancelled; or there is none.
+            KnowledgeError: it could not be queried in time, or the goal is being cancelled, or there is none.
         """
         return self._query(self._goal(), layer, name, meta, timeout)
 
     def update_kb(self, layer: Layer, name: str, value: object, meta: object = None, *, timeout: float = LIMIT) -> None:
-        """Store a variable for the current goal, anything that JSON can say.
+        """Store a variable of a type of JSON for the current goal.
 
         Raises:
-            KnowledgeError: it could not be stored, or not in time; or the goal is being cancelled; or there is none.
+            KnowledgeError: it could not be stored in time, or the goal is being cancelled, or there is none.
         """
         self._update(self._goal(), layer, name, value, meta, timeout)
 
@@ -211,7 +210,7 @@ class PnmSimpleActionServer(_ServerWithKnowledge):
         while True:
             goal_handle, callback = self._waiting.get()
             self._current = goal_handle
-            self._carry_out(goal_handle, self._not_begun if goal_handle.is_cancel_requested else callback)
+            self._run_callback(goal_handle, self._not_begun if goal_handle.is_cancel_requested else callback)
             self._current = None
 
     def _not_begun(self, goal_handle: Any) -> Any:

@@ -1,12 +1,7 @@
-"""The other end of the knowledge services: asks the run that has sent a goal.
+"""The client of the knowledge services, for action servers: queries and updates the knowledge of the run that sent a goal.
 
-Everything that touches `rclpy` happens in one coroutine on the executor that spins the node; threads wait for it.
-
-What the id of a goal says: which executive has sent it, and so where its knowledge can be asked for.
-
-An executive draws four bytes once, and begins the ids of all its runs and goals with them. Its services have these
-bytes in their names, so that whoever carries out a goal finds them without being told. The rest of such an id is
-that of a UUID of version 5; clients that know nothing of this send version 4 or no version at all.
+The id of the goal says which executive that is, see `pnm.ros.knowledge.goal_ids`. Everything that touches `rclpy` happens in one
+coroutine on the executor that spins the node; threads wait for it.
 """
 
 from __future__ import annotations
@@ -33,31 +28,31 @@ from pnm.ros.node.service_client import AGAIN
 from pnm.ros.node.service_server import DEPTH
 
 EXECUTIVES: Final = 16
-"""How many executives a server keeps in touch with; one that is started again is another."""
+"""Executives whose clients a server keeps; a restarted one counts as another."""
 _LOOK: Final = 0.1
-"""Seconds between two looks at what does not wake the executor."""
+"""Seconds between two checks of what does not wake the executor."""
 _MARGIN: Final = 1.0
-"""Seconds more for the executive to say itself that there was no answer in time."""
+"""Seconds more for the executive to report the timeout itself."""
 _PERSON: Final = LAYERS.index(Layer.PERSON)
 _GRACE: Final = 5.0
-"""Seconds more until a thread takes it that nobody spins the node."""
+"""Seconds more after which a thread concludes that the node is not spun."""
 
 
 class KnowledgeError(PnmError):
-    """The knowledge of the run could not be asked for or changed, for the reason that is said."""
+    """The knowledge of the run could not be queried or updated."""
 
 
-class _Pause:
-    """Lets the executor do what else there is, until it has been woken again."""
+class _Yield:
+    """An awaitable that lets the executor run other callbacks until it is woken again."""
 
     def __await__(self) -> Generator[None, None, None]:
         yield
 
 
 class RunKnowledge:
-    """Asks executives for what the runs know whose goals are carried out on a node.
+    """Clients of the executives whose goals are executed on a node.
 
-    The mutable state is the clients of each executive, the latest last, and those that have had an answer.
+    The mutable state is the clients of each executive, the latest last, and those that have had a response.
 
     Raises:
         InputError: the package pnm_interfaces is not installed.
@@ -65,20 +60,20 @@ class RunKnowledge:
 
     def __init__(self, node: Any) -> None:
         self._node = node
-        self._group = ReentrantCallbackGroup()  # answers come in whatever else the node is busy with
+        self._group = ReentrantCallbackGroup()  # responses are read while other callbacks of the node wait
         self._types = {name: import_type(f"pnm_interfaces/srv/{name.capitalize()}Knowledge") for name in ("query", "update")}
         self._clients: OrderedDict[str, dict[str, Any]] = OrderedDict()
         self._met: set[Any] = set()
         self._lock = threading.Lock()
 
-    def meet(self, goal_handle: Any) -> None:
-        """Connect to the executive that has sent the goal: it takes a moment until both know of each other."""
+    def connect(self, goal_handle: Any) -> None:
+        """Connect to the executive that has sent the goal, early: discovery takes a moment."""
         goal = bytes(goal_handle.goal_id.uuid)
         if may_be_ours(goal):
-            self._of(service_prefix(goal))
+            self._clients_of(service_prefix(goal))
 
     async def query(self, goal_handle: Any, layer: Layer, name: str, meta: object, limit: float) -> Any:
-        """Return the value, or `MISSING`; or a `KnowledgeError`, which raised here would end the executor."""
+        """Return the value, or `MISSING`; or return a `KnowledgeError`: raised here, it would end the executor."""
         answer = await self._ask(goal_handle, "query", {"name": name}, layer, meta, limit)
         if isinstance(answer, KnowledgeError):
             return answer
@@ -96,14 +91,14 @@ class RunKnowledge:
         answer = await self._ask(goal_handle, "update", {"name": name, "value": written}, layer, meta, limit)
         return answer if isinstance(answer, KnowledgeError) else None
 
-    def wait(self, asking: Any, limit: float) -> Any:
-        """Have the executor run one of the coroutines, and return what it returns; on a thread that does not spin."""
+    def wait(self, exchange: Any, limit: float) -> Any:
+        """Run one of the coroutines on the executor, and return its value; to be called on another thread."""
         executor = self._node.executor
         if executor is None:
-            asking.close()
+            exchange.close()
             return KnowledgeError("the node is not being spun")
         done = threading.Event()
-        task = executor.create_task(asking)
+        task = executor.create_task(exchange)
         task.add_done_callback(lambda _: done.set())
         if not done.wait(limit + _MARGIN + _GRACE):
             task.cancel()
@@ -133,30 +128,30 @@ class RunKnowledge:
         if not may_be_ours(goal):
             raise KnowledgeError("the goal does not come from a plan executive, so there is no run whose knowledge could be asked")
         prefix = service_prefix(goal)
-        client = self._of(prefix)[service]
+        client = self._clients_of(prefix)[service]
         while not client.service_is_ready():
-            await _breathe(goal_handle, until, f"there is no service {prefix}/{service}; the executive that has sent the goal is gone")
+            await _yield_until(goal_handle, until, f"there is no service {prefix}/{service}; the executive that has sent the goal is gone")
         request.timeout = max(0.0, until - monotonic()) or _LOOK
         sent: list[Any] = []
         again = 0.0
         try:
             while not (answered := [future for future in sent if future.done()]):
                 if monotonic() >= again:
-                    # The first answers of a service may get lost; but nobody is to be told anything twice.
+                    # The first response of a service may be lost, so requests are repeated; but a person is told nothing twice.
                     again = inf if client in self._met or (service == "update" and request.layer == _PERSON) else monotonic() + AGAIN
                     sent.append(client.call_async(request))
-                await _breathe(goal_handle, until + _MARGIN, f"{prefix}/{service} did not answer within {limit:g} s")
+                await _yield_until(goal_handle, until + _MARGIN, f"{prefix}/{service} did not answer within {limit:g} s")
             self._met.add(client)
             return answered[0].result()
         finally:
             for future in sent:
                 client.remove_pending_request(future)
 
-    def _of(self, prefix: str) -> dict[str, Any]:
-        """Return the clients of an executive; those of the one that was not needed for longest make place."""
+    def _clients_of(self, prefix: str) -> dict[str, Any]:
+        """Return the clients of an executive; those of the least recently used one are destroyed."""
         with self._lock:
             if prefix not in self._clients:
-                self._clients[prefix] = {name: self._connect(kind, f"{prefix}/{name}") for name, kind in self._types.items()}
+                self._clients[prefix] = {name: self._create_client(kind, f"{prefix}/{name}") for name, kind in self._types.items()}
             self._clients.move_to_end(prefix)
             if len(self._clients) > EXECUTIVES:
                 for client in self._clients.popitem(last=False)[1].values():
@@ -164,22 +159,18 @@ class RunKnowledge:
                     self._node.destroy_client(client)
             return self._clients[prefix]
 
-    def _connect(self, kind: Any, name: str) -> Any:
+    def _create_client(self, kind: Any, name: str) -> Any:
         return self._node.create_client(kind, name, qos_profile=QoSProfile(depth=DEPTH), callback_group=self._group)
 
 
-async def _breathe(goal_handle: Any, until: float, otherwise: str) -> None:
-    """Let others go on.
-
-    Raises:
-        KnowledgeError: the time is up, or the goal is being cancelled.
-    """
+async def _yield_until(goal_handle: Any, until: float, otherwise: str) -> None:
+    """Let the executor run other callbacks; raise a `KnowledgeError` if the time is up, or the goal is being cancelled."""
     if goal_handle.is_cancel_requested:
         raise KnowledgeError("the goal is being cancelled")
     if monotonic() >= until:
         raise KnowledgeError(otherwise)
-    await _Pause()
+    await _Yield()
 
 
 def _wake() -> None:
-    """Do nothing: that the timer fires wakes the executor."""
+    """Do nothing: the timer wakes the executor."""

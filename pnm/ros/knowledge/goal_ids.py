@@ -1,4 +1,4 @@
-"""Goal ids: they say which executive sent a goal, and so which services answer for its knowledge.
+"""Goal ids identify the executive that sent a goal, and so the services for its knowledge.
 
 An executive draws four bytes once, and begins the ids of all its runs and goals with them. The names of its services
 contain these bytes, so that an action server finds them by the goal alone. The rest of such an id is that of a UUID
@@ -13,10 +13,10 @@ _MARK: Final = 4
 
 
 def service_prefix(goal: bytes) -> str:
-    """Return what the names of the knowledge services begin with, for the id of any run or goal of the executive."""
+    """Return the prefix of the names of the knowledge services, given the id of any run or goal of the executive."""
     return f"/pnm_{goal[:_MARK].hex()}"
 
 
 def may_be_ours(goal: bytes) -> bool:
-    """Tell whether the goal may come from an executive."""
+    """Return True if the goal may come from an executive."""
     return goal[6] >> 4 == 5 and goal[8] >> 6 == 2

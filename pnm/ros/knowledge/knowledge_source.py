@@ -1,4 +1,4 @@
-"""Global knowledge that lives elsewhere, behind a pair of ROS 2 services: an ontology, a database, another executive."""
+"""The source ``ros2``: global knowledge behind a pair of ROS 2 services, of an ontology, a database or another executive."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pnm.ros.node.service_client import ServiceClient
 
 NAME: Final = "knowledge"
 LIMIT: Final = 4.0
-"""Seconds for finding the service and for its answer; new nodes hear of each other within 3."""
+"""Seconds to find the service and for its response; new nodes discover each other within 3."""
 
 
 class Ros2Knowledge:
@@ -37,10 +37,10 @@ class Ros2Knowledge:
         return f"<Ros2Knowledge {self._name}>"
 
     async def query(self, question: Question, asker: Asker, /) -> object:
-        """Ask the service; return its value, or `MISSING`.
+        """Query the service; return the value, or `MISSING`.
 
         Raises:
-            SourceError: there is no such service, it does not answer in time, or it refuses.
+            SourceError: there is no such service, it does not respond in time, or it refuses.
         """
         answer = await self._queries.call(self._request(question, asker), self._limit)
         self._check(answer)
@@ -50,12 +50,12 @@ class Ros2Knowledge:
         """Have the service store the value.
 
         Raises:
-            SourceError: there is no such service, it does not answer in time, or it refuses.
+            SourceError: there is no such service, it does not respond in time, or it refuses.
         """
         self._check(await self._updates.call({**self._request(question, asker), "value": write_value(value)}, self._limit))
 
     async def close(self) -> None:
-        """Let go of both services."""
+        """Destroy both clients."""
         await self._queries.close()
         await self._updates.close()
 
@@ -79,7 +79,7 @@ def uuid_field(uuid: UUID) -> dict[str, object]:
 
 
 def ros2(options: Mapping[str, object], surroundings: Surroundings) -> Source:
-    """Make the source ``ros2``: ``name`` is what the names of the services begin with, ``limit`` in seconds."""
+    """Make the source ``ros2``: ``name`` is the prefix of the names of the services, ``limit`` in seconds."""
     only(options, "name", "limit")
     return Ros2Knowledge(thread(surroundings), text(options, "name", NAME), limit=seconds(options, "limit", LIMIT))
 

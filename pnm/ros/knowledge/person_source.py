@@ -1,4 +1,4 @@
-"""A person who is asked on one topic and answers on another: a screen, a dialogue system, an operator far away."""
+"""A person as a knowledge source over two topics, questions and answers: a screen, a dialogue system, a remote operator."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.service_client import until_true
 
 LISTENER: Final = 5.0
-"""Seconds in which somebody has to listen to a message."""
+"""Seconds to wait for a subscriber of a message."""
 DEPTH: Final = 100
-"""Messages that somebody who comes later still gets, the withdrawals of older questions among them."""
-_LAST_WORDS: Final = 1.0
-"""Seconds in which the last withdrawals should be heard."""
+"""Messages that late subscribers get, withdrawals of older questions included."""
+_FAREWELL: Final = 1.0
+"""Seconds to deliver the last withdrawals."""
 
 _log = logging.getLogger(__name__)
 
@@ -32,10 +32,10 @@ _log = logging.getLogger(__name__)
 class Ros2Person:
     """Publishes questions on ``<name>/questions`` and waits for answers of the same id on ``<name>/answers``.
 
-    Any number of questions are open at once, and whoever starts to listen later hears of them. A question is withdrawn
-    as soon as its answer is no longer needed: because it is there, too.
+    Any number of questions are open at once, and late subscribers get them. A question is withdrawn as soon as no answer is
+    needed any more, also because one has arrived: other subscribers still show it.
 
-    The mutable state is the open questions by id, on the event loop's thread, and the two ends of the topics.
+    The mutable state is the open questions by id, on the event loop's thread, and publisher and subscription.
 
     Raises:
         InputError: the package pnm_interfaces is not installed.
@@ -57,32 +57,32 @@ class Ros2Person:
     # on the event loop's thread
 
     async def query(self, question: Question, asker: Asker, /) -> object:
-        """Ask, and return the answer; `MISSING` from somebody who does not know.
+        """Publish a question, and return the answer; `MISSING` if the person does not know.
 
         Raises:
-            SourceError: nobody has answered in time.
+            SourceError: there was no answer in time.
         """
         loop = asyncio.get_running_loop()
         await self._connect(loop)
-        words, own = question_text(question), uuid4().hex
+        words, id = question_text(question), uuid4().hex
         answer: asyncio.Future[object] = loop.create_future()
-        self._open[own] = answer
+        self._open[id] = answer
         try:
-            self._publish(self._types[0].ASK, own, question, asker, text=words, timeout=self._limit)
+            self._publish(self._types[0].ASK, id, question, asker, text=words, timeout=self._limit)
             async with asyncio.timeout(self._limit):
                 return await answer
         except TimeoutError as error:
-            deaf = "" if await self._ros.ask(self._listeners) else f"; nobody listens on {self._name}/questions"
-            raise SourceError(f"nobody has answered {words!r} within {self._limit:g} s{deaf}") from error
+            unheard = "" if await self._ros.ask(self._listeners) else f"; nobody listens on {self._name}/questions"
+            raise SourceError(f"nobody has answered {words!r} within {self._limit:g} s{unheard}") from error
         finally:
-            del self._open[own]
-            self._send({"kind": self._types[0].WITHDRAW, "id": own})
+            del self._open[id]
+            self._send({"kind": self._types[0].WITHDRAW, "id": id})
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
-        """Tell whoever listens.
+        """Publish a message to the person.
 
         Raises:
-            SourceError: nobody does.
+            SourceError: nobody subscribes.
         """
         await self._connect(asyncio.get_running_loop())
         written = write_value(value)
@@ -94,12 +94,12 @@ class Ros2Person:
         self._publish(self._types[0].TELL, uuid4().hex, question, asker, text=message_text(question, value), value=written)
 
     async def close(self) -> None:
-        """Withdraw the open questions, and let go of the topics."""
+        """Withdraw the open questions, and the topics."""
         self._closed = True
         for answer in self._open.values():
             if not answer.done():
                 answer.set_exception(SourceError("the question was not answered before the end"))
-        await asyncio.sleep(0)  # those who wait withdraw their questions
+        await asyncio.sleep(0)  # the queries that wait withdraw their questions
         await self._ros.ask(self._disconnect)
 
     async def _connect(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -107,25 +107,25 @@ class Ros2Person:
             raise SourceError("nobody can be asked or told anything any more")
         await self._ros.ask(partial(self._subscribe, loop))
 
-    def _publish(self, kind: int, own: str, question: Question, asker: Asker, **fields: object) -> None:
+    def _publish(self, kind: int, id: str, question: Question, asker: Asker, **fields: object) -> None:
         about = {"run": uuid_field(asker.run), "plan": printable(asker.plan), "name": question.name, "meta": question.meta}
-        self._send({"kind": kind, "id": own, **about, **fields})
+        self._send({"kind": kind, "id": id, **about, **fields})
 
     def _send(self, fields: Mapping[str, object]) -> None:
         message = to_message(self._types[0], fields)
-        self._ros.call(partial(self._say, message))
+        self._ros.call(partial(self._publish_message, message))
 
-    def _answered(self, own: str, value: object) -> None:
-        answer = self._open.get(own)
+    def _answered(self, id: str, value: object) -> None:
+        answer = self._open.get(id)
         if answer is None:
-            _log.info("an answer to %s comes too late, or is for others", own)
+            _log.info("an answer to %s comes too late, or is for others", id)
         elif not answer.done():
             answer.set_result(value)
 
     # on the ROS thread
 
     def _subscribe(self, loop: asyncio.AbstractEventLoop) -> None:
-        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from rclpy.qos import DurabilityPolicy, QoSProfile  # here, because rclpy is an extra
 
         if self._publisher is None:
             latched = QoSProfile(depth=DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -144,18 +144,18 @@ class Ros2Person:
         except RuntimeError:
             _log.debug("the event loop is closed; nobody hears of the answer")
 
-    def _say(self, message: Any) -> None:
-        if self._publisher is not None:  # otherwise it is closed, and nothing can be withdrawn any more
+    def _publish_message(self, message: Any) -> None:
+        if self._publisher is not None:  # otherwise it is closed
             self._publisher.publish(message)
 
     def _listeners(self) -> int:
         return int(self._publisher.get_subscription_count()) if self._publisher is not None else 0
 
     def _disconnect(self) -> None:
-        from rclpy.duration import Duration
+        from rclpy.duration import Duration  # here, because rclpy is an extra
 
         if self._publisher is not None:
-            self._publisher.wait_for_all_acked(Duration(seconds=_LAST_WORDS))
+            self._publisher.wait_for_all_acked(Duration(seconds=_FAREWELL))
             self._ros.node.destroy_publisher(self._publisher)
             self._ros.node.destroy_subscription(self._subscription)
             self._publisher = None

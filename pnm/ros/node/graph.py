@@ -1,4 +1,4 @@
-"""What the ROS graph says about action servers; only to be asked on the ROS thread."""
+"""Action servers in the ROS graph: names, types, processes; only to be used on the ROS thread."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _FEEDBACK = "/_action/feedback"
 def server_name(node: Any, server: str) -> str:
     """Return the full name of an action server, relative to the node's namespace and remapped.
 
-    Names in ROS have no hyphens, names in PDDL often do: ``pick-up`` is looked for as ``pick_up``.
+    Names in ROS have no hyphens, names in PDDL often do: ``pick-up`` becomes ``pick_up``.
 
     Raises:
-        InputError: the name cannot be a name in ROS.
+        InputError: it is not a valid name in ROS.
     """
     try:
         return str(node.resolve_topic_name(server.replace("-", "_") + _STATUS)).removesuffix(_STATUS)
@@ -27,18 +27,17 @@ def server_name(node: Any, server: str) -> str:
 
 
 def processes(node: Any, server: str) -> frozenset[bytes]:
-    """Return a mark for every process that performs the action, new whenever the server is started again.
+    """Return the processes that serve the action, by the GID of their status publisher, which is new after every restart.
 
-    It is the GID of the publisher of the action's status; a process that dies without a word stays in the
-    graph until its lease ends, 20 s by default.
+    A process that is killed stays in the graph until its lease ends, 20 s by default.
     """
     return frozenset(bytes(info.endpoint_gid) for info in node.get_publishers_info_by_topic(server + _STATUS))
 
 
 def types(node: Any, server: str) -> tuple[str, ...]:
-    """Return the types under which the server is there; several only if there are several servers of the name.
+    """Return the types of the server; several only if there are several servers of the name.
 
-    Asked of the publishers of feedback, because the graph also lists what clients only wish for, ours among them.
+    They are those of the feedback publishers: the graph's own list of actions has the types that clients expect as well.
     """
     publishers = node.get_publishers_info_by_topic(server + _FEEDBACK)
     return tuple(sorted({info.topic_type.removesuffix("_FeedbackMessage") for info in publishers}))
@@ -46,14 +45,14 @@ def types(node: Any, server: str) -> tuple[str, ...]:
 
 def servers(node: Any) -> dict[str, tuple[str, ...]]:
     """Return the types of all action servers by name."""
-    from rclpy.action import get_action_names_and_types
+    from rclpy.action import get_action_names_and_types  # here, because rclpy is an extra
 
-    found = {name: types(node, name) for name, _ in get_action_names_and_types(node)}
-    return {name: its_types for name, its_types in found.items() if its_types}
+    known = {name: types(node, name) for name, _ in get_action_names_and_types(node)}
+    return {name: its_types for name, its_types in known.items() if its_types}
 
 
 def absence(node: Any, server: str, wanted: str | None) -> str:
-    """Return a sentence that says why a server cannot be used, and what is there instead."""
+    """Return why a server cannot be used, in a sentence, with similar servers."""
     known = servers(node)
     if server in known:
         there = ", ".join(known[server])

@@ -1,11 +1,10 @@
-"""ROS 2 messages to plain data and back; every value is checked before it becomes part of a message.
+"""Conversion between ROS 2 messages and plain data; every value is checked before it becomes part of a message.
 
-`rclpy` checks nothing by default and then sends something else: the int 1 in a float64 field arrives as
-5e-324, -1 in an unsigned one ends in a ``SystemError``. Its own checks (ROS_PYTHON_CHECK_FIELDS=1) are
-not switched on for us: they refuse whole numbers for float fields, name no path, and would hold for
-all other code in the process.
+`rclpy` checks nothing by default and sends garbage: the int 1 in a float64 field arrives as 5e-324, -1 in an unsigned
+one ends in a ``SystemError``. Its own checks (ROS_PYTHON_CHECK_FIELDS=1) are no alternative: they refuse whole numbers
+for float fields, name no path, and apply to all other code in the process.
 
-Plain data is what JSON can say: bool, int, float, str, list and dict. A byte is an int from 0 to 255.
+Plain data has the types of JSON: bool, int, float, str, list and dict. A byte is an int from 0 to 255.
 """
 
 from __future__ import annotations
@@ -50,12 +49,12 @@ def import_type(name: str) -> Any:
     """Return the class of an interface such as ``nav2_msgs/action/NavigateToPose``.
 
     Raises:
-        InputError: this is not a type's name, or the type is not installed here.
+        InputError: this is not the name of a type, or the type is not installed here.
     """
-    found = _TYPE.fullmatch(name)
-    if not found:
+    parts = _TYPE.fullmatch(name)
+    if not parts:
         raise InputError(f"not a ROS type: {name!r}; expected something like nav2_msgs/action/NavigateToPose")
-    package, kind, interface = found.groups()
+    package, kind, interface = parts.groups()
     try:
         return getattr(importlib.import_module(f"{package}.{kind}"), interface)
     except (ImportError, AttributeError) as error:
@@ -72,8 +71,8 @@ def fields(message_type: Any) -> tuple[str, ...]:
 def to_message(message_type: Any, data: Mapping[str, object]) -> Any:
     """Make a message from values by field name; fields without a value keep their defaults.
 
-    Whole numbers do for float fields and the other way round (80.0 for an int32), a number of seconds does
-    for a Time or a Duration. Nothing else is converted: text is never read as a number.
+    Whole numbers are accepted for float fields and the other way round (80.0 for an int32), a number of seconds for a Time
+    or a Duration. Nothing else is converted: text is never read as a number.
 
     Raises:
         FieldError: a field is unknown, or its value has the wrong type, size or range.
@@ -87,7 +86,7 @@ def to_data(message: Any) -> dict[str, object]:
 
 
 def plain(value: Any) -> object:
-    """Return what a field holds as plain data."""
+    """Return the value of a field as plain data."""
     if isinstance(value, bytes):
         return value[0]
     if hasattr(value, "tolist"):
@@ -113,17 +112,17 @@ def _message(message_type: Any, data: Mapping[str, object], path: str) -> Any:
 
 
 def _value(kind: str, value: object, path: str) -> object:
-    """Return the value as `rclpy` wants it in a field of this kind, written as ``get_fields_and_field_types`` does."""
+    """Return the value as `rclpy` stores it in a field of this kind, as ``get_fields_and_field_types`` names it."""
     if hasattr(value, "tolist"):  # numpy arrays and numbers, array.array
         value = value.tolist()
-    if found := _ARRAY.fullmatch(kind):
-        return _items(found[1], int(found[2]), True, value, path)
-    if found := _SEQUENCE.fullmatch(kind):
-        return _items(found[1], int(found[2]) if found[2] else None, False, value, path)
+    if array := _ARRAY.fullmatch(kind):
+        return _items(array[1], int(array[2]), True, value, path)
+    if sequence := _SEQUENCE.fullmatch(kind):
+        return _items(sequence[1], int(sequence[2]) if sequence[2] else None, False, value, path)
     if "/" in kind:
         return _nested(kind, value, path)
-    if found := _TEXT.fullmatch(kind):
-        return _text(kind, int(found[1]) if found[1] else None, value, path)
+    if text := _TEXT.fullmatch(kind):
+        return _text(kind, int(text[1]) if text[1] else None, value, path)
     return _BASIC.get(kind, _integer)(kind, value, path)
 
 
@@ -159,7 +158,7 @@ def _text(kind: str, size: int | None, value: object, path: str) -> str:
         raise FieldError(path, kind, _show(value))
     if size is not None and len(value) > size:
         raise FieldError(path, f"text of at most {size} characters", f"{len(value)} of them")
-    # Behind these two `rclpy` would cut the text off, or fail while sending.
+    # `rclpy` cuts the text off at a NUL, and fails to send a surrogate.
     if "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
         raise FieldError(path, "text that can be sent", _show(value))
     return value
@@ -184,11 +183,11 @@ def _float(kind: str, value: object, path: str) -> float:
 
 
 def _integer(kind: str, value: object, path: str) -> int:
-    found = _INTEGER.fullmatch(kind)
-    if not found:
+    integer = _INTEGER.fullmatch(kind)
+    if not integer:
         raise FieldError(path, f"to be left out: {kind} fields are not supported", _show(value))
-    bits = int(found[2])
-    low, high = (0, 2**bits - 1) if found[1] else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    bits = int(integer[2])
+    low, high = (0, 2**bits - 1) if integer[1] else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
     return _whole(f"{kind} ({low} to {high})", low, high, value, path)
 
 

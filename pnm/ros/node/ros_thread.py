@@ -1,8 +1,8 @@
-"""The one thread on which every call of `rclpy` is made.
+"""The ROS thread: the one thread on which every call of `rclpy` is made.
 
-`rclpy` may lose an answer that arrives while another thread is still sending the request
-(ros2/rclpy#1123), so nothing is sent from anywhere else. Functions cross to the thread through a
-queue and a guard condition; nothing polls, so an idle thread costs nothing.
+`rclpy` sends a request before it registers the future of the response, so a response that another thread reads in between
+is lost (ros2/rclpy#1123). On the thread that spins nothing can come in between. Functions cross to it through a queue and
+a guard condition; nothing polls, so an idle thread costs nothing. Results cross back by `call_soon_threadsafe`.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ else:
 T = TypeVar("T")
 
 _DISCOVERY: Final = 3.0
-"""Seconds after which a new participant has heard of the others; they announce themselves that often."""
+"""Seconds in which a new node discovers the others: participants announce themselves that often."""
 _STILL: Final = 0.5
-"""Seconds without change after which the graph is taken as settled."""
+"""Seconds without change after which the graph counts as settled."""
 
 _log = logging.getLogger(__name__)
 
@@ -41,14 +41,16 @@ _log = logging.getLogger(__name__)
 class RosThread:
     """A ROS 2 node and the daemon thread that spins it.
 
-    The mutable state is the queue of functions, those for the end, and `_closing`. The node belongs to the thread: use
-    `node` only in functions given to `call`, `wait` or `ask`.
+    The mutable state is the queue of functions, those for the end, and `_closing`, which the lock guards: a function that
+    `call` has accepted is run, even if the thread is closed at the same time. The node belongs to the thread: use `node`
+    only in functions given to `call`, `wait` or `ask`.
 
     Args:
         name: the node's name.
         namespace: the node's namespace; relative names are relative to it.
         args: arguments as a launch file gives them, such as ``["--ros-args", "-r", "__ns:=/r1"]``.
-        managed: make a node whose life cycle is managed, see `pnm.ros.node.lifecycle`.
+        managed: make a node with a managed life cycle, see `pnm.ros.node.lifecycle`.
+        limit: seconds for the node to be made.
 
     Raises:
         RosError: ROS 2 is not installed, or the node cannot be made.
@@ -62,7 +64,7 @@ class RosThread:
             raise RosError(f"ROS 2 is not there ({_missing}); {advice}") from _missing
         self.node: Any = None
         self._functions: deque[Callable[[], object]] = deque()
-        self._last: list[Callable[[], object]] = []
+        self._at_end: list[Callable[[], object]] = []
         self._lock = threading.Lock()
         self._closing = False
         self._guard: Any = None
@@ -77,14 +79,14 @@ class RosThread:
             raise RosError(f"the ROS 2 node {name!r} cannot be made: {str(error) or type(error).__name__}") from error
         self.joined = monotonic()
         """When the node joined the ROS graph, on the monotonic clock."""
-        # A daemon thread that is inside the middleware while the interpreter goes away may crash the process.
+        # A daemon thread that is inside the middleware while the interpreter is finalized may crash the process.
         atexit.register(self.close)
 
     def __repr__(self) -> str:
         return f"<RosThread {'closed' if self._closing else 'spinning'}, {len(self._functions)} functions waiting>"
 
     def call(self, function: Callable[[], object]) -> bool:
-        """Run the function on the thread, some time soon; does nothing, and tells so, once the thread is closed."""
+        """Queue the function for the thread; return False, and do nothing, once the thread is closed."""
         with self._lock:
             if not self._closing:
                 self._functions.append(function)
@@ -108,7 +110,7 @@ class RosThread:
 
     def wait(self, function: Callable[[], T], limit: float = 10.0) -> T:
         """Run the function on the thread and return its result; blocks for `limit` seconds at most."""
-        if threading.current_thread() is self._thread:
+        if threading.current_thread() is self._thread:  # it would wait for itself
             return function()
         try:
             return self.submit(function).result(limit)
@@ -120,15 +122,15 @@ class RosThread:
         return await asyncio.wrap_future(self.submit(function))
 
     def timer(self, period: float, function: Callable[[], object]) -> Any:
-        """Make a timer that runs on real time, whatever ``use_sim_time`` says; only from the thread itself."""
+        """Return a timer on real time, even with ``use_sim_time``; only from the thread itself."""
         return self.node.create_timer(period, function, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def on_close(self, function: Callable[[], object]) -> None:
-        """Run the function on the thread when that is about to end, for whatever reason."""
-        self._last.append(function)
+        """Run the function on the thread before it ends, for whatever reason."""
+        self._at_end.append(function)
 
     async def settled(self) -> None:
-        """Wait until the node has had the time to hear of the others and the graph stopped changing."""
+        """Wait until the node has had the time to discover the others, and the ROS graph has stopped changing."""
         seen: object = None
         still_since = monotonic()
         while True:
@@ -141,7 +143,7 @@ class RosThread:
             await asyncio.sleep(0.1)
 
     def close(self, limit: float = 5.0) -> bool:
-        """End the thread after the functions that are waiting; tell whether it ended within `limit` seconds."""
+        """End the thread after the functions in the queue; return whether it ended within `limit` seconds."""
         with self._lock:
             if not self._closing:
                 self._closing = True
@@ -168,25 +170,21 @@ class RosThread:
             rclpy.try_shutdown(context=context)
             return
         started.set_result(None)
-        self._spin(executor, context)
-        self._end(executor, context)
-
-    def _make(self, name: str, namespace: str, context: Any) -> Any:
-        if self._managed:
-            from pnm.ros.node.managed_node import ManagedNode
-
-            return ManagedNode(name, namespace=namespace, context=context)
-        return rclpy.create_node(name, namespace=namespace, context=context)
-
-    def _spin(self, executor: Any, context: Any) -> None:
         while not self._closing and context.ok():
             try:
                 executor.spin_once()
             except ExternalShutdownException:
                 break
-            except Exception:
-                # One callback that fails must not take all the others with it.
+            except Exception:  # a callback that fails must not end the others
                 _log.exception("a ROS 2 callback failed")
+        self._end(executor, context)
+
+    def _make(self, name: str, namespace: str, context: Any) -> Any:
+        if self._managed:
+            from pnm.ros.node.managed_node import ManagedNode  # here, because rclpy is an extra
+
+            return ManagedNode(name, namespace=namespace, context=context)
+        return rclpy.create_node(name, namespace=namespace, context=context)
 
     def _drain(self) -> None:
         while self._functions:
@@ -198,8 +196,8 @@ class RosThread:
 
     def _end(self, executor: Any, context: Any) -> None:
         with self._lock:
-            self._closing = True
-        self._functions.extend(self._last)
+            self._closing = True  # also after an external shutdown: nothing is accepted any more that would not be run
+        self._functions.extend(self._at_end)
         self._drain()
         try:
             executor.shutdown(0.0)

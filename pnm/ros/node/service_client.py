@@ -1,7 +1,8 @@
 """A client of a service that may be missing, slow or dead: every call has a limit.
 
-At a first contact an answer may get lost: a service hears of us, and answers, before it knows where answers to us go. So
-as long as a service has never answered, a request is sent again and again, and the first answer counts.
+At first contact a response may be lost: DDS matches the two topics of a service one after the other, so a server may read our
+request before it has matched our reader of responses. So until a service has responded once, a request is repeated,
+and the first response counts.
 """
 
 from __future__ import annotations
@@ -17,15 +18,15 @@ from pnm.ros.node.messages import FieldError, import_type, to_message
 from pnm.ros.node.ros_thread import RosThread
 
 IN_FLIGHT: Final = 8
-"""Requests that are unanswered at a time; services keep 10 by default and lose others without a word."""
+"""Requests without a response at a time; services keep 10 by default and silently drop older ones."""
 AGAIN: Final = 1.0
-"""Seconds after which a service that has never answered is asked again."""
+"""Seconds after which a request is repeated to a service that has never responded."""
 _LOOK: Final = 0.1
-"""Seconds between two looks for something that is not there."""
+"""Seconds between two checks."""
 
 
 async def until_true(ros: RosThread, check: Callable[[], object]) -> None:
-    """Wait until the function says so, asked again and again on the ROS thread; the limit is the caller's."""
+    """Wait until the function returns something true, polled on the ROS thread; the time limit is the caller's."""
     while True:
         if await ros.ask(check):
             return
@@ -35,8 +36,8 @@ async def until_true(ros: RosThread, check: Callable[[], object]) -> None:
 class ServiceClient:
     """A client of one service, connected when it is first needed.
 
-    The mutable state is the client, on the ROS thread, whether the service that is there has ever answered, and how many
-    requests may still be sent. Of a service that has not, a request may arrive more than once.
+    The mutable state is the client, on the ROS thread, whether the service has ever responded, and how many requests may
+    still be sent. Until it has, a request may arrive more than once.
 
     Args:
         type_name: such as ``std_srvs/srv/Trigger``.
@@ -63,41 +64,41 @@ class ServiceClient:
         Raises:
             SourceError: there is no such service, it does not answer in time, or the request does not fit it.
         """
-        there = False
+        is_there = False
         try:
             async with asyncio.timeout(limit), self._free:
                 message = to_message(self._type.Request, request)
                 await until_true(self._ros, self._ready)
-                there = True
+                is_there = True
                 return await self._answer(message)
         except FieldError as error:
             raise SourceError(f"{self._name}: {error}") from error
         except TimeoutError as error:
-            if there:
+            if is_there:
                 raise SourceError(f"the service {self._name} did not answer within {limit:g} s") from error
             raise SourceError(await self._ros.ask(self._absence)) from error
 
     async def close(self) -> None:
-        """Let go of the service."""
+        """Destroy the client."""
         await self._ros.ask(self._destroy)
 
     async def _answer(self, message: Any) -> Any:
         loop = asyncio.get_running_loop()
         answered: asyncio.Future[Any] = loop.create_future()
 
-        def take(future: Any) -> None:
+        def receive(future: Any) -> None:
             self._met = True
             if not answered.done():
                 answered.set_result(future.result())
 
-        def hand_over(future: Any) -> None:
-            loop.call_soon_threadsafe(take, future)
+        def pass_on(future: Any) -> None:
+            loop.call_soon_threadsafe(receive, future)
 
         sent: list[Any] = []
         try:
             while not answered.done():
                 met = self._met
-                sent.append(await self._ros.ask(partial(self._send, message, hand_over)))
+                sent.append(await self._ros.ask(partial(self._send, message, pass_on)))
                 await asyncio.wait((answered,), timeout=None if met else AGAIN)
             return answered.result()
         finally:
@@ -106,17 +107,17 @@ class ServiceClient:
     # on the ROS thread
 
     def _ready(self) -> bool:
-        from rclpy.qos import QoSProfile
+        from rclpy.qos import QoSProfile  # here, because rclpy is an extra
 
         if self._client is None:
             self._client = self._ros.node.create_client(self._type, self._name, qos_profile=QoSProfile(depth=100))
         ready = bool(self._client.service_is_ready())
-        self._met &= ready  # the next service of the name is another one
+        self._met &= ready  # a service that comes back is a new process, which has yet to discover us
         return ready
 
-    def _send(self, message: Any, hand_over: Any) -> Any:
+    def _send(self, message: Any, pass_on: Callable[[Any], None]) -> Any:
         future = self._client.call_async(message)
-        future.add_done_callback(hand_over)
+        future.add_done_callback(pass_on)
         return future
 
     def _forget(self, futures: Iterable[Any]) -> None:

@@ -1,4 +1,4 @@
-"""The fields of ROS 2 messages that sensors look at: whether a type has them, and what a message holds in them."""
+"""Fields of ROS 2 messages for sensors: checks against a type, and values in a message."""
 
 from __future__ import annotations
 
@@ -47,24 +47,24 @@ def _fitted(statement: Statement, message_type: Any) -> Statement:
 def _test(test: Test, message_type: Any) -> Test:
     match test:
         case Flag(where):
-            kind = found_at(message_type, where).kind
+            kind = find_field(message_type, where).kind
             if kind != "boolean":
                 raise InputError(f"{where} is a {kind}; expected a boolean, or 'when' and how it compares")
             return test
         case Comparison(where):
-            return _comparison(test, found_at(message_type, where))
+            return _comparison(test, find_field(message_type, where))
         case Negation(inner):
             return Negation(_test(inner, message_type))
         case Every(tests):
-            return Every(tuple([_test(one, message_type) for one in tests]))
+            return Every(tuple([_test(part, message_type) for part in tests]))
         case Some(tests):
-            return Some(tuple([_test(one, message_type) for one in tests]))
+            return Some(tuple([_test(part, message_type) for part in tests]))
         case _:
             assert_never(test)
 
 
-def _comparison(test: Comparison, found: Found) -> Comparison:
-    kind, constant = found.kind, test.constant
+def _comparison(test: Comparison, field: MessageField) -> Comparison:
+    kind, constant = field.kind, test.constant
     if test.operation == "contains" and not (_TEXT.fullmatch(kind) and isinstance(constant, str)):
         inner = _item(kind)
         if inner is None:
@@ -76,31 +76,31 @@ def _comparison(test: Comparison, found: Found) -> Comparison:
         case int() | float():
             fits = bool(_NUMBER.fullmatch(kind))
         case str() if _NUMBER.fullmatch(kind):
-            return replace(test, constant=found.constant(constant))
+            return replace(test, constant=field.constant(constant))
         case str():
             fits = bool(_TEXT.fullmatch(kind))
         case _:
             fits = True
     if not fits:
-        raise InputError(f"{test.field} is a {found.kind}, which cannot be compared with {constant!r}")
+        raise InputError(f"{test.field} is a {field.kind}, which cannot be compared with {constant!r}")
     return test
 
 
 def _source(source: FieldValue, message_type: Any, needed: re.Pattern[str], expected: str) -> FieldValue:
-    found = found_at(message_type, source.field)
+    field = find_field(message_type, source.field)
     if source.table is None:
-        if not needed.fullmatch(found.kind):
-            raise InputError(f"{source.field} is a {found.kind}; expected {expected}, or a table")
+        if not needed.fullmatch(field.kind):
+            raise InputError(f"{source.field} is a {field.kind}; expected {expected}, or a table")
         return source
-    if not _NUMBER.fullmatch(found.kind):
+    if not _NUMBER.fullmatch(field.kind):
         return source
-    keys = {key: key if _WRITTEN.fullmatch(key) else written(found.constant(key)) for key in source.table}
+    keys = {key: key if _WRITTEN.fullmatch(key) else written(field.constant(key)) for key in source.table}
     return replace(source, table={keys[key]: value for key, value in source.table.items()})
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """A field of a type of messages."""
+class MessageField:
+    """A field of a message type."""
 
     where: Field
     kind: str
@@ -114,15 +114,15 @@ class Found:
         Raises:
             InputError: the class has no such constant.
         """
-        names = [one for one in dir(type(self.owner)) if one.isupper() and one[0] != "_"]
+        names = [name for name in dir(type(self.owner)) if name.isupper() and name[0] != "_"]
         if name not in names:
             hint = suggestion(name, names) or (f"expected a number, or one of {', '.join(names)}" if names else "expected a number")
             raise InputError(f"{self.where} is a {self.kind}, which cannot be compared with {name!r}; {hint}")
         return plain(getattr(self.owner, name))
 
 
-def found_at(message_type: Any, where: Field) -> Found:
-    """Return what is known of a field.
+def find_field(message_type: Any, where: Field) -> MessageField:
+    """Return a field, which may be inside of other fields.
 
     Raises:
         InputError: messages of this type have no such field.
@@ -143,17 +143,17 @@ def found_at(message_type: Any, where: Field) -> Found:
             kind, so_far, owner = kinds[step], f"{so_far}.{step}".lstrip("."), inside
         package, slash, name = kind.rpartition("/")
         inside = import_type(f"{package}/msg/{name}") if slash and _item(kind) is None else None
-    return Found(where, kind, owner)
+    return MessageField(where, kind, owner)
 
 
 def _item(kind: str) -> str | None:
     """Return the kind of a list's items; None if it is no list."""
-    found = _LIST.fullmatch(kind)
-    return found and (found[1] or found[3])
+    parts = _LIST.fullmatch(kind)
+    return parts and (parts[1] or parts[3])
 
 
 def value_at(message: Any, where: Field) -> object:
-    """Return what a message holds in a field, as plain data.
+    """Return the value of a field of a message, as plain data.
 
     Raises:
         Unreadable: a list has no such item.

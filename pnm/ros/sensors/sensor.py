@@ -1,4 +1,4 @@
-"""What one sensor says, checked, understood and recorded; and forgotten when it falls silent."""
+"""One sensor: its messages are checked, interpreted and recorded as facts, which become unknown when it falls silent."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from pnm.ros.sensors.fields import fitted
 _log = logging.getLogger(__name__)
 
 
-class Sense:
-    """One sensor for one choice of objects, and what is made of what it says.
+class SensorRecorder:
+    """Records what one sensor, for one choice of objects, reports.
 
-    The mutable state is its silence, what of it could not be understood the last time, why it cannot be used, and whether
-    it is over.
+    The mutable state is the instance, whose constants are resolved once its type is known, its watchdog, the statements that
+    the last message did not fit, why the sensor cannot be used, and whether it is closed.
     """
 
     def __init__(self, instance: Instance, knowledge: KnowledgeBase) -> None:
@@ -36,10 +36,10 @@ class Sense:
         self._knowledge = knowledge
         self._unread: frozenset[int] = frozenset()
         self._closed = False
-        self._silence = Watchdog(instance.sensor.stale, self._fall_silent)
+        self._watchdog = Watchdog(instance.sensor.stale, self._forget)
 
-    def hear(self, look: Look) -> None:
-        """Record what a message says."""
+    def record(self, look: Look) -> None:
+        """Record the facts and variables of a message, given how to read its fields."""
         if self._closed:
             return
         reading = read(self.instance, look, self._knowledge.objects)
@@ -47,8 +47,8 @@ class Sense:
             if number not in self._unread:
                 _log.warning("%s: %s; %s is unknown", self.instance.name, reason, self._about(number))
         self._unread = frozenset(reading.unread)
-        self._record(reading)
-        self._silence.heard()
+        self._store(reading)
+        self._watchdog.reset()
         self.heard.set()
 
     def refuse(self, error: InputError) -> None:
@@ -59,15 +59,15 @@ class Sense:
             self.heard.set()
 
     def close(self) -> None:
-        """Hear nothing more, and fall silent no more."""
+        """Record nothing more."""
         self._closed = True
-        self._silence.close()
+        self._watchdog.close()
 
-    def _fall_silent(self) -> None:
+    def _forget(self) -> None:
         _log.warning("nothing was heard on %s for %g s; what it tells is unknown", self.instance.name, self.instance.sensor.stale)
-        self._record(unknown(self.instance, self._knowledge.objects))
+        self._store(unknown(self.instance, self._knowledge.objects))
 
-    def _record(self, reading: Reading) -> None:
+    def _store(self, reading: Reading) -> None:
         self._knowledge.update(reading.facts)
         known = {name: self._knowledge.variable(name) for name in reading.variables}
         changed = {name: value for name, value in reading.variables.items() if value != (None if known[name] is MISSING else known[name])}
@@ -80,10 +80,10 @@ class Sense:
 
 
 def checked(instance: Instance, name: str) -> tuple[Any, Instance]:
-    """Return the type, which must have what the sensor looks for, and the sensor with what constants of the type mean.
+    """Return the type, and the sensor with the values of the type's constants.
 
     Raises:
-        InputError: it does not, or is not installed.
+        InputError: the type lacks a field of the sensor, or is not installed.
     """
     sensor = instance.sensor
     try:
@@ -96,10 +96,10 @@ def checked(instance: Instance, name: str) -> tuple[Any, Instance]:
 
 
 def resolved(resolve: Callable[[str], object], instance: Instance, what: str) -> str:
-    """Return the full name of its topic or service.
+    """Return the full name of the sensor's topic or service.
 
     Raises:
-        InputError: it cannot be a name in ROS.
+        InputError: it is not a valid name in ROS.
     """
     try:
         return str(resolve(instance.name))

@@ -1,6 +1,6 @@
-"""All sensors of a file: topics that are listened to, and services that are polled.
+"""The sensors of a file: topics that are subscribed to, and services that are polled.
 
-Which publishers there are, and of which type, is looked up in the ROS graph again and again.
+Publishers and their types are looked up in the ROS graph periodically.
 """
 
 from __future__ import annotations
@@ -11,44 +11,50 @@ from typing import Any, Final
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.errors import InputError
-from pnm.knowledge.sensor_model import ByService, Instance, Sensing, instances
+from pnm.knowledge.sensor_model import ByService, ByTopic, Instance, Sensing, instances
 from pnm.ros.node.ros_thread import RosThread
-from pnm.ros.sensors.sensor import Sense, checked
-from pnm.ros.sensors.service_sensor import PolledSensor
+from pnm.ros.sensors.sensor import SensorRecorder, checked
+from pnm.ros.sensors.service_sensor import ServiceSensor
 from pnm.ros.sensors.topic_sensor import TopicSensor
 
 LOOK: Final = 0.5
-"""Seconds between two looks for publishers that are new."""
+"""Seconds between two looks for new publishers."""
 FIRST: Final = 3.0
-"""Seconds that somebody who is there may take to say something for the first time."""
+"""Seconds to wait for the first message of publishers and services that are there."""
 
 _log = logging.getLogger(__name__)
 
 
 class Sensors:
-    """All sensors of a file, from `open` to `close`. To be used on the event loop's thread.
+    """The sensors of a file, for every choice of their objects. To be used on the event loop's thread.
 
-    The mutable state is the sensors for every choice of objects, and the tasks that poll services.
+    The mutable state is the recorders, and the tasks that poll services.
 
     Args:
-        lag: seconds that reports may be late of sensors that do not say so themselves.
+        lag: seconds that reports may be late, for sensors that do not specify it.
 
     Raises:
-        InputError: two sensors speak of the same, of derived facts, or a type is not installed
-            or does not have a field that is looked for.
+        InputError: two sensors report the same facts, or one reports derived facts, or a type is not installed or lacks a
+            field of its sensor.
     """
 
     def __init__(self, ros: RosThread, sensing: Sensing, knowledge: KnowledgeBase, lag: float) -> None:
         self._ros = ros
-        found = instances(sensing, knowledge.objects)
+        every_instance = instances(sensing, knowledge.objects)
         for name in sorted(sensing.names & knowledge.rules.derived):
             raise InputError(f"facts of {name} follow from rules; they are neither set nor sensed")
         for sensor in sensing.sensors:
             if sensor.type is not None:
-                checked(next((one for one in found if one.sensor is sensor), Instance(sensor, {})), sensor.type)
-        self._senses = [Sense(instance, knowledge) for instance in found]
-        self._topics = [TopicSensor(ros, sense) for sense in self._senses if not isinstance(sense.instance.sensor.way, ByService)]
-        self._polls = [PolledSensor(ros, sense, way) for sense in self._senses if isinstance(way := sense.instance.sensor.way, ByService)]
+                checked(next((one for one in every_instance if one.sensor is sensor), Instance(sensor, {})), sensor.type)
+        self._recorders = [SensorRecorder(instance, knowledge) for instance in every_instance]
+        self._topics: list[TopicSensor] = []
+        self._polls: list[ServiceSensor] = []
+        for recorder in self._recorders:
+            match recorder.instance.sensor.way:
+                case ByService() as way:
+                    self._polls.append(ServiceSensor(ros, recorder, way))
+                case ByTopic():
+                    self._topics.append(TopicSensor(ros, recorder))
         self._tasks: list[asyncio.Task[None]] = []
         self._timer: Any = None
         for name, late in sensing.lags(lag).items():
@@ -58,48 +64,48 @@ class Sensors:
         return f"<Sensors: {len(self._topics)} topics, {len(self._polls)} services>"
 
     async def open(self) -> None:
-        """Begin to listen and to ask, and wait until everybody has been heard who is there.
+        """Subscribe and poll, and wait for the first message of all publishers and services that are there.
 
         Raises:
-            InputError: somebody has a type that does not have a field that is looked for.
+            InputError: a type found in the graph lacks a field of its sensor.
         """
         await self._ros.ask(self._resolve)
         if self._topics:
             self._timer = await self._ros.ask(lambda: self._ros.timer(LOOK, self._look))
-        self._tasks = [asyncio.create_task(poll.ask_on()) for poll in self._polls]
-        if self._senses:
-            await self._first()
-        for sense in self._senses:
-            if sense.refused is not None:
-                raise sense.refused
+        self._tasks = [asyncio.create_task(poll.poll()) for poll in self._polls]
+        if self._recorders:
+            await self._wait_for_first()
+        for recorder in self._recorders:
+            if recorder.refused is not None:
+                raise recorder.refused
 
     async def close(self) -> None:
-        """Stop listening and asking."""
+        """Unsubscribe, and stop polling."""
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        for sense in self._senses:
-            sense.close()
+        for recorder in self._recorders:
+            recorder.close()
         await self._ros.ask(self._destroy)
 
-    async def _first(self) -> None:
-        everybody = asyncio.ensure_future(self._all_heard())
+    async def _wait_for_first(self) -> None:
+        all_heard = asyncio.ensure_future(self._all_heard())
         settled = asyncio.ensure_future(self._ros.settled())
         try:
-            await asyncio.wait((everybody, settled), return_when=asyncio.FIRST_COMPLETED)
-            sources: list[TopicSensor | PolledSensor] = [*self._topics, *self._polls]
-            if [one for one in sources if not one.sense.heard.is_set() and await one.is_there()]:
-                await asyncio.wait((everybody,), timeout=FIRST)
+            await asyncio.wait((all_heard, settled), return_when=asyncio.FIRST_COMPLETED)
+            sensors: list[TopicSensor | ServiceSensor] = [*self._topics, *self._polls]
+            if [sensor for sensor in sensors if not sensor.recorder.heard.is_set() and await sensor.is_there()]:
+                await asyncio.wait((all_heard,), timeout=FIRST)
         finally:
-            everybody.cancel()
+            all_heard.cancel()
             settled.cancel()
-        for sense in self._senses:
-            if not sense.heard.is_set():
-                _log.warning("nothing has been heard on %s yet", sense.instance.name)
+        for recorder in self._recorders:
+            if not recorder.heard.is_set():
+                _log.warning("nothing has been heard on %s yet", recorder.instance.name)
 
     async def _all_heard(self) -> None:
-        for sense in self._senses:
-            await sense.heard.wait()
+        for recorder in self._recorders:
+            await recorder.heard.wait()
 
     # on the ROS thread
 

@@ -24,13 +24,13 @@ _log = logging.getLogger(__name__)
 
 
 class SensedReports:
-    """Hands every report on ``knowledge/sensed`` to a listener, on the event loop's thread.
+    """Passes every report on ``knowledge/sensed`` to a listener, on the event loop's thread.
 
-    A report is complete about the predicates and functions it names: it replaces all that was reported about
-    them, whoever reported it. So of several senders each needs names of its own.
+    A report is complete about the predicates and functions it names: it replaces all earlier reports about them, from any
+    publisher. So several publishers need disjoint names.
 
     Args:
-        listener: called with the names, the facts and numbers that are so, and the report's sequence number.
+        listener: called with the names, their true facts and numbers, and the report's sequence number.
 
     Raises:
         InputError: the package pnm_interfaces is not installed.
@@ -47,14 +47,14 @@ class SensedReports:
         ros.call(partial(self._subscribe, import_type("pnm_interfaces/msg/State")))
 
     async def first(self, limit: float) -> bool:
-        """Wait until the first report has been handed on; tell whether there was one.
+        """Wait until the first report was passed on; return whether there was one.
 
-        Gives up after `limit` seconds, and as soon as the ROS graph is known to hold nobody who reports.
+        Gives up after `limit` seconds, and as soon as the ROS graph is known to have no publisher of reports.
         """
         try:
             async with asyncio.timeout(limit):
                 while not self._heard.is_set():
-                    if not await self._anybody():
+                    if not await self._has_publisher():
                         return False
                     await asyncio.wait_for(self._heard.wait(), limit)
         except TimeoutError:
@@ -62,13 +62,13 @@ class SensedReports:
         return self._heard.is_set()
 
     def close(self) -> None:
-        """Stop listening."""
+        """Unsubscribe."""
         if not self._closed:
             self._closed = True
             self._ros.call(self._unsubscribe)
 
-    async def _anybody(self) -> bool:
-        """Tell whether anybody reports, once that is known; a report that arrives meanwhile is an answer too."""
+    async def _has_publisher(self) -> bool:
+        """Return True if there is a publisher, once the graph has settled, or as soon as a report arrives."""
         settled = asyncio.ensure_future(self._ros.settled())
         heard = asyncio.ensure_future(self._heard.wait())
         try:
@@ -78,7 +78,7 @@ class SensedReports:
             heard.cancel()
         return self._heard.is_set() or bool(await self._ros.ask(lambda: self._subscription.get_publisher_count()))
 
-    def _hand_on(self, names: frozenset[str], facts: Facts, sequence: int) -> None:
+    def _pass_on(self, names: frozenset[str], facts: Facts, sequence: int) -> None:
         if not self._closed:
             self._listener(names, facts, sequence)
             self._heard.set()
@@ -103,7 +103,7 @@ class SensedReports:
             _log.warning("ignored a report on %s: %s", self._topic, error)
             return
         try:
-            self._loop.call_soon_threadsafe(self._hand_on, *report)
+            self._loop.call_soon_threadsafe(self._pass_on, *report)
         except RuntimeError:
             _log.debug("the event loop is closed; nobody hears of the report")
 
@@ -112,7 +112,7 @@ def read_state(message: Any) -> Facts:
     """Return the facts, objects and numbers of a ``pnm_interfaces/msg/State``; a NaN is unknown.
 
     Raises:
-        InputError: a fact is not written as one, or there are not as many values as fluents.
+        InputError: a fact is malformed, or there are not as many values as fluents.
     """
     if len(message.fluents) != len(message.values):
         raise InputError(f"{len(message.fluents)} fluents, but {len(message.values)} values")

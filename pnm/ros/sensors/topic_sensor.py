@@ -1,4 +1,4 @@
-"""A sensor that listens to a topic, in the way in which each of its publishers publishes: reliable or not, latched or not."""
+"""A sensor that subscribes to a topic, with the QoS of each of its publishers: reliable or not, latched or not."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from typing import Any, Final
 from pnm.errors import InputError
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.sensors.fields import value_at
-from pnm.ros.sensors.sensor import Sense, checked, resolved
+from pnm.ros.sensors.sensor import SensorRecorder, checked, resolved
 
 DEPTH: Final = 10
-"""Messages that are kept until they are read."""
+"""Unread messages that are kept."""
 
 _log = logging.getLogger(__name__)
 
 
 class TopicSensor:
-    """The subscriptions to one topic: one for every way in which somebody publishes on it.
+    """The subscriptions to one topic, one for every QoS of its publishers.
 
-    The mutable state is, on the ROS thread, the type and the subscriptions; and the latest message, if it has not been
-    handed over yet: of a flood of messages the last one counts.
+    The mutable state is, on the ROS thread, the type and the subscriptions; and the latest message, until the event loop has
+    taken it: of messages that come faster than that, only the last one counts.
     """
 
-    def __init__(self, ros: RosThread, sense: Sense) -> None:
-        self.sense = sense
+    def __init__(self, ros: RosThread, recorder: SensorRecorder) -> None:
+        self.recorder = recorder
         self._ros = ros
         self._kind: Any = None
         self._subscriptions: dict[tuple[bool, bool], Any] = {}
@@ -37,26 +37,22 @@ class TopicSensor:
     # on the event loop's thread
 
     async def is_there(self) -> bool:
-        """Tell whether somebody publishes."""
+        """Return True if the topic has publishers of the right type."""
         return bool(await self._ros.ask(lambda: self._subscriptions))
 
     def _take(self) -> None:
         self._waiting = False
-        self.sense.hear(partial(value_at, self._latest))
+        self.recorder.record(partial(value_at, self._latest))
 
     # on the ROS thread
 
     def resolve(self) -> None:
-        """Find out the full name.
-
-        Raises:
-            InputError: it cannot be a name in ROS.
-        """
-        self._full_name = resolved(self._ros.node.resolve_topic_name, self.sense.instance, "topic")
+        """Resolve the full name; raise an `InputError` if it is not valid in ROS."""
+        self._full_name = resolved(self._ros.node.resolve_topic_name, self.recorder.instance, "topic")
 
     def look(self) -> None:
-        """Subscribe to whoever is new."""
-        from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+        """Subscribe to new publishers."""
+        from rclpy.qos import DurabilityPolicy, ReliabilityPolicy  # here, because rclpy is an extra
 
         for info in self._ros.node.get_publishers_info_by_topic(self._full_name):
             if self._fits(info.topic_type):
@@ -65,29 +61,29 @@ class TopicSensor:
                 self._subscribe(reliable, reliable and profile.durability == DurabilityPolicy.TRANSIENT_LOCAL)
 
     def destroy(self) -> None:
-        """Subscribe no longer."""
+        """Unsubscribe."""
         for subscription in self._subscriptions.values():
             self._ros.node.destroy_subscription(subscription)
         self._subscriptions.clear()
 
     def _fits(self, type_name: str) -> bool:
-        """Tell whether messages of this type are understood; the first type that is there is the one, unless the file says it."""
-        wanted = self.sense.instance.sensor.type
-        if self._kind is None and not self.sense.refused:
+        """Return True for the type of the sensor: that in the file, or else the first one that is found."""
+        wanted = self.recorder.instance.sensor.type
+        if self._kind is None and not self.recorder.refused:
             try:
-                self._kind, self.sense.instance = checked(self.sense.instance, wanted or type_name)
+                self._kind, self.recorder.instance = checked(self.recorder.instance, wanted or type_name)
                 self._type_name = wanted or type_name
             except InputError as error:
-                self._hand_over(partial(self.sense.refuse, error))
+                self._pass_on(partial(self.recorder.refuse, error))
         if self._kind is None or type_name == self._type_name:
             return self._kind is not None
         if type_name not in self._foreign:
             self._foreign.add(type_name)
-            _log.warning("%s is ignored where it has the type %s; expected %s", self.sense.instance.name, type_name, self._type_name)
+            _log.warning("%s is ignored where it has the type %s; expected %s", self.recorder.instance.name, type_name, self._type_name)
         return False
 
     def _subscribe(self, reliable: bool, latched: bool) -> None:
-        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # here, because rclpy is an extra
 
         if (reliable, latched) not in self._subscriptions:
             profile = QoSProfile(
@@ -95,22 +91,22 @@ class TopicSensor:
                 reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
                 durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
             )
-            instance = self.sense.instance
+            instance = self.recorder.instance
             create = self._ros.node.create_subscription
             try:
                 self._subscriptions[reliable, latched] = create(self._kind, instance.name, self._receive, profile)
             except Exception as error:  # this process uses the topic with another type, for example
                 reason = f"{instance.name} cannot be listened to: {error}"
-                self._hand_over(partial(self.sense.refuse, InputError(reason, instance.sensor.position)))
+                self._pass_on(partial(self.recorder.refuse, InputError(reason, instance.sensor.position)))
 
     def _receive(self, message: Any) -> None:
         self._latest = message
         if not self._waiting:
             self._waiting = True
-            self._hand_over(self._take)
+            self._pass_on(self._take)
 
-    def _hand_over(self, function: Callable[[], object]) -> None:
+    def _pass_on(self, function: Callable[[], object]) -> None:
         try:
-            self.sense.loop.call_soon_threadsafe(function)
+            self.recorder.loop.call_soon_threadsafe(function)
         except RuntimeError:
             _log.debug("the event loop is closed; nobody hears of the message")

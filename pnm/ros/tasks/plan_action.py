@@ -1,4 +1,4 @@
-"""The action ``plan``: a plan is looked for from the world as it is, and nobody carries it out."""
+"""The action ``plan``: answers plan requests, from the current state, without execution."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from pnm.tasks import Code, MadePlan, Make
 
 NAME: Final = "plan"
 SECOND: Final = 1.0
-"""Seconds between two messages about a search."""
+"""Seconds between two feedback messages about a search."""
 
 _log = logging.getLogger(__name__)
 
 
 class PlanningServer:
-    """The action server. The mutable state is the searches by goal, and which of them their clients want given up.
+    """The action server for plan requests. The mutable state is the searches by goal, and those whose clients have cancelled them.
 
     Args:
-        make: looks for a plan.
-        closed: says why no goals are taken; empty while they are.
+        make: answers a plan request.
+        closed: returns why goals are rejected; empty while they are accepted.
     """
 
     def __init__(self, ros: RosThread, make: Make, closed: Callable[[], str]) -> None:
         self._make = make
         self._loop = asyncio.get_running_loop()
         self._searches: dict[UUID, asyncio.Task[MadePlan]] = {}
-        self._asked: set[UUID] = set()
-        callbacks = GoalCallbacks(lambda request: closed() or partial(self._begin, request), self._give_up)
+        self._cancel_asked: set[UUID] = set()
+        callbacks = GoalCallbacks(lambda request: closed() or partial(self._begin, request), self._cancel)
         self._server = GoalServer(ros, "pnm_interfaces/action/MakePlan", NAME, callbacks)
 
     def __repr__(self) -> str:
@@ -47,7 +47,7 @@ class PlanningServer:
         await self._server.open()
 
     async def close(self) -> None:
-        """Give up all searches, and take the server down."""
+        """Cancel all searches, and take the server down."""
         for search in self._searches.values():
             search.cancel()
         if self._searches:
@@ -56,13 +56,13 @@ class PlanningServer:
 
     def _begin(self, request: Any, goal: UUID) -> None:
         search = self._loop.create_task(self._search(request))
-        telling = self._loop.create_task(self._tell(goal))
+        feeding = self._loop.create_task(self._feed(goal))
         self._searches[goal] = search
-        search.add_done_callback(partial(self._end, goal, telling))
+        search.add_done_callback(partial(self._end, goal, feeding))
 
-    def _give_up(self, goal: UUID) -> None:
+    def _cancel(self, goal: UUID) -> None:
         if goal in self._searches:
-            self._asked.add(goal)
+            self._cancel_asked.add(goal)
             self._searches[goal].cancel()
 
     async def _search(self, request: Any) -> MadePlan:
@@ -74,15 +74,15 @@ class PlanningServer:
             _log.exception("a plan cannot be looked for")
             return MadePlan(Code.ERROR, f"{type(error).__name__}: {error}")
 
-    def _end(self, goal: UUID, telling: asyncio.Task[None], search: asyncio.Task[MadePlan]) -> None:
-        telling.cancel()
+    def _end(self, goal: UUID, feeding: asyncio.Task[None], search: asyncio.Task[MadePlan]) -> None:
+        feeding.cancel()
         del self._searches[goal]
         made = MadePlan(Code.CANCELLED, "the search was given up") if search.cancelled() else search.result()
-        status = status_of(made.code, goal in self._asked)
-        self._asked.discard(goal)
+        status = status_of(made.code, goal in self._cancel_asked)
+        self._cancel_asked.discard(goal)
         self._server.end(goal, lambda: GoalResult(status, made_fields(made)))
 
-    async def _tell(self, goal: UUID) -> None:
+    async def _feed(self, goal: UUID) -> None:
         began = self._loop.time()
         while True:
             await asyncio.sleep(SECOND)

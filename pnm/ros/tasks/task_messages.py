@@ -1,14 +1,10 @@
-"""Goals for tasks, and what is told about tasks: messages to data and data to the fields of messages.
-
-A goal for a plan: what comes in with it, and what goes out at its end.
-"""
+"""Messages about tasks: goals are read from messages; status, plans, nets, markings and results become fields of messages."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from typing import Any, Final
 from uuid import UUID
 
@@ -21,62 +17,56 @@ from pnm.knowledge.sources.memory import read_value, write_value
 from pnm.knowledge.sources.person_text import printable
 from pnm.knowledge.sources.source import SourceError
 from pnm.ros.knowledge.knowledge_source import uuid_field
-from pnm.tasks import Code, MadePlan, Moment, OnConflict, Status, Step, StepState, TaskEnding, Wanted
+from pnm.tasks import Code, MadePlan, OnConflict, StepState, TaskEnding, TaskStatus, TaskStep, TraceEvent, Wanted
+
+TRACE: Final = 200
+"""Trace events in a result: the last ones."""
+MAX_LENGTH: Final = 100_000
+"""Characters of a goal or a plan: it is part of every message about tasks, long after its end."""
+_POLICIES: Final = (None, OnConflict.PLAN_AROUND, OnConflict.QUEUE, OnConflict.REFUSE)
+"""The conflict policies by their numbers in goals."""
+
+Fields = dict[str, object]
 
 
-@dataclass(frozen=True, slots=True)
-class Ending:
-    """How a goal ended: the fields of its result."""
+def result_fields(success: bool, reason: str, message: str, results: Mapping[str, object]) -> Fields:
+    """Return the fields of the result of a plan; values that JSON cannot express are left out, and named in the message.
 
-    success: bool
-    reason: str
-    """A word for programs, as the interface lists them."""
-    message: str
-    results: Mapping[str, object] = field(default_factory=dict)
-
-    def fields(self) -> dict[str, object]:
-        """Return the fields of the result as a message has them; values that JSON cannot say are told of in its message."""
-        written: dict[str, str] = {}
-        unsaid = ""
-        for name, value in self.results.items():
-            try:
-                written[name] = f"{write_value(name)}: {write_value(value)}"
-            except SourceError as error:
-                unsaid += f"; {name} is left out: {error}"
-        results = f"{{{', '.join(written.values())}}}"
-        return {"success": self.success, "reason": self.reason, "message": printable(self.message + unsaid), "results": results}
+    Args:
+        success: whether the plan has succeeded.
+        reason: a word for programs, as the interface lists them.
+        message: for people.
+        results: the variables that the plan returns.
+    """
+    written: list[str] = []
+    for name, value in results.items():
+        try:
+            written.append(f"{write_value(name)}: {write_value(value)}")
+        except SourceError as error:
+            message += f"; {name} is left out: {error}"
+    return {"success": success, "reason": reason, "message": printable(message), "results": f"{{{', '.join(written)}}}"}
 
 
 def read_parameters(text: str) -> dict[str, object]:
-    """Read what a goal says about the parameters of its plan: a mapping as YAML or JSON, or nothing.
+    """Read the parameters of a plan: a mapping as YAML or JSON, or nothing.
 
     Raises:
-        InputError: it is something else.
+        InputError: it is no mapping.
     """
     try:
-        found = read_value(text)  # JSON first: not all of it means the same in YAML, such as 1e3 and escaped emoji
+        parameters = read_value(text)  # JSON first: not all of it means the same in YAML, such as 1e3 and escaped emoji
     except SourceError:
-        found = parse_value(text, "parameters") if text.strip() else {}
-    if not isinstance(found, dict):
+        parameters = parse_value(text, "parameters") if text.strip() else {}
+    if not isinstance(parameters, dict):
         raise InputError(f"expected a mapping such as {{shop: bakery}} as parameters, found {text.strip()[:40]!r}")
-    return found
-
-
-TRACE: Final = 200
-"""So many events at most stand in a result: the last ones."""
-MAX_LENGTH: Final = 100_000
-"""So many characters at most has what is wanted: it stands in every message about tasks, long after its end."""
-_POLICIES: Final = (None, OnConflict.PLAN_AROUND, OnConflict.QUEUE, OnConflict.REFUSE)
-"""What the numbers in goals mean."""
-
-Fields = dict[str, object]
+    return parameters
 
 
 def wanted_goal(id: UUID, request: Any) -> Wanted:
     """Read a goal of ``achieve_goal``.
 
     Raises:
-        InputError: what it says is no goal, whatever is known of the world.
+        InputError: a field is invalid, in any state of the world.
     """
     if request.policy >= len(_POLICIES):
         known = "0 (default), 1 (plan around), 2 (queue), 3 (refuse)"
@@ -88,7 +78,7 @@ def wanted_plan(id: UUID, request: Any) -> Wanted:
     """Read a goal of ``execute_plan``.
 
     Raises:
-        InputError: it has no plan, or its parameters are none.
+        InputError: it has no plan, or a field is invalid.
     """
     plan = _text("plan", request.plan)
     if not plan:
@@ -102,13 +92,13 @@ def wanted_run(plan: str, id: UUID, request: Any) -> Wanted:
     """Read a goal of the action of a plan.
 
     Raises:
-        InputError: its parameters are none.
+        InputError: its parameters are no mapping.
     """
     return Wanted(id, plan, parameters=read_parameters(request.parameters), is_plan=True)
 
 
 def seconds(name: str, value: float) -> float | None:
-    """Read a number of seconds, of which 0 means none.
+    """Read a number of seconds; 0 means None.
 
     Raises:
         InputError: it is negative, or no number.
@@ -124,7 +114,7 @@ def _text(name: str, text: str) -> str:
     return text.strip()
 
 
-def status_fields(status: Status) -> Fields:
+def status_fields(status: TaskStatus) -> Fields:
     """Return the fields of a ``TaskStatus``."""
     return {
         "id": uuid_field(status.id),
@@ -138,22 +128,22 @@ def status_fields(status: Status) -> Fields:
     }
 
 
-def task_feedback_fields(status: Status, steps: Iterable[Step]) -> Fields:
+def task_feedback_fields(status: TaskStatus, steps: Iterable[TaskStep]) -> Fields:
     """Return the fields of the feedback of ``achieve_goal`` and ``execute_plan``."""
-    return {"status": status_fields(status), "plan": rest(steps)}
+    return {"status": status_fields(status), "plan": remaining(steps)}
 
 
-def run_feedback_fields(status: Status, _steps: Iterable[Step]) -> Fields:
+def run_feedback_fields(status: TaskStatus, _steps: Iterable[TaskStep]) -> Fields:
     """Return the fields of the feedback of the action of a plan."""
     return {"running": [printable(call) for call in status.running], "ended": status.ended, "restarts": status.restarts}
 
 
-def plan_fields(task: UUID, goal: str, number: int, steps: Iterable[Step]) -> Fields:
+def plan_fields(task: UUID, goal: str, number: int, steps: Iterable[TaskStep]) -> Fields:
     """Return the fields of a ``Plan``."""
     return {"task": uuid_field(task), "goal": printable(goal), "number": number, "steps": [_step_fields(step) for step in steps]}
 
 
-def _step_fields(step: Step) -> Fields:
+def _step_fields(step: TaskStep) -> Fields:
     return {
         "action": step.action,
         "arguments": [printable(argument) for argument in step.arguments],
@@ -164,8 +154,8 @@ def _step_fields(step: Step) -> Fields:
     }
 
 
-def rest(steps: Iterable[Step]) -> list[str]:
-    """Return what a plan still has to do."""
+def remaining(steps: Iterable[TaskStep]) -> list[str]:
+    """Return the calls of a plan that have not ended."""
     return [printable(str(step)) for step in steps if step.state in (StepState.WAITING, StepState.RUNNING)]
 
 
@@ -179,8 +169,8 @@ def marking_fields(task: UUID, number: int, marking: Marking) -> Fields:
     return {"task": uuid_field(task), "number": number, "places": list(marking), "tokens": list(marking.values())}
 
 
-def moment_fields(moment: Moment, offset: float) -> Fields:
-    """Return the fields of a ``TraceEvent``; the offset is what the clock of the node is ahead of that of the event loop."""
+def moment_fields(moment: TraceEvent, offset: float) -> Fields:
+    """Return the fields of a ``TraceEvent``; the offset is that from the event loop's clock to the node's."""
     return {
         "stamp": moment.time + offset,
         "task": uuid_field(moment.task),
@@ -192,8 +182,8 @@ def moment_fields(moment: Moment, offset: float) -> Fields:
 
 def ending_fields(ending: TaskEnding, offset: float) -> Fields:
     """Return the fields that the results of all tasks have."""
-    told = [moment_fields(moment, offset) for moment in ending.trace[-TRACE:]]
-    return {"code": int(ending.code), "reason": ending.code.word, "message": printable(ending.message), "trace": told}
+    trace = [moment_fields(moment, offset) for moment in ending.trace[-TRACE:]]
+    return {"code": int(ending.code), "reason": ending.code.word, "message": printable(ending.message), "trace": trace}
 
 
 def goal_ending_fields(ending: TaskEnding, offset: float) -> Fields:
@@ -203,14 +193,14 @@ def goal_ending_fields(ending: TaskEnding, offset: float) -> Fields:
 
 def plan_ending_fields(ending: TaskEnding, offset: float) -> Fields:
     """Return the fields of the result of ``execute_plan``."""
-    said = Ending(ending.code is Code.GOAL_REACHED, ending.code.word, ending.message, ending.results).fields()
-    return {**ending_fields(ending, offset), "message": said["message"], "results": said["results"]}
+    fields = result_fields(ending.code is Code.GOAL_REACHED, ending.code.word, ending.message, ending.results)
+    return {**ending_fields(ending, offset), "message": fields["message"], "results": fields["results"]}
 
 
 def run_ending_fields(ending: TaskEnding, _offset: float) -> Fields:
     """Return the fields of the result of the action of a plan."""
     reason = {Code.GOAL_REACHED: "goal", Code.INVALID_GOAL: "parameters"}.get(ending.code, ending.cause or ending.code.word)
-    return Ending(ending.code is Code.GOAL_REACHED, reason, ending.message, ending.results).fields()
+    return result_fields(ending.code is Code.GOAL_REACHED, reason, ending.message, ending.results)
 
 
 def made_fields(made: MadePlan) -> Fields:

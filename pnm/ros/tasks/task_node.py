@@ -1,4 +1,4 @@
-"""Everything that a node offers about tasks: actions, services and topics, which are brought up and taken down together."""
+"""The ROS 2 interface of a task executor: its actions, services and topics, brought up and taken down together."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ _log = logging.getLogger(__name__)
 
 
 class TaskNode:
-    """Offers tasks to whoever knows ROS 2. It takes goals between `activate` and `deactivate`.
+    """Offers tasks over ROS 2. Goals are accepted between `activate` and `deactivate`.
 
-    The mutable state is why no goals are taken, whether somebody has paused all tasks or which one by one, and whether we have.
+    The mutable state is why goals are rejected, whether a client has paused all tasks or which of them, and whether
+    `deactivate` has paused them.
 
     Args:
-        tasks: what is done.
-        make: finds plans that nobody carries out.
-        world: what others may ask and tell, and whose changes are told.
+        tasks: the task manager.
+        make: answers plan requests.
+        world: the knowledge and the problem.
         plans: the plans that have an action server of their own, and its full name.
     """
 
@@ -42,7 +43,7 @@ class TaskNode:
         self._closed = "the node is inactive"
         self._is_paused = False
         self._paused: set[UUID] = set()
-        self._is_stopped = False
+        self._is_deactivated = False
         self._servers = TaskServers(ros, tasks, plans or {}, lambda: self._closed)
         self._planning = PlanningServer(ros, make, lambda: self._closed)
         self._topics = TaskTopics(ros, tasks, world, lambda: self._is_paused)
@@ -52,8 +53,8 @@ class TaskNode:
         return f"<TaskNode {self._closed or 'active'}>"
 
     async def open(self) -> None:
-        """Bring everything up; goals are rejected until the node is activated."""
-        # topics first: they are told of the end of a task before its client is
+        """Bring everything up; goals are rejected until `activate`."""
+        # Topics listen first, so that subscribers can read the end of a task before its client has the result.
         await self._topics.open()
         await self._servers.open()
         await self._planning.open()
@@ -71,21 +72,21 @@ class TaskNode:
         )
 
     async def activate(self) -> None:
-        """Take goals, and let those tasks go on that were running when the node was deactivated."""
+        """Accept goals, and resume the tasks that `deactivate` has paused."""
         self._closed = ""
-        if self._is_stopped and not self._is_paused:
+        if self._is_deactivated and not self._is_paused:
             await self._tasks.resume(None, but=self._paused)
-        self._is_stopped = False
+        self._is_deactivated = False
         self._topics.note()
 
     async def deactivate(self) -> None:
-        """Reject goals, and pause all tasks at once: what is under way is cancelled, and has confirmed it."""
+        """Reject goals, and pause all tasks at once: running actions are cancelled; returns when they have confirmed it."""
         self._closed = "the node is inactive"
-        self._is_stopped = True
+        self._is_deactivated = True
         await self._tasks.pause(None, at_once=True, why=self._closed)
 
     async def close(self, limit: float) -> None:
-        """Cancel all tasks, wait so many seconds until that is confirmed, tell everybody, and take everything down."""
+        """Cancel all tasks, wait for `limit` seconds at most until they have ended, send all results, and take everything down."""
         self._closed = "the node is shut down"
         try:
             async with asyncio.timeout(limit):
@@ -94,7 +95,7 @@ class TaskNode:
             _log.debug("tasks have not ended within %g s", limit)
         except TaskRefused:
             _log.debug("there are no tasks to cancel")
-        finally:  # who asks twice for the end does not wait
+        finally:  # also when the wait is cancelled, by a second signal
             for status in self._tasks.status():
                 if status.state is not TaskState.OVER:
                     _log.warning("%s has not ended; what it runs is left alone", status.goal)
@@ -111,7 +112,8 @@ class TaskNode:
         if task is None:
             self._is_paused = True
         else:
-            self._paused = {one.id for one in self._tasks.status() if one.id in {*self._paused, task}}
+            known = {status.id for status in self._tasks.status()}
+            self._paused = known & {*self._paused, task}  # tasks that are over are forgotten
         await self._tasks.pause(task, at_once=request.at_once)
         self._topics.note()
         return {}
@@ -130,13 +132,13 @@ class TaskNode:
 
     async def _cancel(self, request: Any) -> Fields:
         task = _id(request.task)
-        self._servers.wish_cancelled(task)
+        self._servers.note_cancel(task)
         await self._tasks.cancel(task)
         return {}
 
     async def _query(self, request: Any) -> Fields:
-        found = await self._world.query(request.questions)
-        return {"facts": [question for question, _ in found], "values": [answer for _, answer in found]}
+        answers = await self._world.query(request.questions)
+        return {"facts": [question for question, _ in answers], "values": [answer for _, answer in answers]}
 
     async def _update(self, request: Any) -> Fields:
         return {"changed": await self._world.update(request.add, request.remove, request.forget)}
@@ -158,23 +160,24 @@ class TaskNode:
 
 
 def action_names(ros: RosThread, plans: Iterable[str]) -> tuple[tuple[str, ...], dict[str, str]]:
-    """Return the full names of the actions, and those of each plan; only on the ROS thread.
+    """Return the full names of the actions for tasks, and of the action of each plan; only on the ROS thread.
 
     Raises:
-        InputError: the name of a plan cannot be a name in ROS, or is that of another action.
+        InputError: the name of a plan is not valid in ROS, or is that of another action.
     """
     own = tuple(server_name(ros.node, name) for name in ACTIONS)
-    found: dict[str, str] = {}
+    names: dict[str, str] = {}
     for plan in plans:
         name = server_name(ros.node, plan)
         if name in own:
             raise InputError(f"the plan {plan} would have the action server {name}, which the node offers for all tasks")
-        if name in found.values():
+        if name in names.values():
             raise InputError(f"two plans would both have the action server {name}; names in ROS have _ for -")
-        found[plan] = name
-    return own, found
+        names[plan] = name
+    return own, names
 
 
 def _id(message: Any) -> UUID | None:
-    found = UUID(bytes=bytes(message.uuid))
-    return found if found.int else None
+    """Return the id of a task; None for all tasks."""
+    task = UUID(bytes=bytes(message.uuid))
+    return task if task.int else None

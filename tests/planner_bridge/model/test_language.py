@@ -34,7 +34,7 @@ from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Set, When
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Value, ValueOf, Variable
-from pnm.core.logic.rules import Rule
+from pnm.core.logic.rules import DerivationRule
 from pnm.core.machine.bindings import Binding, Bindings, goal_data
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
@@ -118,8 +118,10 @@ A, B, C, D, R = (
 )
 PASSAGE = Exists((D,), All((Holds(("joins", "?d", "?a", "?c")), Holds(("open", "?d")))))
 RULES = (
-    Rule("way", (A, B), Any((Compare("=", Constant("?a"), Constant("?b")), Exists((C,), All((PASSAGE, Holds(("way", "?c", "?b")))))))),
-    Rule(
+    DerivationRule(
+        "way", (A, B), Any((Compare("=", Constant("?a"), Constant("?b")), Exists((C,), All((PASSAGE, Holds(("way", "?c", "?b")))))))
+    ),
+    DerivationRule(
         "shut-in",
         (R,),
         Exists(

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.node.problem_service import NOTHING, CurrentProblem, ServedProblem
+from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ServedProblem
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async
 from pnm.errors import InputError
@@ -63,7 +63,7 @@ plan:
 def play(text: str, scene: Callable[[ServedProblem], Awaitable[None]]) -> None:
     async def whole() -> None:
         plans = parse_plans(text).values()
-        current = CurrentProblem(NOTHING, initial_knowledge(*plans), {}, Settings(), plans)
+        current = LoadedProblem(NOTHING, initial_knowledge(*plans), {}, Settings(), plans)
         await scene(ServedProblem(current, Path(), lambda _: None))
 
     run_async(whole(), virtual=True)
@@ -131,7 +131,7 @@ def test_declarations_of_plans_count_as_those_of_a_problem_do() -> None:
 def test_without_a_problem_there_are_no_goals() -> None:
     async def scene() -> None:
         plans = parse_plans(DECLARED).values()
-        current = CurrentProblem(NOTHING, initial_knowledge(*plans), {}, Settings(), plans)
+        current = LoadedProblem(NOTHING, initial_knowledge(*plans), {}, Settings(), plans)
         with pytest.raises(InputError, match="no domain and problem are loaded"):
             current.read_goal("(open)")
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from planner_bridge.loading import load
 from planner_bridge.model.grounding import initial_knowledge, problem_now
-from planner_bridge.node.problem_service import CurrentProblem, ServedProblem, load_texts, write_inside
+from planner_bridge.node.problem_service import LoadedProblem, ServedProblem, load_texts, write_inside
 from planner_bridge.node.world_queries import MAX_LENGTH, MAX_TEXTS, SharedWorld, read_goals
 from planner_bridge.pddl import parse_domain, parse_problem, read_problem
 from planner_bridge.tasks.settings import Settings
@@ -219,7 +219,7 @@ def test_changes_are_told_as_texts():
 def test_the_object_that_a_function_no_longer_has_is_told_whatever_happened_before_anybody_followed():
     async def scene() -> None:
         knowledge, told = initial_knowledge(PROBLEM), []
-        served = ServedProblem(CurrentProblem(PROBLEM, knowledge, {}, Settings()), Path(), lambda _: None)
+        served = ServedProblem(LoadedProblem(PROBLEM, knowledge, {}, Settings()), Path(), lambda _: None)
         knowledge.update({("location", "a1"): "kitchen"})  # as sensors do while action servers are looked for
         stop = served.follow(lambda fields: told.append((fields["added"], fields["removed"], fields["unknown"])))
         for value in ("dock", UNKNOWN, UNDEFINED, "hall", UNDEFINED):

@@ -19,7 +19,7 @@ import unified_planning.shortcuts as up
 from planner_bridge.model.plan import PlanningResult, PlanningStatus
 from planner_bridge.model.problem import Metric, Problem
 from planner_bridge.pipeline import achieve
-from planner_bridge.planning.engines import require
+from planner_bridge.planning.engines import require_installed
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.solve import check_planner, solve
 from pnm.core.logic.expressions import ValueOf
@@ -123,7 +123,7 @@ def test_nobody_waits_for_an_engine_to_be_looked_for() -> None:
 def test_a_package_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "path", [])
     with pytest.raises(InputError, match=r"aries is not installed: pip install up-aries, or 'petri-net-machines\[planners\]'"):
-        require("aries")
+        require_installed("aries")
     with pytest.raises(InputError, match="aries is not installed"):
         check_planner("race:kairos,aries")
 

@@ -24,7 +24,7 @@ from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus, Plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.pipeline import achieve
 from planner_bridge.planning.kairos import validate
-from planner_bridge.planning.portfolio import entrants, race
+from planner_bridge.planning.portfolio import solve_with_portfolio, suitable_planners
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.settings import Settings
 from pnm.errors import InputError
@@ -69,7 +69,7 @@ def started(
 ) -> Future[PlanningResult]:
     """Start a race on a hard problem in which Aries takes part, and wait until it is at work."""
     pool = ThreadPoolExecutor(1)
-    found = pool.submit(race, hard(), planners=planners, timeout=timeout, cancel=cancel, executor=executor)
+    found = pool.submit(solve_with_portfolio, hard(), planners=planners, timeout=timeout, cancel=cancel, executor=executor)
     pool.shutdown(wait=False)
     until(lambda: working_in(folder, "up-aries_") or found.done())
     assert not found.done(), found.result().reason
@@ -80,9 +80,9 @@ def started(
 
 
 def test_by_default_every_planner_has_a_process_which_is_gone_afterwards(folder: Path) -> None:
-    found = race(rooms(), timeout=60)
+    found = solve_with_portfolio(rooms(), timeout=60)
     assert found.plan is not None, found.reason
-    assert found.planner in entrants(rooms())
+    assert found.planner in suitable_planners(rooms())
     assert validate(rooms(), found.plan) == ""
     assert not multiprocessing.active_children()
     assert not working_in(folder)
@@ -106,7 +106,7 @@ def test_a_cluster_will_do(folder: Path) -> None:
         Client(cluster) as client,
         client.get_executor() as executor,
     ):
-        found = race(rooms(), planners=("kairos", "fast-downward"), timeout=60, executor=executor)
+        found = solve_with_portfolio(rooms(), planners=("kairos", "fast-downward"), timeout=60, executor=executor)
         assert found.plan is not None, found.reason
         cancel = threading.Event()
         racing = started(folder, ("aries",), 60, cancel, executor)
@@ -125,9 +125,9 @@ def test_the_script_that_calls_is_not_run_again(tmp_path: Path, root: Path) -> N
     script = tmp_path / "script.py"
     script.write_text(
         "print('once')\n"
-        "from planner_bridge.planning.portfolio import race\n"
+        "from planner_bridge.planning.portfolio import solve_with_portfolio\n"
         "from tests.support.problems import rooms\n"
-        "assert race(rooms(), planners=('kairos',)).plan is not None\n"
+        "assert solve_with_portfolio(rooms(), planners=('kairos',)).plan is not None\n"
     )
     path = os.pathsep.join(filter(None, (str(root), os.environ.get("PYTHONPATH"))))
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60, env={**os.environ, "PYTHONPATH": path})
@@ -139,14 +139,14 @@ def test_the_script_that_calls_is_not_run_again(tmp_path: Path, root: Path) -> N
 
 def test_a_plan_that_is_not_valid_does_not_win() -> None:
     problem = rooms(goal="(at r1 b)")
-    found = race(problem, planners=("aries", "kairos"), executor=Elsewhere({"aries": LATE, "kairos": GOOD}))
+    found = solve_with_portfolio(problem, planners=("aries", "kairos"), executor=Elsewhere({"aries": LATE, "kairos": GOOD}))
     assert found.plan == GOOD.plan
     assert found.planner == "kairos"
     assert found.message.startswith("aries: plan not valid: ")
 
 
 def test_a_proof_that_there_is_no_plan_ends_the_race() -> None:
-    found = race(rooms(ways="ba"), planners=("kairos", "aries"), timeout=60)
+    found = solve_with_portfolio(rooms(ways="ba"), planners=("kairos", "aries"), timeout=60)
     assert (found.status, found.planner) == (PlanningStatus.UNSOLVABLE, "kairos")
 
 
@@ -168,7 +168,7 @@ def test_without_a_winner_the_most_telling_reason_counts_and_all_are_told(
         "aries": aries,
         "enhsp": BrokenProcessPool("a process died"),
     }
-    found = race(rooms(goal="(at r1 b)"), planners=tuple(answers), executor=Elsewhere(answers))
+    found = solve_with_portfolio(rooms(goal="(at r1 b)"), planners=tuple(answers), executor=Elsewhere(answers))
     assert found.status is expected
     assert found.planner == "kairos, aries, enhsp"
     for told in ("kairos: unsupported: too hard", "aries: ", "enhsp: planner crashed: BrokenProcessPool: a process died"):
@@ -178,7 +178,7 @@ def test_without_a_winner_the_most_telling_reason_counts_and_all_are_told(
 def test_an_executor_that_is_closed_is_no_reason_to_wait() -> None:
     threads = ThreadPoolExecutor(1)
     threads.shutdown()
-    found = race(rooms(), planners=("kairos",), executor=threads)
+    found = solve_with_portfolio(rooms(), planners=("kairos",), executor=threads)
     assert found.status is PlanningStatus.CRASHED
     assert "cannot schedule new futures" in found.message
 
@@ -205,9 +205,9 @@ def test_the_command_says_who_won(root: Path) -> None:
 def test_those_take_part_that_are_there_and_suit_the_problem(
     problem: Problem, expected: set[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    assert set(entrants(problem)) in (expected, expected - {"enhsp"})
+    assert set(suitable_planners(problem)) in (expected, expected - {"enhsp"})
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert set(entrants(problem)) == expected - {"enhsp"}
+    assert set(suitable_planners(problem)) == expected - {"enhsp"}
 
 
 def test_who_is_not_known_cannot_take_part() -> None:
@@ -218,7 +218,7 @@ def test_who_is_not_known_cannot_take_part() -> None:
 def test_who_is_not_installed_cannot_take_part(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(InputError, match="enhsp needs java"):
-        race(rooms(), planners=("kairos", "enhsp"))
+        solve_with_portfolio(rooms(), planners=("kairos", "enhsp"))
 
 
 # --- how it is stopped ---------------------------------------------------------------------
@@ -247,8 +247,8 @@ def test_a_process_that_dies_takes_nobody_with_it(folder: Path) -> None:
 
 def test_when_we_are_killed_everybody_goes_with_us(folder: Path, root: Path) -> None:
     code = (
-        "from planner_bridge.planning.portfolio import race; from tests.support.problems import hard; "
-        "race(hard(), planners=('kairos', 'aries'), timeout=600)"
+        "from planner_bridge.planning.portfolio import solve_with_portfolio; from tests.support.problems import hard; "
+        "solve_with_portfolio(hard(), planners=('kairos', 'aries'), timeout=600)"
     )
     us = subprocess.Popen([sys.executable, "-c", code], cwd=root)
     until(lambda: working_in(folder, "up-aries_"))

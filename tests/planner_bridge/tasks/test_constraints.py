@@ -13,11 +13,11 @@ from rich.console import Console
 from planner_bridge.cli.console import ConsoleObserver, print_result
 from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.problem import Problem
-from planner_bridge.pipeline import pursue
+from planner_bridge.pipeline import achieve_at
 from planner_bridge.simulation import robots_of, simulated_backend
-from planner_bridge.tasks.constraint_monitor import Monitor
+from planner_bridge.tasks.constraint_monitor import ConstraintMonitor
 from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.result import Stopwatch, TaskResult, Violation
+from planner_bridge.tasks.result import TaskResult, Violation
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
@@ -29,8 +29,8 @@ from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
-from tests.planner_bridge.tasks.test_replanning import LateBackend
 from tests.support.problems import rooms
+from tests.support.runs.simulated import LateBackend
 
 TO_C = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc")
 """Two moves of a second each, from a over b to c."""
@@ -100,7 +100,7 @@ def pursued(
     site, log = site or simulated_backend(problem, bindings, faults), Log()
 
     async def main() -> tuple[TaskResult, float]:
-        result = await pursue(problem, site, Settings(limits=limits, bindings=bindings), log, Stopwatch())
+        result = await achieve_at(site, problem, Settings(limits=limits, bindings=bindings), log)
         return result, asyncio.get_running_loop().time()
 
     result, ended = run_async(main(), virtual=True)
@@ -249,14 +249,14 @@ def test_a_cancelled_task_tells_what_was_not_fulfilled() -> None:
 
 def test_a_violation_is_told_once() -> None:
     world = KnowledgeBase()
-    watching = Monitor(constrained(always(Not(B))), Layered(world))
+    watching = ConstraintMonitor(constrained(always(Not(B))), Layered(world))
     watching.look(0.0)
     world.update({("clean", "b"): True})
     assert [[violation.time for violation in watching.look(now)] for now in (1.0, 1.005, 1.02, 2.0, 3.0)] == [[], [], [1.0], [], []]
 
 
 def test_a_task_that_never_began_has_monitored_nothing() -> None:
-    monitor = Monitor(constrained(always(B)), Layered(KnowledgeBase()))
+    monitor = ConstraintMonitor(constrained(always(B)), Layered(KnowledgeBase()))
     assert [one.status for one in monitor.constraint_results(0.0)] == ["not monitored"]
 
 
@@ -302,10 +302,10 @@ def test_preferences_of_actions_are_said_not_to_be_monitored() -> None:
 # --- what is left for a planner ----------------------------------------------------------------------
 
 
-def monitor(problem: Problem, *seen: tuple[float, dict[str, bool]]) -> tuple[Monitor, Problem]:
+def monitor(problem: Problem, *seen: tuple[float, dict[str, bool]]) -> tuple[ConstraintMonitor, Problem]:
     """Look at which rooms are clean at some times; return also the problem that is left then."""
     world = KnowledgeBase(problem.init, objects=problem.objects_by_type)
-    watching = Monitor(problem, Layered(world))
+    watching = ConstraintMonitor(problem, Layered(world))
     for time, clean in seen:
         world.update({("clean", room): value for room, value in clean.items()})
         watching.look(time)
@@ -387,7 +387,7 @@ def test_a_person_reads_what_is_violated_as_it_happens_and_at_the_end() -> None:
     text = io.StringIO()
     console = Console(file=text)
     site = simulated_backend(problem, Bindings(), changes((0.3, "b"), (0.3, "c")))
-    print_result(console, run_async(pursue(problem, site, Settings(), ConsoleObserver(console), Stopwatch()), virtual=True))
+    print_result(console, run_async(achieve_at(site, problem, Settings(), ConsoleObserver(console)), virtual=True))
     lines = text.getvalue().splitlines()
     assert "      0.31 s  broken (always (not (clean b))); observed (clean b) is true" in lines
     assert "goal     not reached: (always (not (clean b))) is violated after 0.30 s: (clean b) is true" in lines

@@ -9,17 +9,17 @@ import pytest
 
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline import achieve, pursue
+from planner_bridge.pipeline import achieve, achieve_at
 from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.replanning import PlanAgain, Resume
-from planner_bridge.tasks.result import Stopwatch, TaskResult
+from planner_bridge.tasks.result import TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.bindings import Bindings
-from tests.planner_bridge.cli.test_cli import pnm
-from tests.planner_bridge.cli.test_cli import result as told
+from tests.support.command_line import pnm
+from tests.support.command_line import result as told
 from tests.support.problems import ROOMS
 
 ROUND = "(way a b) (way b a) (way b c) (way a d) (way d a) (way d c) (way c d)"
@@ -37,7 +37,7 @@ def problem(constraints: str = "", *, goal: str = "(at r1 c)", init: str = "(at 
 
 def pursued(wanted: Problem, faults: Faults = NO_FAULTS, settings: Settings = Settings()) -> tuple[TaskResult, KnowledgeBase]:
     site = simulated_backend(wanted, Bindings(), faults)
-    result = run_async(pursue(wanted, site, settings, TaskObserver(), Stopwatch()), virtual=True)
+    result = run_async(achieve_at(site, wanted, settings, TaskObserver()), virtual=True)
     return result, site.robots.world.truth
 
 

@@ -4,40 +4,40 @@ from __future__ import annotations
 
 import asyncio
 
-from planner_bridge.tasks.scheduling.planning_queue import SLOW, Turnstile
+from planner_bridge.tasks.scheduling.planning_queue import SLOW, PlanningQueue
 from pnm.clock import run_async
 
 
 def test_who_is_overtaken_by_a_change_tries_again():
     async def scene() -> None:
-        turnstile: Turnstile[str] = Turnstile(lambda who: (0, 0))
+        queue: PlanningQueue[str] = PlanningQueue(lambda who: (0, 0))
         for overtaken in (True, False):
-            await turnstile.enter("a")
+            await queue.enter("a")
             if overtaken:
-                turnstile.changed()
-            turnstile.leave("a", in_vain=True)
+                queue.changed()
+            queue.leave("a", failed=True)
             if not overtaken:
-                asyncio.get_running_loop().call_later(10.0, turnstile.changed)
+                asyncio.get_running_loop().call_later(10.0, queue.changed)
             began = asyncio.get_running_loop().time()
             async with asyncio.timeout(100.0):
-                await turnstile.enter("a")
+                await queue.enter("a")
             assert asyncio.get_running_loop().time() == began + (0.0 if overtaken else 10.0)
-            turnstile.leave("a")
+            queue.leave("a")
 
     run_async(scene(), virtual=True)
 
 
 def test_those_who_are_slow_keep_nobody_waiting_but_for_a_moment():
     async def scene() -> list[tuple[str, float]]:
-        turnstile: Turnstile[str] = Turnstile(lambda who: (0, ord(who)))
-        await turnstile.enter("a")  # and does not leave
+        queue: PlanningQueue[str] = PlanningQueue(lambda who: (0, ord(who)))
+        await queue.enter("a")  # and does not leave
         through: list[tuple[str, float]] = []
 
         async def try_for(who: str, seconds: float) -> None:
-            await turnstile.enter(who)
+            await queue.enter(who)
             through.append((who, asyncio.get_running_loop().time()))
             await asyncio.sleep(seconds)
-            turnstile.leave(who)
+            queue.leave(who)
 
         async with asyncio.timeout(100.0):
             await asyncio.gather(*(try_for(who, seconds) for who, seconds in (("b", 0.5), ("c", 5.0), ("d", 0.5), ("e", 0.5))))

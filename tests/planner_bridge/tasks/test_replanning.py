@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import replace
 
 import pytest
@@ -12,12 +11,11 @@ from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
-from planner_bridge.pipeline import achieve, pursue
-from planner_bridge.simulation import robots_of, simulated_backend
+from planner_bridge.pipeline import achieve, achieve_at
+from planner_bridge.simulation import simulated_backend
 from planner_bridge.tasks.replanning import Decision, GiveUp, History, Limits, PlanAgain, Progress, Resume, decide
-from planner_bridge.tasks.result import Stopwatch, TaskResult
+from planner_bridge.tasks.result import TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
-from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.clock import run_async
 from pnm.core.execution.call_results import CallResult, Failure
@@ -31,6 +29,7 @@ from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Cause, GroundAction
 from pnm.tasks import TaskState
 from tests.support.problems import ROOMS, matches, rooms
+from tests.support.runs.simulated import LateBackend
 
 
 def pursued(
@@ -38,7 +37,7 @@ def pursued(
 ) -> tuple[TaskResult, KnowledgeBase]:
     """Pursue the goal of the problem and return the result with the truth; the verdict must be true to the world."""
     site = simulated_backend(problem, bindings, faults)
-    result = run_async(pursue(problem, site, Settings(limits=limits, bindings=bindings), TaskObserver(), Stopwatch()), virtual=True)
+    result = run_async(achieve_at(site, problem, Settings(limits=limits, bindings=bindings), TaskObserver()), virtual=True)
     truth = site.robots.world.truth
     assert result.goal_reached == (evaluate(problem.goal, truth) is True)
     return result, truth
@@ -126,7 +125,7 @@ def test_trying_without_progress_takes_longer_and_longer() -> None:
     pauses = []
     for _ in range(6):
         history = history.after((), ())
-        pauses.append(history.pause(limits))
+        pauses.append(history.backoff(limits))
     assert pauses == [0.0, 0.5, 1.0, 2.0, 3.0, 3.0]
 
 
@@ -136,7 +135,7 @@ def test_a_pause_before_another_try_is_told_with_its_reason() -> None:
     observer.entered = lambda state, why: told.append((state, why))  # type: ignore[method-assign]
     problem, limits = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc"), Limits(replans=2, forbid_after=100)
     run_async(
-        pursue(problem, simulated_backend(problem, Bindings(), aborts("move")), Settings(limits=limits), observer, Stopwatch()),
+        achieve_at(simulated_backend(problem, Bindings(), aborts("move")), problem, Settings(limits=limits), observer),
         virtual=True,
     )
     assert (TaskState.REPLANNING, "tries again in 0.5 s after move(r1, a, b) was aborted") in told
@@ -167,7 +166,7 @@ def test_an_action_that_may_still_be_going_on_is_not_planned_with() -> None:
     stuck = Faults((Fault("move(r1, a, b)", FaultKind.SLOW, ignores_cancel=True),))
     bindings = Bindings({"move": Binding(timeout=3.0, cancel=1.0)}, assumed=frozenset({"at"}))
     site = simulated_backend(rooms(init="(at r1 a)", goal="(at r1 b)"), bindings, stuck)
-    task = pursue(rooms(init="(at r1 a)", goal="(at r1 b)"), site, Settings(bindings=bindings), TaskObserver(), Stopwatch())
+    task = achieve_at(site, rooms(init="(at r1 a)", goal="(at r1 b)"), Settings(bindings=bindings), TaskObserver())
     result = run_async(task, virtual=True)
     assert result.failures[0].unconfirmed
     assert sum(call.attempts for call in result.calls) == 1
@@ -270,29 +269,13 @@ def test_the_rest_of_a_network_of_tasks_is_used_and_otherwise_the_whole_network_
     )
 
 
-class LateBackend(SimulatedBackend):
-    """Simulated robots whose sensors are late."""
-
-    def __init__(self, problem: Problem, faults: Faults, delay: float, lag: float) -> None:
-        super().__init__(robots_of(problem, Bindings(), faults))
-        self.delay, self.lag = delay, lag
-
-    async def open(self, knowledge: KnowledgeBase) -> None:
-        loop = asyncio.get_running_loop()
-        world = self.robots.world
-        names = world.reported()
-        knowledge.sense(names, lag=self.lag)
-        world.truth.listen(lambda _: loop.call_later(self.delay, lambda: knowledge.replace(names, world.report(names))) and None)
-        self.robots.begin()
-
-
 @pytest.mark.parametrize("what", ["strike(m0)", "mend(f0, m0)"])
 def test_late_reports_are_waited_for_before_anything_is_decided(what: str) -> None:
     problem = matches(1)
     faults = Faults((Fault(what, FaultKind.ABORT, times=1),))
     site = LateBackend(problem, faults, delay=0.3, lag=1.0)
     settings = Settings(bindings=Bindings({"strike": Binding(retries=0), "mend": Binding(retries=0)}))
-    result = run_async(pursue(problem, site, settings, TaskObserver(), Stopwatch()), virtual=True)
+    result = run_async(achieve_at(site, problem, settings, TaskObserver()), virtual=True)
     truth = evaluate(problem.goal, site.robots.world.truth)
     assert result.goal_reached is truth
     assert what != "strike(m0)" or result.goal_reached

@@ -14,17 +14,16 @@ from hypothesis import strategies as st
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.node.problem_service import NOTHING
 from planner_bridge.simulation import simulated_backend
-from planner_bridge.tasks.plan_task import merge_bindings
-from planner_bridge.tasks.scheduling.task_manager import TaskMaster
+from planner_bridge.tasks.scheduling.task_manager import TaskManager
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
 from pnm.errors import InputError
-from pnm.language.plan import read_plans
+from pnm.language.plan import merge_bindings, read_plans
 from pnm.language.runner import Performer, Program
-from pnm.ros.tasks.task_messages import Ending, read_parameters
+from pnm.ros.tasks.task_messages import read_parameters, result_fields
 from pnm.tasks import Code, TaskEnding, TaskListener, Wanted
 
 JSON = st.recursive(
@@ -72,13 +71,13 @@ def test_parameters_written_as_json_come_in_as_they_were(parameters: dict[str, o
 
 @given(st.dictionaries(st.text(), JSON, max_size=4))
 def test_results_are_json(results: dict[str, object]) -> None:
-    fields = Ending(True, "goal", "done", results).fields()
+    fields = result_fields(True, "goal", "done", results)
     assert json.loads(str(fields["results"])) == results
     assert fields["message"] == "done"
 
 
 def test_a_result_that_json_cannot_say_is_told_of() -> None:
-    fields = Ending(True, "goal", "done\x1b", {"a": float("nan"), "b": 1}).fields()
+    fields = result_fields(True, "goal", "done\x1b", {"a": float("nan"), "b": 1})
     assert fields["results"] == '{"b": 1}'
     assert str(fields["message"]).startswith("done\N{REPLACEMENT CHARACTER}; a is left out: JSON cannot say nan")
 
@@ -95,7 +94,7 @@ def test_calls_and_restarts_of_a_plan_are_counted_and_told(tmp_path: Path) -> No
     tour = Wanted(UUID(int=1), "tour", is_plan=True)
 
     class Told(TaskListener):
-        def __init__(self, master: TaskMaster) -> None:
+        def __init__(self, master: TaskManager) -> None:
             self.master = master
             self.statuses: list[tuple[int, int, tuple[str, ...]]] = []
             self.endings: list[TaskEnding] = []
@@ -111,7 +110,7 @@ def test_calls_and_restarts_of_a_plan_are_counted_and_told(tmp_path: Path) -> No
 
     async def go() -> Told:
         await performer.site.open(performer.world)
-        master = TaskMaster(NOTHING, performer.world, performer.site, Settings(), _no_goal, performer=performer)
+        master = TaskManager(NOTHING, performer.world, performer.site, Settings(), _no_goal, performer=performer)
         told = Told(master)
         master.listen(told)
         master.begin(tour)
@@ -140,7 +139,7 @@ def test_a_pause_does_not_use_up_the_time_of_a_plan(tmp_path: Path) -> None:
 
     async def go() -> None:
         await performer.site.open(performer.world)
-        master = TaskMaster(NOTHING, performer.world, performer.site, Settings(), _no_goal, performer=performer)
+        master = TaskManager(NOTHING, performer.world, performer.site, Settings(), _no_goal, performer=performer)
         master.listen(Told())
         master.begin(Wanted(UUID(int=1), "tour", is_plan=True))
         await asyncio.sleep(1.0)

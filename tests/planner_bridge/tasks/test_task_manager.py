@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from planner_bridge.loading import load
 from planner_bridge.model.problem import Problem
 from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.scheduling.task_manager import Room
+from planner_bridge.tasks.scheduling.task_manager import TaskLimits
 from planner_bridge.tasks.settings import OnChange, Settings
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.core.logic.computed_values import MISSING, Layer, Question
@@ -52,14 +52,14 @@ def on_stage(
     *,
     faults: Faults = NO_FAULTS,
     chosen: Settings = USUAL,
-    room: Room | None = None,
+    limits: TaskLimits | None = None,
     source: Source | None = None,
 ) -> Callable[[Callable[Concatenate[Stage, P], Awaitable[None]]], Callable[P, None]]:
     """Have a test played on a stage that is set like this."""
 
     def set_for(scene: Callable[Concatenate[Stage, P], Awaitable[None]]) -> Callable[P, None]:
         def test(*args: P.args, **kwargs: P.kwargs) -> None:
-            play(lambda stage: scene(stage, *args, **kwargs), problem, faults=faults, chosen=chosen, room=room, source=source)
+            play(lambda stage: scene(stage, *args, **kwargs), problem, faults=faults, chosen=chosen, limits=limits, source=source)
 
         _, *others = signature(scene).parameters.values()
         update_wrapper(test, scene)
@@ -126,7 +126,7 @@ async def test_a_goal_that_holds_is_reached_without_any_call(stage: Stage):
     assert stage.sent(task) == []
 
 
-@on_stage(room=Room(active=1, queue=1))
+@on_stage(limits=TaskLimits(active=1, queue=1))
 async def test_a_full_queue_takes_no_more(stage: Stage):
     first, second, third = (stage.want(f"(in p{n} a{n + 1})") for n in range(3))
     assert await stage.ended_with(third) == [Code.QUEUE_FULL]
@@ -518,8 +518,8 @@ async def test_a_pause_right_after_a_resumption_waits_for_what_that_begins(stage
     task = await stage.begun("(at r0 a2)")
     await stage.master.pause(task, at_once=True)
     going_on = stage.master._tasks[task]
-    going_on.go_on()
-    await going_on.pause("", at_once=False)
+    going_on.control.resume()
+    await going_on.control.pause("", at_once=False)
     assert stage.state(task) is TaskState.PAUSED
     await asyncio.sleep(0.1)
     assert not stage.site.robots._jobs

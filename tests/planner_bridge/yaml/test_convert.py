@@ -25,12 +25,14 @@ from pnm.core.logic.conditions import All, Compare, Holds
 from pnm.core.logic.domain import ActionSchema, Preference
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Constant, Fluent, ValueOf
-from pnm.core.logic.rules import Rule
+from pnm.core.logic.rules import DerivationRule
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError
-from tests.planner_bridge.pddl import test_pddl
+from tests.support import pddl_strategies as pddl
 from tests.support import strategies as generated
 from tests.support.files import ROOT, SHARED
+from tests.support.pddl_files import REFUSED
+from tests.support.refusals import refused
 
 PAIRS = SHARED / "pddl"
 GOLDEN = ROOT / "tests" / "planner_bridge" / "yaml" / "golden" / "patrol.yaml"
@@ -39,7 +41,7 @@ OWN = [(path.parents[2] / "domains" / path.parent.name / "domain.pddl", path) fo
 OTHERS = [
     (folder / "domain.pddl", folder / "problem.pddl")
     for folder in sorted(path.parent for path in PAIRS.glob("*/*/domain.pddl"))
-    if folder.name not in test_pddl.REFUSED
+    if folder.name not in REFUSED
 ]
 
 
@@ -112,18 +114,18 @@ def whole(domain: Domain) -> Domain:
 
 @settings(max_examples=8, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(
-    st.tuples(test_pddl.INSTANTANEOUS, test_pddl.DURATIVE),
-    st.lists(test_pddl.RULES, max_size=2),
-    st.lists(test_pddl.constraints(), max_size=2),
-    st.lists(test_pddl.WISHES, max_size=2),
+    st.tuples(pddl.INSTANTANEOUS, pddl.DURATIVE),
+    st.lists(pddl.RULES, max_size=2),
+    st.lists(pddl.constraints(), max_size=2),
+    st.lists(pddl.WISHES, max_size=2),
 )
 def test_a_domain_comes_back(
-    actions: tuple[ActionSchema, ActionSchema], rules: list[Rule], kept: list[Constraint], wished: list[Preference]
+    actions: tuple[ActionSchema, ActionSchema], rules: list[DerivationRule], kept: list[Constraint], wished: list[Preference]
 ) -> None:
     domain = replace(
-        test_pddl.domain_of(list(actions)),
+        pddl.domain_of(list(actions)),
         rules=tuple(rules),
-        constraints=tuple(map(test_pddl.over, kept)),
+        constraints=tuple(map(pddl.over, kept)),
         preferences=tuple(wished),
         hierarchy=("(:task t)", "(:method m\n    :parameters () ; why\n\t:task (t))"),
     )
@@ -134,12 +136,12 @@ def test_a_domain_comes_back(
 
 @settings(max_examples=8, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(
-    test_pddl.values(st.just(True)),
-    test_pddl.TIMED,
-    test_pddl.NUMBERS,
-    st.lists(test_pddl.PREFERENCES, max_size=2),
-    st.lists(test_pddl.constraints(), max_size=2),
-    st.lists(test_pddl.WISHES, max_size=2),
+    pddl.values(st.just(True)),
+    pddl.TIMED,
+    pddl.NUMBERS,
+    st.lists(pddl.PREFERENCES, max_size=2),
+    st.lists(pddl.constraints(), max_size=2),
+    st.lists(pddl.WISHES, max_size=2),
 )
 def test_a_problem_comes_back(
     init: dict[Fluent, bool | float | str],
@@ -150,16 +152,16 @@ def test_a_problem_comes_back(
     wished: list[Preference],
 ) -> None:
     goal = All((Holds(("idle",)), Compare(">", ValueOf(("charge", "r2")), Constant(number))))
-    soft = (*(replace(one, variables=(*test_pddl.OWN, *one.variables)) for one in goals), *wished)
+    soft = (*(replace(one, variables=(*pddl.OWN, *one.variables)) for one in goals), *wished)
     problem = Problem(
         "p",
-        test_pddl.domain_of([]),
+        pddl.domain_of([]),
         {"r2": ("robot",), "x": ("object",), "y": ("robot", "place")},
         init,
         timed,
         goal,
         None,
-        tuple(map(test_pddl.over, kept)),
+        tuple(map(pddl.over, kept)),
         tuple(sorted(soft, key=lambda one: isinstance(one.wanted, tuple))),
         network="(:htn :subtasks (and))\n(:tasks)",
         requirements=(":typing",),
@@ -361,10 +363,20 @@ def test_other_ways_to_write_it_are_read() -> None:
         " :effect (and (at ?r ?to) (not (at ?r ?from)) (decrease (battery ?r) 1))))"
     )
     assert found == replace(expected, requirements=())
-    assert [str(one) for one in found.warnings][:2] == [
-        "x.yaml:3:8: warning: :typing is needed here but not among the :requirements",
+    assert [str(one) for one in found.warnings] == [
         "x.yaml:9:5: warning: 'type' of go is left out: PDDL has nothing like it",
+        "x.yaml:10:5: warning: 'server' of go is left out: PDDL has nothing like it",
     ]
+
+
+def test_requirements_that_are_missing_are_told_of_the_pddl_that_is_written(tmp_path: Path) -> None:
+    file = tmp_path / "x.yaml"
+    file.write_text(WRITTEN, encoding="utf-8")
+    found = imported(file)
+    missing = [warning for warning in found.warnings if warning.message == ":typing is needed here but not among the :requirements"]
+    assert [warning.position.file for warning in missing] == ["domain.pddl"]
+    file.write_text(f"requirements: [typing, adl, fluents]\n{WRITTEN}", encoding="utf-8")
+    assert not any("needed" in str(warning) for warning in imported(file).warnings)
 
 
 def test_every_text_of_a_list_says_its_own_types() -> None:
@@ -378,52 +390,32 @@ def test_every_text_of_a_list_says_its_own_types() -> None:
 HEAD = "name: d\npredicates: [(p), (q)]\n"
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("plan: []\n", "x.yaml:1:1: there is no domain in the file; expected the key 'actions'"),
-        (f"{HEAD}predicate: []\n", "x.yaml:3:1: unknown key 'predicate'; did you mean 'predicates'?"),
-        (f"{HEAD}actions: {{a: {{precondition: (p)}}}}\n", "x.yaml:3:15: unknown key 'precondition'; did you mean 'preconditions'?"),
-        (f"{HEAD}actions:\n  a:\n    preconditions: (x)\n    effects: (pp)\n", "x.yaml:6:15: unknown predicate 'pp'; did you mean 'p'?"),
-        (f"{HEAD}actions:\n  a:\n    effects:\n      - (q)\n      - (p kitchen)\n", "x.yaml:7:9: (p) takes 0 arguments, found 1"),
-        (f"{HEAD}actions:\n  a:\n    preconditions:\n      orr: [(p)]\n", "x.yaml:6:7: unknown word 'orr'; did you mean 'or'?"),
-        (
-            f"{HEAD}actions:\n  a:\n    preconditions:\n      Exists: {{Query: v}}\n",
-            "x.yaml:6:7: PDDL has no 'Exists': it knows facts and functions, not variables",
-        ),
-        (
-            f"{HEAD}actions:\n  a:\n    preconditions: {{Comparison: [contains, [a, b]]}}\n",
-            "x.yaml:5:34: PDDL does not compare with 'contains'; expected one of =, !=, <, <=, >, >=",
-        ),
-        (f"{HEAD}actions: {{a: {{effects: [{{increse: [(p), 1]}}]}}}}\n", "x.yaml:3:26: unknown word 'increse'; did you mean 'increase'?"),
-        (f"{HEAD}actions: {{a: {{effects: [[(p)]]}}}}\n", "x.yaml:3:25: expected an effect such as (at ?r kitchen), found a list"),
-        (f"{HEAD}problem: {{goal: (r), objects: []}}\n", "x.yaml:3:18: unknown predicate 'r'; expected one of p, q"),
-        (f"{HEAD}problem: {{gaol: (p)}}\n", "x.yaml:3:11: unknown key 'gaol'; did you mean 'goal'?"),
-        (
-            f"{HEAD}problem:\n  init:\n    - (p)\n    - (p\n",
-            "x.yaml:6:7: this '(' is never closed; expected ')' before the end of the file",
-        ),
-        (
-            f"{HEAD}problem: {{init: [{{at: soon, facts: [(p)]}}]}}\n",
-            "x.yaml:3:37: unknown predicate 'at'; expected one of p, q",
-        ),
-        (f"{HEAD}problem: {{metric: {{minimise: 1}}}}\n", "x.yaml:3:20: unknown word 'minimise'; did you mean 'minimize'?"),
-        (f"{HEAD}preferences: [{{name: p1, condition: (p)}}]\n", "x.yaml:3:15: the key 'constraints' is missing"),
-        (f"{HEAD}constraints: [{{alway: (p)}}]\n", "x.yaml:3:16: unknown word 'alway'; did you mean 'always'?"),
-        (
-            f"{HEAD}problem: {{preferences: [{{moment: at_strat, condition: (p)}}]}}\n",
-            "x.yaml:3:34: unknown moment 'at_strat'; did you mean 'at_start'?",
-        ),
-        (f"{HEAD}derived: [{{fact: (p)}}]\n", "x.yaml:3:11: the key 'condition' is missing"),
-        (f"{HEAD}hierarchy: [(:tusk t)]\n", "x.yaml:3:13: expected the text of :task or :method"),
-        ("name: d\ntypes: [[a]]\n", "x.yaml:2:9: expected a text, found a list"),
-        ("name: [d]\nactions: {}\n", "x.yaml:1:7: expected a name, found a list"),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), refused(Path(__file__).parent / "refused" / "converted.yaml"))
 def test_what_is_wrong_is_said_where_it_is(text: str, message: str) -> None:
     with pytest.raises(InputError) as refusal:
         parse(text, "x.yaml")
     assert str(refusal.value).startswith(message)
+
+
+TYPED = """name: d
+types: robot place
+constants: [r1 - robot, hall - place]
+predicates: ["(at ?r - robot ?p - place)", "(clean ?p - place)", (tidy)]
+functions: ["(charge ?r - robot)", "(home ?r - robot) - place"]
+derived: [{fact: (tidy), condition: {forall: {variables: "?p - place", condition: "(clean ?p)"}}}]
+"""
+
+
+@pytest.mark.parametrize(("text", "message"), refused(Path(__file__).parent / "refused" / "checked_by_types.yaml"))
+def test_names_are_checked_as_planners_do(text: str, message: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        parse(f"{TYPED}{text}\n", "x.yaml")
+    assert str(refusal.value).startswith(f"x.yaml:{message}")
+
+
+def test_types_are_no_kinds_of_themselves() -> None:
+    with pytest.raises(InputError, match=r"x.yaml:1:9: the type 'a' is a kind of itself"):
+        parse("types: [a - b, b - a]\nactions: {}\n", "x.yaml")
 
 
 def test_a_damaged_file_is_read_or_refused_with_a_position() -> None:

@@ -8,17 +8,15 @@ from typing import Final
 import pytest
 
 from planner_bridge.loading import load
-from planner_bridge.pipeline import pursue
+from planner_bridge.pipeline import achieve_at
 from planner_bridge.simulation import simulated_backend
-from planner_bridge.tasks.plan_task import merge_bindings
-from planner_bridge.tasks.result import Stopwatch
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.yaml.convert import exported
 from pnm.clock import run_async
 from pnm.core.execution.call_results import CallResult
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import Fluent, Unknown, Value
-from pnm.language.plan import HandWrittenPlan, read_plans
+from pnm.language.plan import HandWrittenPlan, merge_bindings, read_plans
 from pnm.language.runner import Performer, Program
 from tests.support.files import ROOT
 
@@ -46,7 +44,7 @@ def told(calls: tuple[CallResult, ...]) -> list[tuple[str, ...]]:
 def planned(domain: Path, problem: Path) -> Told:
     loaded = load(domain, problem)
     site = simulated_backend(loaded, Settings().bindings)
-    result = run_async(pursue(loaded, site, Settings(), TaskObserver(), Stopwatch()), virtual=True)
+    result = run_async(achieve_at(site, loaded, Settings(), TaskObserver()), virtual=True)
     return result.goal_reached, told(result.calls), site.robots.world.truth.facts()
 
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from planner_bridge.tasks.plan_task import PlanResult, carry_out
+from planner_bridge.pipeline import carry_out
+from planner_bridge.tasks.result import PlanResult
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.errors import InputError
 
@@ -34,7 +35,7 @@ def returns(folder: Path, simulated: str, step: str = "- look: {x: 3}", rest: st
 )
 def test_results_are_computed_from_the_goal_and_the_world(tmp_path: Path, simulated: str, stored: object) -> None:
     result = returns(tmp_path, simulated, rest='facts: ["(= (battery r1) 80)", (at r1 hall)]\n')
-    assert result.task.goal_reached
+    assert result.goal_reached
     assert result.variables == {"y": stored}
 
 
@@ -65,9 +66,9 @@ def test_results_go_where_the_step_says(tmp_path: Path) -> None:
 
 def test_what_cannot_be_computed_fails_by_name(tmp_path: Path) -> None:
     result = returns(tmp_path, '{y: {Operation: ["+", ["?x", 1]]}}', "- look: {x: three}")
-    assert not result.task.goal_reached
+    assert not result.goal_reached
     assert result.variables == {}
-    assert "what look(three) returns cannot be computed: add('three', 1)" in result.task.reason
+    assert "what look(three) returns cannot be computed: add('three', 1)" in result.reason
 
 
 def test_an_action_without_effect_returns_nothing(tmp_path: Path) -> None:
@@ -100,7 +101,7 @@ actions:
 initial_knowledge: {x: 3}
 plan: [{look: {}}]
 """
-    assert run(tmp_path, text).task.goal_reached
+    assert run(tmp_path, text).goal_reached
     denied = run(tmp_path, text.replace("x: 3", "x: 4"))
-    assert not denied.task.goal_reached
-    assert "precondition_false" in denied.task.reason
+    assert not denied.goal_reached
+    assert "precondition_false" in denied.reason

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from planner_bridge.loading import load
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.pddl import parse_domain, parse_problem
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
@@ -26,19 +25,13 @@ from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import ByService, ByTopic, Instance, instances, read, unknown
 from pnm.knowledge.state_reports import StateReports, Watchdog
 from pnm.ros.backend import Ros2Backend
-from tests.pnm.language.test_damage import damaged
 from tests.support.files import ROOT
+from tests.support.refusals import refused
+from tests.support.sensed_world import KNOWN, PROBLEM
+from tests.support.yaml_damage import damaged
 
-DOMAIN = parse_domain(
-    """(define (domain d) (:requirements :adl :fluents :derived-predicates)
-    (:types robot place - object arm - robot)
-    (:predicates (charged ?r - robot) (at ?r - robot ?p - place) (ready ?r - robot) (dark))
-    (:functions (battery ?r - robot) - number (location ?r - robot) - place)
-    (:derived (ready ?r - robot) (charged ?r))
-    (:action wait :parameters (?r - robot)))"""
-)
-PROBLEM = parse_problem("(define (problem p) (:domain d) (:objects r1 r-2 - robot a1 - arm kitchen hall - place) (:goal (dark)))", DOMAIN)
-KNOWN = PROBLEM.vocabulary
+BAD_INPUT = Path(__file__).with_name("refused")
+
 EVERYTHING = """\
 stale: 30
 sensors:
@@ -131,64 +124,7 @@ def about(entry: str, sensor: str = "topic: t") -> str:
     return f"sensors: [{{{sensor}, facts: [{entry}]}}]"
 
 
-WRONG = [
-    ("^sensor: []", "unknown key 'sensor'; did you mean 'sensors'?"),
-    ("stale: ^0", "expected more than 0 seconds under 'stale'"),
-    ("sensors: [^{type: a/msg/B}]", "expected either a topic or a service"),
-    ("sensors: [^{topic: t, service: s}]", "expected either a topic or a service"),
-    ("sensors: [{topic: t, ^every: 2}]", "unknown key 'every'"),
-    ("sensors: [^{topic: t}]", "the sensor says nothing; expected facts or variables"),
-    ("sensors: [{topic: ^a b}]", "not a name in ROS: 'a b'"),
-    ("sensors: [{topic: ^'/{r/b'}]", "the braces in '/{r/b' do not match"),
-    ("sensors: [{topic: /t, type: ^sensor_msgs/srv/B}]", "expected something like sensor_msgs/msg/BatteryState"),
-    ("sensors: [{topic: ^'/{robt}/b', for: {robot: robot}}]", "?robt is not in 'for'; did you mean '?robot'?"),
-    ("sensors: [{topic: ^/b, for: {r: robot}}]", "'/b' does not name {r}, so all would be told the same"),
-    ("sensors: [{service: ^/b, for: {r: robot}}]", "'/b' does not name {r}, nor the request, so all would be told the same"),
-    ("sensors: [{topic: '/{r}/b', for: {r: ^robto}}]", "there is no type 'robto' in the domain; did you mean 'robot'?"),
-    ("sensors: [{topic: '/{r}/b', for: {r: ^[]}}]", "expected the type of r"),
-    ("sensors: [{topic: '/{value}', for: {^value: robot}}]", "'value' cannot name an object here"),
-    ("sensors: [{service: s, request: ^{r: '?q'}}]", "?q is not in 'for'; expected {name: type} there"),
-    ("sensors: [{service: s, request: ^3}]", "expected the fields of the request"),
-    ("sensors: [{service: s, every: ^0}]", "expected more than 0 seconds under 'every'"),
-    (about("^{field: x}"), "expected one of fact, number and object"),
-    (about("^{fact: (dark), number: (battery r1)}"), "expected one of fact, number and object"),
-    (about("{fact: ^dark}"), "not a fact: 'dark'"),
-    (about("{fact: ^(drak)}"), "there is no predicate 'drak' in the domain; did you mean 'dark'?"),
-    (about("{fact: ^(battery r1)}"), "battery is a function with numbers for values; expected a predicate"),
-    (about("{number: ^(location r1), field: x}"), "location is a function with objects for values; expected a function with numbers"),
-    (about("{object: ^(dark), field: x}"), "dark is a predicate; expected a function with objects"),
-    (about("{fact: ^(ready r1)}"), "facts of ready follow from rules; they are neither set nor reported"),
-    (about("{fact: ^(dark r1)}"), "dark takes 0 arguments, found 1"),
-    (about("{fact: ^(charged r3)}"), "there is no object 'r3' in the domain; expected one of a1, hall"),
-    (about("{fact: ^(charged hall)}"), "hall is a place; expected a robot"),
-    (about("{fact: ^'(charged ?r)'}"), "?r is not in 'for'"),
-    (about("{fact: ^'(at ?r kitchen)'}", "topic: '/{r}', for: {r: place}"), "?r is a place; at takes a robot"),
-    (about("{fact: ^'(at ?value ?value)', field: x}"), "?value is there twice"),
-    (about("{number: ^'(battery ?value)', field: x}"), "?value is not in 'for'"),
-    (about("^{number: (battery r1)}"), "expected a field, such as pose.position.x"),
-    (about("{number: (battery r1), field: ^3}"), "not a field: '3'; expected something like pose.position.x or cells[0].voltage"),
-    (about("{number: (battery r1), field: ^a..b}"), "not a field: 'a..b'; expected something like pose.position.x"),
-    (about("{number: (battery r1), field: x, table: {a: ^b}}"), "expected a number for 'a'"),
-    (about("{number: (battery r1), field: x, table: {a: ^.nan}}"), "expected a number for 'a'"),
-    (about("{number: (battery r1), field: x, table: ^{}}"), "expected values of the field and what they mean"),
-    (about("{number: (battery r1), field: x, table: ^a}"), "expected values of the field and what they mean"),
-    (about("{number: (battery r1), field: x, ^when: {}}"), "unknown key 'when'"),
-    (about("{object: (location r1), field: x, table: {a: ^r1}}"), "r1 is a robot; expected a place"),
-    (about("{object: (location r1), field: x, table: {a: ^1}}"), "expected the name of an object for 'a'"),
-    (about("{fact: (dark), field: ^x, when: {field: x}}"), "expected either 'field', which is true or false, or 'when'"),
-    (about("{fact: (dark), when: ^{}}"), "expected a test such as"),
-    (about("{fact: (dark), when: {^feild: x}}"), "unknown key 'feild'; did you mean 'field'?"),
-    (about("{fact: (dark), when: ^{ge: 1}}"), "expected the field that is compared by 'ge'"),
-    (about("{fact: (dark), when: {field: x, ^not: {field: y}}}"), "unknown key 'not'"),
-    (about("{fact: (dark), when: {field: x, ge:^ }}"), "expected what x is compared with"),
-    (about("{fact: (dark), when: {all: ^{field: x}}}"), "expected a list of tests under 'all'"),
-    (about("{fact: (dark), when: ^{all: [], any: []}}"), "expected one of not, all, any"),
-    ("sensors: [{topic: '/{r}', for: {r: robot}, variables: [{name: ^zone, field: x}]}]", "'zone' does not name {r}, so all would be one"),
-    ("sensors: [{topic: t, variables: [{name: zone, ^when: x}]}]", "unknown key 'when'"),
-]
-
-
-@pytest.mark.parametrize(("text", "said"), WRONG, ids=[text[:70] for text, _ in WRONG])
+@pytest.mark.parametrize(("text", "said"), refused(BAD_INPUT / "sensors.yaml"))
 def test_what_is_wrong_is_said_with_its_place(tmp_path, text, said):
     """The error is about what stands behind the mark."""
     file = written(tmp_path, text.replace("^", ""))
@@ -379,17 +315,17 @@ def test_what_nobody_reports_for_too_long_falls_silent_once_and_again():
 
     async def main():
         loop = asyncio.get_running_loop()
-        silence = Watchdog(10.0, lambda: fallen.append(loop.time()))
+        watchdog = Watchdog(10.0, lambda: fallen.append(loop.time()))
         forever = Watchdog(None, lambda: fallen.append("never"))
         for _ in range(3):
             await asyncio.sleep(9.0)
-            silence.heard()
-            forever.heard()
+            watchdog.reset()
+            forever.reset()
         await asyncio.sleep(50.0)
-        silence.heard()
+        watchdog.reset()
         await asyncio.sleep(50.0)
-        silence.heard()
-        silence.close()
+        watchdog.reset()
+        watchdog.close()
         await asyncio.sleep(50.0)
         forever.close()
 
@@ -400,24 +336,24 @@ def test_what_nobody_reports_for_too_long_falls_silent_once_and_again():
 def test_what_is_no_longer_reported_is_unknown_until_it_is_reported_again(caplog):
     async def main():
         world = KnowledgeBase({("at", "r1", "hall"): True, ("dark",): True}, objects=PROBLEM.objects_by_type)
-        told = StateReports(world, {"ready": "its facts follow from rules", "spam": ""}, 1.0, 5.0, KNOWN.signatures)
+        reports = StateReports(world, {"ready": "its facts follow from rules", "spam": ""}, 1.0, 5.0, KNOWN.signatures)
         names = {"at", "battery", "location", "ready", "spam"}
         report = {("at", "r1", "kitchen"): True, ("battery", "r1"): 3.0, ("location", "r1"): "hall", ("ready", "r1"): True}
-        told.tell(names, report)
+        reports.record(names, report)
         kept = world.facts()
         assert kept == {("at", "r1", "kitchen"): True, ("battery", "r1"): 3.0, ("location", "r1"): "hall", ("dark",): True}
         await asyncio.sleep(4.0)
-        told.tell({"battery"}, {("battery", "r1"): 2.0})
+        reports.record({"battery"}, {("battery", "r1"): 2.0})
         await asyncio.sleep(3.0)
         places = [("at", robot, place) for robot in ("r1", "r-2", "a1") for place in ("kitchen", "hall")]
         assert {world.value(fluent) for fluent in [*places, ("location", "r1"), ("location", "a1")]} == {UNKNOWN}
         assert (world.value(("battery", "r1")), world.value(("dark",))) == (2.0, True)
         await asyncio.sleep(5.0)
         assert world.value(("battery", "r1")) is UNKNOWN
-        told.tell(names, {("at", "r1", "hall"): True})
+        reports.record(names, {("at", "r1", "hall"): True})
         assert [place for place in places if world.value(place) is not False] == [("at", "r1", "hall")]
         assert world.value(("location", "r1")) == UNDEFINED
-        told.close()
+        reports.close()
         await asyncio.sleep(50.0)
         assert world.value(("at", "r1", "hall")) is True
 
@@ -430,12 +366,12 @@ def test_what_is_no_longer_reported_is_unknown_until_it_is_reported_again(caplog
 def test_of_names_that_nobody_knows_more_about_what_was_recorded_is_unknown():
     async def main():
         world = KnowledgeBase(objects=PROBLEM.objects_by_type)
-        told = StateReports(world, {}, 1.0, 5.0)
-        told.tell({"at"}, {("at", "r1", "kitchen"): True})
+        reports = StateReports(world, {}, 1.0, 5.0)
+        reports.record({"at"}, {("at", "r1", "kitchen"): True})
         await asyncio.sleep(6.0)
         assert (world.value(("at", "r1", "kitchen")), world.value(("at", "r1", "hall"))) == (UNKNOWN, None)
-        told.tell({"at"}, {})
+        reports.record({"at"}, {})
         assert world.value(("at", "r1", "kitchen")) is False
-        told.close()
+        reports.close()
 
     run_async(main(), virtual=True)

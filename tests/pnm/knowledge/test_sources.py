@@ -24,7 +24,7 @@ from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.errors import InputError, Position
 from pnm.knowledge.sources import (
     Asker,
-    Choice,
+    SourceChoice,
     SourceError,
     Sources,
     Surroundings,
@@ -474,7 +474,7 @@ def test_built_in_names(name: str) -> None:
 def test_classes_of_the_original_are_the_default(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     assert check_source(name) == "RPKnowledgeBase"
-    sources = open_sources([Choice(name)], Surroundings())
+    sources = open_sources([SourceChoice(name)], Surroundings())
     assert repr(sources) == f"<Sources <SqliteKnowledge {tmp_path}/pnm/knowledge.sqlite>; <Terminal>>"
     assert not list(tmp_path.iterdir()), "nothing is opened before it is needed"
 
@@ -492,11 +492,11 @@ def test_a_source_of_ones_own(registered: None) -> None:
     mine, people = Scripted({"a": 1}), Scripted({"shop": 2})
     register_source("my.module.Ontology", lambda options, surroundings: mine)
     register_source("screen", lambda options, surroundings: people, layer=Layer.PERSON)
-    sources = open_sources([Choice("my.module.Ontology"), Choice("screen"), Choice("memory")], Surroundings())
+    sources = open_sources([SourceChoice("my.module.Ontology"), SourceChoice("screen"), SourceChoice("memory")], Surroundings())
     assert run(sources.query(about("a"), ME)) == 1
     assert run(sources.query(about("shop", Layer.PERSON), ME)) == 2
     with pytest.raises(InputError, match="screen speaks for people, and so does another source"):
-        open_sources([Choice("person"), Choice("screen")], Surroundings())
+        open_sources([SourceChoice("person"), SourceChoice("screen")], Surroundings())
 
 
 def test_a_source_of_a_package(registered: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -513,17 +513,20 @@ def test_a_source_of_a_package(registered: None, tmp_path: Path, monkeypatch: py
     (package / "entry_points.txt").write_text("\n".join(points))
     monkeypatch.syspath_prepend(str(tmp_path))
     assert {"shops", "broken", "screen"} <= set(source_names())
-    assert repr(open_sources([Choice("shops"), Choice("screen")], Surroundings())) == "<Sources <MemoryKnowledge>; <MemoryKnowledge>>"
+    assert (
+        repr(open_sources([SourceChoice("shops"), SourceChoice("screen")], Surroundings()))
+        == "<Sources <MemoryKnowledge>; <MemoryKnowledge>>"
+    )
     with pytest.raises(InputError, match="'broken' is registered but cannot be loaded: No module named 'gone'"):
-        open_sources([Choice("broken")], Surroundings())
+        open_sources([SourceChoice("broken")], Surroundings())
 
 
 def test_a_limit_that_is_chosen_is_waited_for(registered: None) -> None:
     slow = Scripted({"shop": 1}, seconds=200)
     register_source("slow", lambda options, surroundings: slow)
     register_source("thinker", lambda options, surroundings: slow, layer=Layer.PERSON)
-    short = open_sources([Choice("slow"), Choice("thinker", {"limit": "long"})], Surroundings())
-    long = open_sources([Choice("slow", {"limit": 250}), Choice("thinker", {"limit": 250.0})], Surroundings())
+    short = open_sources([SourceChoice("slow"), SourceChoice("thinker", {"limit": "long"})], Surroundings())
+    long = open_sources([SourceChoice("slow", {"limit": 250}), SourceChoice("thinker", {"limit": 250.0})], Surroundings())
     for layer in (Layer.GLOBAL, Layer.PERSON):
         with pytest.raises(SourceError, match="within"):
             run(short.query(about("shop", layer), ME))
@@ -533,24 +536,24 @@ def test_a_limit_that_is_chosen_is_waited_for(registered: None) -> None:
 @pytest.mark.parametrize(
     ("choice", "said"),
     [
-        (Choice("sqlite", {"fil": "x"}), "sqlite: unknown option 'fil'; did you mean 'file'"),
-        (Choice("sqlite", {"file": 3}), "expected a text for file, found 3"),
-        (Choice("memory", {"x": 3}), "unknown option 'x'; it has no options"),
-        (Choice("terminal", {"limit": 0}), "expected a number of seconds for limit, found 0"),
-        (Choice("person", {"limit": True}), "person: .*expected a number of seconds for limit, found True"),
-        (Choice("ros2"), "ros2: needs ROS 2, which is not used here"),
-        (Choice("topics"), "topics: needs ROS 2, which is not used here"),
+        (SourceChoice("sqlite", {"fil": "x"}), "sqlite: unknown option 'fil'; did you mean 'file'"),
+        (SourceChoice("sqlite", {"file": 3}), "expected a text for file, found 3"),
+        (SourceChoice("memory", {"x": 3}), "unknown option 'x'; it has no options"),
+        (SourceChoice("terminal", {"limit": 0}), "expected a number of seconds for limit, found 0"),
+        (SourceChoice("person", {"limit": True}), "person: .*expected a number of seconds for limit, found True"),
+        (SourceChoice("ros2"), "ros2: needs ROS 2, which is not used here"),
+        (SourceChoice("topics"), "topics: needs ROS 2, which is not used here"),
     ],
     ids=str,
 )
-def test_wrong_options_are_refused_where_they_stand(choice: Choice, said: str) -> None:
-    choice = Choice(choice.name, choice.options, Position("plan.yaml", 2, 1))
+def test_wrong_options_are_refused_where_they_stand(choice: SourceChoice, said: str) -> None:
+    choice = SourceChoice(choice.name, choice.options, Position("plan.yaml", 2, 1))
     with pytest.raises(InputError, match=f"plan.yaml:2:1: .*{said}"):
         open_sources([choice], Surroundings())
 
 
 def test_files_are_relative_to_the_file_that_names_them(tmp_path: Path) -> None:
-    sources = open_sources([Choice("sqlite", {"file": "kb.sqlite"})], Surroundings(folder=tmp_path))
+    sources = open_sources([SourceChoice("sqlite", {"file": "kb.sqlite"})], Surroundings(folder=tmp_path))
     run(sources.update(about("a"), 1, ME))
     run(sources.close())
     assert (tmp_path / "kb.sqlite").is_file()

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from pnm.core.logic.computed_values import Compound, Data, KnowledgeOperation, Layer, Literal, Operation, Parameter, Query, Update
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
+from pnm.core.logic.domain import Declaration, DomainModel, DurationConstraint, ProblemModel
 from pnm.core.logic.effects import ForEach, Set, When
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, ValueOf, Variable
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Node, parse_yaml
 from pnm.language.formulas.conditions import FALSE, read_condition, read_expression
-from pnm.language.formulas.effects import Timed, Written, read_conditions, read_duration, read_effects, read_timed_effects
-from pnm.language.formulas.scope import Scope, read_names, read_typed
+from pnm.language.formulas.effects import TimedConditions, WrittenEffects, read_conditions, read_duration, read_effects, read_timed_effects
+from pnm.language.formulas.scope import FormulaScope, read_names, read_typed
 from pnm.language.formulas.values import read_data, read_operation
+from tests.support.refusals import refused_by_file
 
 
 def node(text: str) -> Node:
@@ -187,62 +190,65 @@ def test_a_question_that_is_found_by_asking_others() -> None:
 
 
 AT = Set(("at", "?r", "b"), Constant(True))
-EFFECTS: list[tuple[str, Written]] = [
-    ('"(at ?r b)"', Written((AT,))),
-    ('{Holds: "(at ?r b)"}', Written((AT,))),
-    ('["(at ?r b)", {not: "(at ?r a)"}]', Written((AT, Set(("at", "?r", "a"), Constant(False))))),
-    ("{and: [{not: {Holds: (a)}}, [{and: {Holds: (b)}}]]}", Written((Set(("a",), Constant(False)), Set(("b",), Constant(True))))),
-    ("{increase: [(cost), 5]}", Written((Set(("cost",), Constant(5.0), "increase"),))),
-    ("{scale_up: [(cost), (rate)]}", Written((Set(("cost",), ValueOf(("rate",)), "scale-up"),))),
-    ("{scale-down: [(cost), 2]}", Written((Set(("cost",), Constant(2.0), "scale-down"),))),
-    ('{assign: ["(place ?r)", "?to"]}', Written((Set(("place", "?r"), Constant("?to")),))),
-    ("{assign: [(place), kitchen]}", Written((Set(("place",), Constant("kitchen")),))),
-    ("{decrease: [(fuel), '?n']}", Written((Set(("fuel",), Constant("?n"), "decrease"),))),
-    ("{when: {condition: (a), effects: [(b)]}}", Written((When(Holds(("a",)), (Set(("b",), Constant(True)),)),))),
-    ("{when: {at_start: (a), effects: (b)}}", Written((When(Holds(("a",)), (Set(("b",), Constant(True)),), early=True),))),
+EFFECTS: list[tuple[str, WrittenEffects]] = [
+    ('"(at ?r b)"', WrittenEffects((AT,))),
+    ('{Holds: "(at ?r b)"}', WrittenEffects((AT,))),
+    ('["(at ?r b)", {not: "(at ?r a)"}]', WrittenEffects((AT, Set(("at", "?r", "a"), Constant(False))))),
+    ("{and: [{not: {Holds: (a)}}, [{and: {Holds: (b)}}]]}", WrittenEffects((Set(("a",), Constant(False)), Set(("b",), Constant(True))))),
+    ("{increase: [(cost), 5]}", WrittenEffects((Set(("cost",), Constant(5.0), "increase"),))),
+    ("{scale_up: [(cost), (rate)]}", WrittenEffects((Set(("cost",), ValueOf(("rate",)), "scale-up"),))),
+    ("{scale-down: [(cost), 2]}", WrittenEffects((Set(("cost",), Constant(2.0), "scale-down"),))),
+    ('{assign: ["(place ?r)", "?to"]}', WrittenEffects((Set(("place", "?r"), Constant("?to")),))),
+    ("{assign: [(place), kitchen]}", WrittenEffects((Set(("place",), Constant("kitchen")),))),
+    ("{decrease: [(fuel), '?n']}", WrittenEffects((Set(("fuel",), Constant("?n"), "decrease"),))),
+    ("{when: {condition: (a), effects: [(b)]}}", WrittenEffects((When(Holds(("a",)), (Set(("b",), Constant(True)),)),))),
+    ("{when: {at_start: (a), effects: (b)}}", WrittenEffects((When(Holds(("a",)), (Set(("b",), Constant(True)),), early=True),))),
     (
         '{forall: {variables: "?x - t", effects: {not: "(p ?x)"}}}',
-        Written((ForEach((Variable("?x", ("t",)),), (Set(("p", "?x"), Constant(False)),)),)),
+        WrittenEffects((ForEach((Variable("?x", ("t",)),), (Set(("p", "?x"), Constant(False)),)),)),
     ),
-    ("{and: {Exists: [LocalQuery: result]}}", Written((), Computed(Operation("exists", (q("result"),))))),
+    ("{and: {Exists: [LocalQuery: result]}}", WrittenEffects((), Computed(Operation("exists", (q("result"),))))),
     (
         '[Comparison: ["eq", [Query: time, Query: value]], {not: {Comparison: ["ne", [Query: time, Query: value]]}}]',
-        Written((), All((Computed(Operation("eq", (TIME, VALUE))), Not(Computed(Operation("ne", (TIME, VALUE))))))),
+        WrittenEffects((), All((Computed(Operation("eq", (TIME, VALUE))), Not(Computed(Operation("ne", (TIME, VALUE))))))),
     ),
-    ("[(done), {LocalQuery: success}]", Written((Set(("done",), Constant(True)),), Computed(q("success")))),
+    ("[(done), {LocalQuery: success}]", WrittenEffects((Set(("done",), Constant(True)),), Computed(q("success")))),
     (
         '{forall: {variables: "?x", condition: "(clean ?x)"}}',
-        Written((), ForAll((Variable("?x"),), Holds(("clean", "?x")))),
+        WrittenEffects((), ForAll((Variable("?x"),), Holds(("clean", "?x")))),
     ),
-    ("{}", Written()),
-    ("[]", Written()),
+    ("{}", WrittenEffects()),
+    ("[]", WrittenEffects()),
 ]
 
 
 @pytest.mark.parametrize(("text", "expected"), EFFECTS, ids=[text for text, _ in EFFECTS])
-def test_effects(text: str, expected: Written) -> None:
+def test_effects(text: str, expected: WrittenEffects) -> None:
     assert read_effects(node(text)) == expected
 
 
 def test_conditions_and_effects_by_moment() -> None:
-    assert read_conditions(node("{at_start: (a), over_all: [(b)], at_end: {not: (c)}}")) == Timed(
+    assert read_conditions(node("{at_start: (a), over_all: [(b)], at_end: {not: (c)}}")) == TimedConditions(
         Holds(("a",)), Holds(("b",)), Not(Holds(("c",)))
     )
-    assert read_conditions(node("(a)")) == Timed(Holds(("a",)))
-    assert read_conditions(node("")) == Timed() == read_conditions(None)
+    assert read_conditions(node("(a)")) == TimedConditions(Holds(("a",)))
+    assert read_conditions(None) == TimedConditions()
     start, end = read_timed_effects(node("{at_start: {not: (free)}, at_end: [(free), {Query: time}]}"))
     assert start == (Set(("free",), Constant(False)),)
-    assert end == Written((Set(("free",), Constant(True)),), Computed(TIME))
+    assert end == WrittenEffects((Set(("free",), Constant(True)),), Computed(TIME))
     assert read_timed_effects(node("(a)"))[0] == ()
 
 
 def test_durations() -> None:
-    assert read_duration(node("5")) == (("=", Constant(5.0)),)
+    assert read_duration(node("5")) == (DurationConstraint("=", Constant(5.0)),)
     assert read_duration(node('{Operation: ["/", ["(distance ?a ?b)", (speed)]]}')) == (
-        ("=", Arithmetic("/", (ValueOf(("distance", "?a", "?b")), ValueOf(("speed",))))),
+        DurationConstraint("=", Arithmetic("/", (ValueOf(("distance", "?a", "?b")), ValueOf(("speed",))))),
     )
-    assert read_duration(node('[{"<=": 5}, {">=": (least)}]')) == (("<=", Constant(5.0)), (">=", ValueOf(("least",))))
-    assert read_duration(node('{"=": "?n"}')) == (("=", Constant("?n")),)
+    assert read_duration(node('[{"<=": 5}, {">=": (least)}]')) == (
+        DurationConstraint("<=", Constant(5.0)),
+        DurationConstraint(">=", ValueOf(("least",))),
+    )
+    assert read_duration(node('{"=": "?n"}')) == (DurationConstraint("=", Constant("?n")),)
     assert read_duration(node("[]")) == ()
 
 
@@ -256,91 +262,39 @@ def test_typed_lists() -> None:
     }
 
 
-SCOPE = Scope(frozenset({"?robot", "?to"}), {"at": 2, "battery": 1}, frozenset({"r1", "kitchen"}), frozenset({"robot", "place"}))
-C, D, E, K, X, T, L = read_condition, read_data, read_effects, read_operation, read_expression, read_typed, read_duration
-WRONG: list[tuple[Callable[..., object], str, str]] = [
-    # words and shapes
-    (C, "{Comparisn: [eq, [1, 2]]}", "F:1:5: unknown word 'Comparisn'; did you mean 'Comparison'?"),
-    (C, "{and: [{Query: a}], or: [b]}", "F:1:5: 'and' stands beside other keys; expected it alone, or a list of such entries"),
-    (C, "{Query: a, strange: 1}", "F:1:5: 'Query' stands beside other keys; expected it alone, or a list of such entries"),
-    (C, "hello", "F:1:4: expected a condition, such as (at ?r kitchen) or {Exists: [Query: name]}, found 'hello'"),
-    (C, "7", "F:1:4: expected a condition, such as (at ?r kitchen) or {Exists: [Query: name]}, found 7"),
-    (C, "(not (at r1 kitchen))", "F:1:4: expected a condition, such as (at ?r kitchen)"),
-    (C, "{Exists: time}", "F:1:13: expected a query, found 'time'"),
-    (C, "{Exists: [{Query: a}, {Query: b}]}", "F:1:13: Exists takes 1 operands, found 2"),
-    (C, "{not: [{Query: a}, {Query: b}]}", "F:1:10: not takes 1 operands, found 2"),
-    (C, "{imply: [(a)]}", "F:1:12: imply takes 2 operands, found 1"),
-    (C, "{Comparison: [eq, [1, 2, 3]]}", "F:1:22: Comparison takes a list of the two values it compares"),
-    (C, "{Comparison: eq}", "F:1:17: Comparison takes 2 operands, found 1"),
-    (C, "{Comparison: [equals, [1, 2]]}", "F:1:18: there is no operator 'equals'; expected one of: abs"),
-    (C, "{Comparison: [eqq, [1, 2]]}", "F:1:18: there is no operator 'eqq'; did you mean 'eq'?"),
-    (C, "{Comparison: ['==', [1, 2]]}", "F:1:18: there is no operator '=='; did you mean '='?"),
-    (C, "{Comparison: [__import__, [os, 2]]}", "F:1:18: there is no operator '__import__'"),
-    (C, "{Comparison: [eq, [.inf, 1]]}", "F:1:23: expected a finite number, found .inf"),
-    (C, "{Comparison: [eq, [(place), on]]}", "F:1:32: on is a truth value; write 'on' with quotes, or true or false"),
-    (C, "{Operation: [contains, []]}", "F:1:17: contains has no operands"),
-    (C, "{BooleanAssertion: [{Query: a}, 1]}", "F:1:36: expected true or false"),
-    (C, "{forall: {variable: x, condition: (a)}}", "F:1:14: unknown key 'variable'; did you mean 'variables'?"),
-    (C, "{forall: {variables: x}}", "F:1:13: the key 'condition' is missing"),
-    (C, "{LocalUpdate: [a, 1]}", "F:1:5: unknown word 'LocalUpdate'; expected a condition"),
-    (D, "{LocalUpdate: [a, 1]}", "F:1:18: LocalUpdate changes knowledge; it is a step of its own, not a value"),
-    (D, "{Operation: [setitem, [{LocalQuery: d}, k, 1]]}", "F:1:17: setitem changes knowledge; it is a step of its own, not a value"),
-    (D, "{a: [.nan]}", "F:1:9: expected finite numbers, found .nan"),
-    (D, "{Query: 3}", "F:1:12: expected the name of a variable; write '3' with quotes"),
-    (D, "{Query: on}", "F:1:12: expected the name of a variable; write 'on' with quotes"),
-    (D, "{Query: [a, b, c]}", "F:1:12: Query takes 1 or 2 operands, found 3"),
-    (
-        K,
-        "{Foo: 1}",
-        "F:1:5: unknown word 'Foo'; expected an update, a query or an operation, which begins with one of: Update",
-    ),
-    (K, "hello", "F:1:4: expected an update, a query or an operation, found 'hello'"),
-    (K, "{PersonUpdate: hello}", "F:1:19: PersonUpdate takes 2 or 3 operands, found 1"),
-    (K, "{Operation: [setitem, [d, k, 1]]}", "F:1:27: setitem changes what a query finds; expected a query as its first operand"),
-    (K, "{Operation: [delitem, [{LocalQuery: d}]]}", "F:1:27: delitem takes 2 operands, found 1"),
-    (E, "{incraese: [(a), 1]}", "F:1:5: unknown word 'incraese'; did you mean 'increase'?"),
-    (E, "{increase: [(a), on]}", "F:1:21: expected a number, a name or something like (battery ?r), found on; write 'on' with quotes"),
-    (E, "{increase: [a, 1]}", "F:1:16: expected something like (at ?r kitchen), found 'a'"),
-    (E, "{when: {effects: (b)}}", "F:1:11: 'when' takes effects, and either a condition or, for one that is tested early, at_start"),
-    (E, "{when: {condition: (a), effects: {Query: b}}}", "F:1:37: expected effects on facts and functions alone"),
-    (E, "on", "F:1:4: expected an effect, such as (at ?r kitchen), found on; write 'on' with quotes"),
-    (X, "[1]", "F:1:4: expected a number, a name or something like (battery ?r), found a list"),
-    (X, '{Operation: ["/", [1, 2, 3]]}', "F:1:16: / does not take 3 operands"),
-    (X, '{Operation: ["+", [1, kitchen]]}', "F:1:4: expected a number, a name or something like (battery ?r), found a mapping"),
-    (L, '{"<": 5}', "F:1:4: expected a number, a name or something like (battery ?r), found a mapping"),
-    (T, "?a -", "F:1:4: expected a type, or (either a b), after '-' in '?a -'"),
-    (T, "?a - (either", "F:1:4: expected a type, or (either a b), after '-' in '?a - (either'"),
-    (T, "?a ?a", "F:1:4: ?a is there twice"),
-    (T, "?a (b)", "F:1:4: expected a name in place of '(' in '?a (b)'"),
-    (T, "[on]", "F:1:5: expected names and types such as '?r - robot ?to - place'; write 'on' with quotes"),
-]
-WRONG_NAMES: list[tuple[Callable[..., object], str, str]] = [
-    (C, '"(at ?robt kitchen)"', "F:1:4: there is no parameter '?robt' here; did you mean '?robot'?"),
-    (C, '"(att r1 kitchen)"', "F:1:4: there is no predicate or function 'att' here; did you mean 'at'?"),
-    (C, '"(at r1)"', "F:1:4: at takes 2 arguments, found 1"),
-    (C, '"(at r1 kitchn)"', "F:1:4: there is no object 'kitchn' here; did you mean 'kitchen'?"),
-    (C, '{Comparison: [">", ["(batery r1)", 1]]}', "F:1:24: there is no predicate or function 'batery' here; did you mean 'battery'?"),
-    (C, '{Comparison: [eq, ["?rob", "?to"]]}', "F:1:23: there is no parameter '?rob' here; did you mean '?robot'?"),
-    (D, '["?tp"]', "F:1:5: there is no parameter '?tp' here; did you mean '?to'?"),
-    (D, '"(batt r1)"', "F:1:4: there is no predicate or function 'batt' here"),
-    (E, '{increase: ["(battery ?rbot)", 1]}', "F:1:16: there is no parameter '?rbot' here; did you mean '?robot'?"),
-    (E, '{increase: ["(battery r1)", "(at r1)"]}', "F:1:32: at takes 2 arguments, found 1"),
-    (X, "kitschen", "F:1:4: there is no object 'kitschen' here; did you mean 'kitchen'?"),
-    (C, '{forall: {variables: "?x - plaze", condition: (a)}}', "F:1:25: there is no type 'plaze' here; did you mean 'place'?"),
-]
+ONE, TWO = (Variable("?x"),), (Variable("?x"), Variable("?y"))
+KNOWN = DomainModel(
+    "d",
+    {"robot": (), "place": ()},
+    {"r1": ("robot",), "kitchen": ("place",)},
+    {"at": Declaration("at", TWO)},
+    {"battery": Declaration("battery", ONE)},
+)
+SCOPE = FormulaScope(ProblemModel("p", KNOWN), {"?robot": ("robot",), "?to": ("place",)})
+BAD_INPUT = Path(__file__).with_name("refused")
+READERS: dict[str, Callable[..., object]] = {
+    "condition": read_condition,
+    "data": read_data,
+    "duration": read_duration,
+    "effects": read_effects,
+    "expression": read_expression,
+    "operation": read_operation,
+    "typed": read_typed,
+}
+"""Who reads the cases of a file, by its name."""
 
 
-@pytest.mark.parametrize(("read", "text", "message"), WRONG, ids=[text for _, text, _ in WRONG])
-def test_what_is_wrong_is_said_with_its_place_and_the_nearest_word(read: Callable[..., object], text: str, message: str) -> None:
+@pytest.mark.parametrize(("file", "text", "message"), refused_by_file(BAD_INPUT / "formulas"))
+def test_what_is_wrong_is_said_with_its_place_and_the_nearest_word(file: str, text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
-        read(node(text))
+        READERS[file](node(text))
     assert str(caught.value).startswith(message), str(caught.value)
 
 
-@pytest.mark.parametrize(("read", "text", "message"), WRONG_NAMES, ids=[text for _, text, _ in WRONG_NAMES])
-def test_names_that_are_not_there(read: Callable[..., object], text: str, message: str) -> None:
+@pytest.mark.parametrize(("file", "text", "message"), refused_by_file(BAD_INPUT / "names"))
+def test_names_that_are_not_there(file: str, text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
-        read(node(text), SCOPE)
+        READERS[file](node(text), SCOPE)
     assert str(caught.value).startswith(message), str(caught.value)
 
 

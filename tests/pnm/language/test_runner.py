@@ -14,8 +14,8 @@ import pytest
 from planner_bridge.cli.console import SafeConsole
 from planner_bridge.cli.options import Files
 from planner_bridge.cli.run import run_written
+from planner_bridge.pipeline import carry_out
 from planner_bridge.simulation import simulated_backend
-from planner_bridge.tasks.plan_task import carry_out, chosen_plan, merge_bindings
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import Settings
 from pnm.actions.backend import schedule
@@ -29,7 +29,7 @@ from pnm.errors import InputError
 from pnm.knowledge.sources.memory import MemoryKnowledge
 from pnm.knowledge.sources.router import Sources
 from pnm.knowledge.sources.source import Asker
-from pnm.language.plan import read_plans
+from pnm.language.plan import chosen_plan, merge_bindings, read_plans
 from pnm.language.runner import Performer, Program, check_values
 from pnm.tasks import Code
 
@@ -62,8 +62,8 @@ def written(folder: Path, text: str) -> Path:
 
 def test_a_plan_calls_another_with_knowledge_of_its_own(tmp_path: Path) -> None:
     result = carry_out(written(tmp_path, GUIDE), parameters={"shop": "pharmacy"})
-    assert result.task.goal_reached, result.task.reason
-    assert [(call.call.action.name, call.call.action.arguments) for call in result.task.calls] == [
+    assert result.goal_reached, result.reason
+    assert [(call.call.action.name, call.call.action.arguments) for call in result.calls] == [
         ("go", ("door",)),
         ("inner", ("pharmacy",)),
         ("say", ()),
@@ -74,7 +74,7 @@ def test_a_plan_calls_another_with_knowledge_of_its_own(tmp_path: Path) -> None:
 def test_a_plan_that_is_called_and_fails_says_why(tmp_path: Path) -> None:
     broken = Faults((Fault("go(pharmacy)", FaultKind.ABORT),))
     result = carry_out(written(tmp_path, GUIDE), parameters={"shop": "pharmacy"}, faults=broken)
-    (failure,) = result.task.failures
+    (failure,) = result.failures
     assert (str(failure.call), failure.cause) == ("inner(pharmacy)#1", "aborted")
     assert "go(pharmacy)#1: aborted" in failure.observed
 
@@ -121,14 +121,14 @@ def test_a_parameter_may_be_in_the_global_knowledge(tmp_path: Path) -> None:
 def test_a_plan_has_a_limit(tmp_path: Path) -> None:
     slow = GUIDE.replace("timeout: 60", "timeout: 3")
     result = carry_out(written(tmp_path, slow), parameters={"shop": "pharmacy"})
-    (failure,) = result.task.failures
+    (failure,) = result.failures
     assert failure.cause == "aborted"
     assert "the plan's limit of 3 s is reached" in failure.observed
 
 
 def test_a_plan_that_is_called_may_take_long(tmp_path: Path) -> None:
     slow = GUIDE.replace("duration: 5", "duration: 5000").replace("timeout: 60", "timeout: 80000")
-    assert carry_out(written(tmp_path, slow), parameters={"shop": "pharmacy"}).task.goal_reached
+    assert carry_out(written(tmp_path, slow), parameters={"shop": "pharmacy"}).goal_reached
 
 
 def test_names_of_plans_and_parameters_are_checked(tmp_path: Path) -> None:
@@ -224,7 +224,7 @@ BLOCKED = Faults((Fault("move(r1, a, b)", FaultKind.ABORT, times=100),))
 
 
 def test_a_plan_that_asks_for_it_is_replanned_without_what_has_failed(tmp_path: Path) -> None:
-    task = carry_out(written(tmp_path, ROOMS), faults=BLOCKED).task
+    task = carry_out(written(tmp_path, ROOMS), faults=BLOCKED)
     assert task.goal_reached, task.reason
     assert (task.plans, task.replans) == (1, 1)
     assert [str(call.call.action) for call in task.calls] == ["move(r1, a, b)", "move(r1, a, c)", "move(r1, c, b)"]
@@ -240,7 +240,7 @@ def test_a_plan_that_asks_for_it_is_replanned_without_what_has_failed(tmp_path: 
 )
 def test_why_no_planner_finds_another_way(tmp_path: Path, old: str, new: str, why: str) -> None:
     assert old in ROOMS
-    task = carry_out(written(tmp_path, ROOMS.replace(old, new)), faults=BLOCKED).task
+    task = carry_out(written(tmp_path, ROOMS.replace(old, new)), faults=BLOCKED)
     assert not task.goal_reached
     assert why in task.reason
 
@@ -299,7 +299,7 @@ NOT_COMPUTED = {
 @pytest.mark.parametrize("step", ["act: {x: %s}", "note: {operation: {LocalUpdate: [v, %s]}}"], ids=["goal", "update"])
 def test_what_cannot_be_computed_is_a_failure_of_the_call(tmp_path: Path, step: str, why: str) -> None:
     text = COMPUTED % ("0" * 400, step % NOT_COMPUTED[why])
-    task = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite").task
+    task = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite")
     (failure,) = task.failures
     assert failure.cause in ("aborted", "data_missing")
     assert why in failure.observed
@@ -321,12 +321,12 @@ plan:
 @pytest.mark.parametrize("action", ["act", "quick"])
 def test_effects_may_depend_on_global_knowledge(tmp_path: Path, action: str) -> None:
     unseen = Settings(bindings=Bindings(assumed=frozenset({"free"})))
-    assert carry_out(written(tmp_path, CONDITIONAL % action), settings=unseen, knowledge=tmp_path / "k.sqlite").task.goal_reached
+    assert carry_out(written(tmp_path, CONDITIONAL % action), settings=unseen, knowledge=tmp_path / "k.sqlite").goal_reached
 
 
 def test_effects_that_depend_on_a_question_do_not_happen_when_the_run_is_stopped(tmp_path: Path) -> None:
     text = "timeout: 2\n" + CONDITIONAL % "act"
-    task = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite").task
+    task = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite")
     assert "limit of 2 s" in task.reason
     assert task.code is Code.TIMED_OUT
 
@@ -370,7 +370,7 @@ plan:
 @pytest.mark.parametrize("value", ["[{Query: v}, {Query: v}]", "{again: {Query: v}}", "{Operation: [concat, [{Query: v}, {Query: v}]]}"])
 def test_a_value_does_not_grow_without_limit(tmp_path: Path, value: str) -> None:
     result = carry_out(written(tmp_path, GROWING % value), knowledge=tmp_path / "k.sqlite")
-    assert [failure.cause for failure in result.task.failures] == ["aborted"]
+    assert [failure.cause for failure in result.failures] == ["aborted"]
     assert len(json.dumps(result.as_json())) < 10_000_000
 
 
@@ -395,19 +395,19 @@ plan: [%s]
 )
 def test_a_fact_that_nobody_has_recorded_is_false(tmp_path: Path, condition: str) -> None:
     text = FACTS % f"{{if: {condition}, then: [yes: {{x: 1}}], else: [no: ]}}"
-    calls = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite").task.calls
+    calls = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite").calls
     assert [call.call.action.name for call in calls] == ["yes"]
 
 
 def test_a_fact_that_is_given_is_true_or_false(tmp_path: Path) -> None:
     text = FACTS % "yes: {x: ['(free)', '(shut)', {Holds: (free)}]}"
-    (call,) = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite").task.calls
+    (call,) = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite").calls
     assert call.call.action.arguments == ("[false, true, false]",)
 
 
 @pytest.mark.parametrize("step", ["yes: {x: (level)}", "note: {operation: {LocalUpdate: [v, (level)]}}"])
 def test_a_function_without_a_value_is_missing_data(tmp_path: Path, step: str) -> None:
-    (failure,) = carry_out(written(tmp_path, FACTS % step), knowledge=tmp_path / "k.sqlite").task.failures
+    (failure,) = carry_out(written(tmp_path, FACTS % step), knowledge=tmp_path / "k.sqlite").failures
     assert failure.cause == "data_missing"
 
 
@@ -438,13 +438,13 @@ def test_a_terminal_is_told_nothing_that_makes_it_do_something() -> None:
 
 def test_a_plan_that_is_called_is_not_tried_again_by_itself(tmp_path: Path) -> None:
     broken = Faults((Fault("go(pharmacy)", FaultKind.ABORT),))
-    task = carry_out(written(tmp_path, GUIDE), parameters={"shop": "pharmacy"}, faults=broken).task
+    task = carry_out(written(tmp_path, GUIDE), parameters={"shop": "pharmacy"}, faults=broken)
     assert [call.attempts for call in task.calls if call.call.action.name == "inner"] == [1]
 
 
 def test_the_name_of_a_server_needs_its_parameters_whatever_the_goal_has(tmp_path: Path) -> None:
     text = "actions: {go: {params: [r], server: '/{r}/go', goal: {x: 1}}}\nplan: [go: ]"
-    (failure,) = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite").task.failures
+    (failure,) = carry_out(written(tmp_path, text), knowledge=tmp_path / "k.sqlite").failures
     assert (failure.cause, failure.expected) == ("data_missing", "values for r")
 
 
@@ -452,5 +452,5 @@ def test_limits_and_policy_of_the_caller_count(tmp_path: Path) -> None:
     file = written(tmp_path, GUIDE)
     settings = Settings(limits=Limits(seconds=7))
     result = carry_out(file, parameters={"shop": "a"}, settings=settings, on_failure=OnFailure.CANCEL)
-    assert result.task.reason == "the plan's limit of 7 s is reached"
-    assert result.task.episodes[0].machine.on_failure is OnFailure.CANCEL
+    assert result.reason == "the plan's limit of 7 s is reached"
+    assert result.episodes[0].machine.on_failure is OnFailure.CANCEL

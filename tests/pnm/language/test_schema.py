@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 
 from planner_bridge.cli.commands import app
-from planner_bridge.yaml import sections
+from planner_bridge.yaml import read_constraints
 from planner_bridge.yaml.convert import exported
 from pnm.core.logic.operators import OPERATORS
 from pnm.core.machine.machine import OnFailure
@@ -62,10 +62,10 @@ def test_it_is_a_schema() -> None:
         (KNOWN, {*domain.DOMAIN_KEYS, *files.PLAN_KEYS, "plans"}),
         (PARTS["recipe"], set(files.RECIPE_KEYS)),
         (PARTS["action"], set(actions.ACTION_KEYS)),
-        (PARTS["problem"], set(domain._PROBLEM_KEYS)),
+        (PARTS["problem"], set(domain.PROBLEM_KEYS)),
         (PARTS["step"], {*actions.RESERVED, *steps.OPTIONS}),
         (PARTS["recoveries"]["properties"]["during"], set(plan_tree._DURING)),
-        (PARTS["constraint"], {*sections._OPERATORS, "forall"}),
+        (PARTS["constraint"], {*read_constraints.CONSTRAINT_WORDS, "forall"}),
     ],
 )
 def test_the_keys_are_those_of_the_readers(part: dict[str, Any], known: set[str]) -> None:
@@ -109,9 +109,9 @@ def test_whatever_else_a_reader_looks_for_by_name_is_a_key_of_the_schema_and_the
     listed = {key for part in everything(KNOWN) if isinstance(part.get("properties"), dict) for key in part["properties"]}
     assert len(looked_for) > 20
     assert looked_for <= listed
-    named = {*domain.DOMAIN_KEYS, *files.PLAN_KEYS, *files.RECIPE_KEYS, *actions.ACTION_KEYS, *domain._PROBLEM_KEYS, *steps.OPTIONS}
+    named = {*domain.DOMAIN_KEYS, *files.PLAN_KEYS, *files.RECIPE_KEYS, *actions.ACTION_KEYS, *domain.PROBLEM_KEYS, *steps.OPTIONS}
     spoken = {words._spelled(word) for word in (*words.VALUES, *words.UPDATES, *effects._WORDS)}
-    planners = {*sections._OPERATORS, "minimize", "maximize", "constraint", "moment", "variables", "effects"}
+    planners = {*read_constraints.CONSTRAINT_WORDS, "minimize", "maximize", "constraint", "moment", "variables", "effects"}
     assert listed <= looked_for | named | spoken | planners | {
         *effects.MOMENTS,
         *effects._BOUNDS,

@@ -17,7 +17,7 @@ from uuid import UUID
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.planning.plan_text import read_plan
 from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.scheduling.task_manager import Room
+from planner_bridge.tasks.scheduling.task_manager import TaskLimits
 from planner_bridge.tasks.settings import OnChange, Settings
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
 from pnm.core.logic.computed_values import MISSING, Question
@@ -65,7 +65,7 @@ def play_script(number: int, tell: Tell = lambda text: None) -> Counter[Code]:
         script.setting.problem,
         faults=script.faults,
         chosen=script.settings,
-        room=script.room,
+        limits=script.limits,
         programs=script.programs,
         source=script.person,
     )
@@ -104,7 +104,7 @@ class Script:
     setting: Setting
     settings: Settings
     programs: Mapping[str, Program]
-    room: Room
+    limits: TaskLimits
     faults: Faults
     person: Person | None
 
@@ -123,7 +123,7 @@ def draw(rng: random.Random) -> Script:
         setting,
         settings,
         programs=_programs(rng, setting, settings.bindings),
-        room=Room(active=rng.choice([20, 20, 2]), on_conflict=rng.choice([*OnConflict])),
+        limits=TaskLimits(active=rng.choice([20, 20, 2]), on_conflict=rng.choice([*OnConflict])),
         faults=_faults(rng, setting),
         person=Person(rng) if asks or rng.random() < 0.2 else None,
     )
@@ -257,9 +257,9 @@ def judge_pause(stage: Stage, id: UUID) -> None:
     task = stage.master._tasks.get(id)
     if task is None or not task.is_held:
         return
-    if task.state is not TaskState.PAUSED:
-        stage.wrong.append(f"{task.name} is {task.state.name} after a pause")
-    run = task.doing.run if task.doing else None
+    if task.control.state is not TaskState.PAUSED:
+        stage.wrong.append(f"{task.name} is {task.control.state.name} after a pause")
+    run = task.control.run
     if run and run.open_requests and not run.over and not run.stopped:
         stage.wrong.append(f"{task.name} is paused and {[*run.open_calls.values()]} go on")
 

@@ -12,16 +12,18 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_problem
 from planner_bridge.simulation import simulated_backend
-from planner_bridge.tasks.scheduling.task_manager import Room, TaskMaster
+from planner_bridge.tasks.scheduling.task_manager import TaskLimits, TaskManager
 from planner_bridge.tasks.settings import Settings
+from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Faults
 from pnm.clock import run_async
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.evaluation import evaluate
+from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError
 from pnm.knowledge.sources.source import Source
 from pnm.language.runner import Performer, Program
-from pnm.tasks import Code, Moment, TaskEnding, TaskListener, TaskState, Wanted
+from pnm.tasks import Code, TaskEnding, TaskListener, TaskState, TraceEvent, Wanted
 from tests.support.problems import fleet
 
 LIMIT = 20000.0
@@ -36,18 +38,21 @@ class Stage(TaskListener):
         problem: Problem,
         faults: Faults,
         chosen: Settings,
-        room: Room,
+        limits: TaskLimits,
         programs: Mapping[str, Program] | None = None,
         source: Source | None = None,
+        make_backend: Callable[[Problem, Bindings, Faults], SimulatedBackend] = simulated_backend,
     ) -> None:
         self.problem = problem
-        self.site = simulated_backend(problem, chosen.bindings, faults)
+        self.site = make_backend(problem, chosen.bindings, faults)
         self.knowledge = initial_knowledge(problem)
         self.performer = None if programs is None else Performer(programs, self.site, self.knowledge, source)
-        self.master = TaskMaster(problem, self.knowledge, self.site, chosen, self.read, source=source, room=room, performer=self.performer)
+        self.master = TaskManager(
+            problem, self.knowledge, self.site, chosen, self.read, source=source, limits=limits, performer=self.performer
+        )
         self.master.listen(self)
         self.goals: dict[UUID, str] = {}
-        self.moments: list[Moment] = []
+        self.moments: list[TraceEvent] = []
         self.endings: dict[UUID, TaskEnding] = {}
         self.wrong: list[str] = []
         """What is against the rules."""
@@ -70,7 +75,7 @@ class Stage(TaskListener):
     def moved(self, task: UUID) -> None:
         self._is_not_over(task, "moved")
 
-    def happened(self, moment: Moment) -> None:
+    def happened(self, moment: TraceEvent) -> None:
         self._is_not_over(moment.task, str(moment))
         if moment.kind != "fired":
             self.moments.append(moment)
@@ -96,7 +101,7 @@ class Stage(TaskListener):
 
     def orphans(self) -> list[str]:
         """Return what robots do for no task."""
-        runs = [one.doing.run for one in self.master._tasks.values() if one.doing and one.doing.run]
+        runs = [one.control.run for one in self.master._tasks.values() if one.control.run]
         runs += [one.executor.run for one in self.performer.going_on] if self.performer else []
         wanted = {request for run in runs for request in run.open_requests}
         jobs = self.site.robots._jobs
@@ -137,7 +142,7 @@ class Stage(TaskListener):
     async def sees(self, task: UUID, kind: str, subject: str = "", times: int = 1) -> None:
         await self.until(lambda: len(self.seen(task, kind, subject)) >= times)
 
-    def seen(self, task: UUID, kind: str, subject: str = "") -> list[Moment]:
+    def seen(self, task: UUID, kind: str, subject: str = "") -> list[TraceEvent]:
         return [one for one in self.moments if one.task == task and one.kind == kind and subject in one.subject + one.text]
 
     def state(self, task: UUID) -> TaskState:
@@ -177,9 +182,10 @@ def play(
     *,
     faults: Faults = NO_FAULTS,
     chosen: Settings,
-    room: Room | None = None,
+    limits: TaskLimits | None = None,
     programs: Mapping[str, Program] | None = None,
     source: Source | None = None,
+    make_backend: Callable[[Problem, Bindings, Faults], SimulatedBackend] = simulated_backend,
 ) -> None:
     """Play a scene, close the master, and see that nothing was against the rules."""
     errors = _Errors()
@@ -187,7 +193,7 @@ def play(
     async def whole() -> None:
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(lambda _, context: errors.found.append(str(context)))
-        stage = Stage(problem or fleet(), faults, chosen, room or Room(), programs, source)
+        stage = Stage(problem or fleet(), faults, chosen, limits or TaskLimits(), programs, source, make_backend)
         await stage.site.open(stage.knowledge)
         try:
             await scene(stage)

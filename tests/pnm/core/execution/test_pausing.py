@@ -11,8 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pnm.actions.simulated_robots import SimulatedRobots, sense
-from pnm.actions.simulated_world import SimulatedWorld
+from pnm.actions.simulated_robots import SimulatedRobots
+from pnm.actions.simulated_world import SimulatedWorld, report_changes
 from pnm.clock import run_async
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Answered, Ask, Begin, Cancel, Command, Event, KnowledgeChanged, Pause, Resume, Send, Stop, Tick
@@ -28,10 +28,9 @@ from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.explore import Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.executor import Executor
-from tests.pnm.core.machine.test_generated_programs import read
 from tests.support.runs.plan_graphs import ordering, plan
 from tests.support.runs.simulated import Log, move
-from tests.support.runs.yaml_programs import Chaos, in_use, programs
+from tests.support.runs.yaml_programs import Chaos, in_use, programs, read
 
 RUN = UUID(int=1)
 CANCELED, SUCCEEDED = Outcome(OutcomeKind.CANCELED), Outcome(OutcomeKind.SUCCEEDED)
@@ -353,7 +352,7 @@ def test_robots_stop_for_a_pause_and_do_the_rest_after_it() -> None:
     run = Run(generate(graph), Layered(beliefs), id=RUN, observer=log)
 
     async def main() -> RunResult:
-        sense(world, beliefs)
+        report_changes(world, beliefs)
         executor = Executor(run, robots)
         task = asyncio.ensure_future(executor.execute())
         await asyncio.sleep(2)

@@ -19,7 +19,6 @@ from hypothesis import strategies as st
 
 from planner_bridge.node.simulate import LoggedRobots
 from planner_bridge.simulation import simulated_backend
-from planner_bridge.tasks.plan_task import merge_bindings
 from pnm.actions.simulated_robots import SimulatedRobots
 from pnm.actions.simulated_world import SimulatedWorld
 from pnm.clock import run_async
@@ -35,7 +34,7 @@ from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, P
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
 from pnm.errors import InputError, RunError
 from pnm.executor import Executor
-from pnm.language.plan import read_plans
+from pnm.language.plan import merge_bindings, read_plans
 from pnm.language.runner import Performer, Program
 from tests.support.runs.plan_graphs import ordering
 

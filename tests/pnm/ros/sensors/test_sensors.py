@@ -23,10 +23,11 @@ from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import Instance, Sensing, read
 from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.service_client import until_true
-from pnm.ros.sensors.fields import fitted, found_at, value_at
+from pnm.ros.sensors.fields import find_field, fitted, value_at
 from pnm.ros.sensors.sensors import Sensors
-from tests.pnm.knowledge.test_sensor_file import DOMAIN, PROBLEM
+from tests.support.processes import LIMIT
 from tests.support.ros.scripts import run
+from tests.support.sensed_world import DOMAIN, PROBLEM
 
 BASIC = "test_msgs/msg/BasicTypes"
 
@@ -61,7 +62,7 @@ async def becomes(world: KnowledgeBase, fluent, value) -> None:
     changed = asyncio.Event()
     stop = world.listen(lambda _: changed.set())
     try:
-        async with asyncio.timeout(30.0):
+        async with asyncio.timeout(LIMIT):
             while world.value(fluent) != value:
                 changed.clear()
                 await changed.wait()
@@ -279,7 +280,7 @@ def test_nobody_is_waited_for_who_is_not_there(ros, sensing, caplog):
             assert world.facts() == {}
         gc.collect()
 
-    run(main(), limit=10.0)
+    run(main())
     assert "nothing has been heard on nobody yet" in caplog.text
     assert "never retrieved" not in caplog.text
 
@@ -289,8 +290,8 @@ def test_fields_of_messages():
     wanted = {"byte_values[-1]": 255, "float32_values[1]": 1.5, "bool_values_default": [False, True, False], "alignment_check": 0}
     assert {path: value_at(message, parse_field(path)) for path in wanted} == wanted
     assert value_at(message, parse_field("basic_types_values[2].int64_value")) == 0
-    assert found_at(type(message), parse_field("basic_types_values[2].int64_value")).kind == "int64"
-    assert found_at(type(message), parse_field("string_values")).kind == "string[3]"
+    assert find_field(type(message), parse_field("basic_types_values[2].int64_value")).kind == "int64"
+    assert find_field(type(message), parse_field("string_values")).kind == "string[3]"
 
 
 def test_constants_of_messages_have_names(sensing):

@@ -468,7 +468,7 @@ def test_the_status_says_that_a_task_is_over_before_its_client_is_told(two, monk
             kind, method, lambda self, *given: (order.append(self.name if name == "answer" else name), original(self, *given))[1]
         )
 
-    note(TaskTopics, "_tell_status", "status")
+    note(TaskTopics, "_publish_status", "status")
     note(GoalServer, "end", "answer")
 
     async def main():

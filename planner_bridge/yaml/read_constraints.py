@@ -1,0 +1,121 @@
+"""Trajectory constraints, preferences and metrics in YAML files of the language: the formulas that only planners read (PDDL 3.0)."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Final, Literal
+
+from planner_bridge.model.problem import Metric
+from planner_bridge.pddl.read.symbols import CONSTRAINTS
+from pnm.core.logic.conditions import Condition
+from pnm.core.logic.domain import Preference
+from pnm.core.logic.expressions import Constant, Variable, expression_fluents
+from pnm.core.logic.trajectory import Constraint
+from pnm.errors import InputError, suggestion
+from pnm.files.yaml_nodes import Mapped, Node
+from pnm.language.formulas.conditions import read_condition, read_expression, read_quantified
+from pnm.language.formulas.scope import FormulaScope, read_typed
+from pnm.language.formulas.words import needed_form
+
+CONSTRAINT_WORDS: Final[Mapping[str, tuple[int, int]]] = {**CONSTRAINTS, "at_end": (0, 1)}
+"""For every operator of a constraint, how many times and how many conditions it takes."""
+_MOMENTS: Final[Mapping[str, Literal["at start", "over all", "at end"]]] = {
+    "at_start": "at start",
+    "over_all": "over all",
+    "at_end": "at end",
+}
+_DIRECTIONS: Final[Mapping[str, Literal["minimize", "maximize"]]] = {"minimize": "minimize", "maximize": "maximize"}
+_TOTAL_TIME: Final = "total-time"
+_IS_VIOLATED: Final = "is-violated"
+
+
+def read_constraint(node: Node, scope: FormulaScope, variables: tuple[Variable, ...] = ()) -> Constraint:
+    """Read a constraint, around which these variables are bound.
+
+    Raises:
+        InputError: it is malformed, or has names that are not there.
+    """
+    found = needed_form(node, (*CONSTRAINT_WORDS, "forall"), "a constraint")
+    if found.word == "forall":
+        inner, body = read_quantified(found, "constraint", scope)
+        return read_constraint(body, scope.inside(inner), (*variables, *inner))
+    times, conditions = CONSTRAINT_WORDS[found.word]
+    operands = found.items(times + conditions) if times + conditions > 1 else (found.argument,)
+    return Constraint(
+        found.word.replace("_", " "),
+        tuple([read_condition(operand, scope) for operand in operands[times:]]),
+        tuple([_time(operand) for operand in operands[:times]]),
+        variables,
+    )
+
+
+def _time(node: Node) -> float:
+    value = node.plain()
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < float("inf"):
+        raise node.wrong(f"expected a time of at least 0, found {node.written or 'something else'}")
+    return float(value)
+
+
+def read_preference(node: Node, scope: FormulaScope, *, timed: bool = False) -> Preference:
+    """Read a preference.
+
+    Args:
+        node: the preference.
+        scope: the names around it.
+        timed: whether it stands in a durative action, where it needs a moment.
+
+    Raises:
+        InputError: it is malformed, or has names that are not there.
+    """
+    entry = node.mapped()
+    entry.only("name", "variables", "moment", "condition", "constraints")
+    variables: tuple[Variable, ...] = ()
+    for quantifier in entry.listed("variables"):  # one for each text, which may hide variables of those before it
+        variables += read_typed(quantifier, scope)
+    scope = scope.inside(variables)
+    wanted: Condition | tuple[Constraint, ...]
+    if "constraints" in entry.nodes:
+        wanted = tuple([read_constraint(constraint, scope) for constraint in entry.listed("constraints")])
+    else:
+        wanted = read_condition(entry.needed("condition"), scope)
+    moment = entry.string("moment")
+    if moment is not None and moment not in _MOMENTS:
+        hint = suggestion(moment, _MOMENTS.keys()) or f"expected one of {', '.join(_MOMENTS)}"
+        raise InputError(f"unknown moment {moment!r}; {hint}", entry.position("moment"))
+    if moment is not None and not timed:
+        raise InputError("only a preference in an action with a duration has a moment", entry.position("moment"))
+    if moment is None and timed:
+        raise InputError(f"a preference in an action with a duration needs a moment, one of {', '.join(_MOMENTS)}", entry.start)
+    return Preference(entry.string("name") or "", wanted, variables, None if moment is None else _MOMENTS[moment])
+
+
+def is_about_states(node: Node) -> bool:
+    """Return whether the preference is about single states, as goals and preconditions are, rather than about their whole course."""
+    return "constraints" not in node.mapped().nodes
+
+
+def read_metric(entry: Mapped, scope: FormulaScope, preferences: Collection[str]) -> Metric | None:
+    """Read the key ``metric``; the names are those of the preferences that it may count.
+
+    Raises:
+        InputError: it is malformed, or has names that are not there.
+    """
+    node = entry.filled("metric")
+    if node is None:
+        return None
+    found = needed_form(node, _DIRECTIONS, "a metric")
+    argument = found.argument
+    expression = read_expression(argument)
+    if isinstance(expression, Constant) and isinstance(expression.value, str):
+        raise argument.wrong(f"expected a number or a function such as (total-time), found {expression}")
+    for fluent in expression_fluents(expression):
+        match fluent:
+            case (name,) if name == _TOTAL_TIME:
+                pass
+            case (word, name) if word == _IS_VIOLATED:
+                if name not in preferences:
+                    hint = suggestion(name, preferences) or f"expected one of {', '.join(preferences) or 'none at all'}"
+                    raise InputError(f"there is no preference {name!r} here; {hint}", argument.position_of(name))
+            case _:
+                scope.check_number(fluent, argument)
+    return Metric(_DIRECTIONS[found.word], expression)

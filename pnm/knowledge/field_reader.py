@@ -1,0 +1,113 @@
+"""Reads which fields of messages a sensor looks at: fields, tables that translate their values, and tests."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from pnm.core.logic.declared_names import Vocabulary
+from pnm.core.logic.expressions import UNDEFINED, is_number
+from pnm.errors import InputError
+from pnm.files.yaml_nodes import Mapped, Node
+from pnm.knowledge.message_fields import COMPARISONS, Comparison, Every, Field, FieldValue, Flag, Negation, Some, Test, parse_field
+
+_TESTS: Final = ("not", "all", "any")
+
+
+def read_field(entry: Mapped) -> Field:
+    """Read the field under ``field``.
+
+    Raises:
+        InputError: there is none, or it is malformed.
+    """
+    node = entry.node("field")
+    if node is None:
+        raise InputError("expected a field, such as pose.position.x", entry.start)
+    try:
+        return parse_field(node.written)  # not the value of the YAML scalar, since `on` and `y` are true in YAML
+    except InputError as error:
+        raise node.wrong(error.message) from error
+
+
+def read_number(entry: Mapped) -> FieldValue:
+    """Read a field, and a table of numbers for its values if there is one."""
+    if "table" not in entry.nodes:
+        return FieldValue(read_field(entry))
+    table = read_table(entry)
+    for name, _, node in _table_node(entry).entries():
+        value = table[name]
+        if not is_number(value) or not math.isfinite(value):
+            raise node.wrong(f"expected a number for {name!r}")
+    return FieldValue(read_field(entry), table)
+
+
+def read_object(entry: Mapped, types: tuple[str, ...], known: Vocabulary | None) -> FieldValue:
+    """Read a field, and a table of objects of these types for its values if there is one."""
+    if "table" not in entry.nodes:
+        return FieldValue(read_field(entry))
+    table = read_table(entry)
+    for name, _, node in _table_node(entry).entries():
+        value = table[name]
+        if not isinstance(value, str):
+            raise node.wrong(f"expected the name of an object for {name!r}, or {UNDEFINED}")
+        if known is not None and value != UNDEFINED:
+            known.check_object(value, types, node.position)
+    return FieldValue(read_field(entry), table)
+
+
+def read_table(entry: Mapped) -> dict[str, object]:
+    """Read the table under ``table``, from values of a field to their meanings."""
+    table = {name: node.plain() for name, _, node in _table_node(entry).entries()}
+    if not table:
+        raise InputError("expected values of the field and what they mean", entry.position("table"))
+    return table
+
+
+def _table_node(entry: Mapped) -> Mapped:
+    node = entry.node("table")
+    if node is None or not node.is_mapping:
+        raise InputError("expected values of the field and what they mean", entry.position("table"))
+    return node.mapped()
+
+
+def read_test(entry: Mapped) -> Test:
+    """Read the test of a message: a truth value under ``field``, a test under ``when``, or none, which every message passes."""
+    test = entry.node("when")
+    if test is None:
+        return Flag(read_field(entry)) if "field" in entry.nodes else Every()
+    if "field" in entry.nodes:
+        raise InputError("expected either 'field', which is true or false, or 'when'", entry.position("field"))
+    return _test(test)
+
+
+def _test(node: Node) -> Test:
+    if not node.is_mapping or not node.mapped().nodes:
+        raise InputError("expected a test such as {field: percentage, ge: 0.8}", node.position)
+    entry = node.mapped()
+    entry.only("field", *COMPARISONS, *_TESTS)
+    if "field" in entry.nodes:
+        return _comparison(entry)
+    if len(entry.nodes) > 1:
+        raise InputError(f"expected one of {', '.join(_TESTS)}, or a field and how it compares", entry.start)
+    ((key, _, inner),) = entry.entries()
+    if key not in _TESTS:
+        raise InputError(f"expected the field that is compared by {key!r}", entry.start)
+    if key == "not":
+        return Negation(_test(inner))
+    if inner.items is None:
+        raise inner.wrong(f"expected a list of tests under {key!r}")
+    tests = tuple([_test(item) for item in inner.items])
+    return Every(tests) if key == "all" else Some(tests)
+
+
+def _comparison(entry: Mapped) -> Test:
+    entry.only("field", *COMPARISONS)
+    field = read_field(entry)
+    comparisons = []
+    for key, _, node in entry.entries():
+        if key != "field":
+            constant = node.plain()
+            if constant is None or (isinstance(constant, float) and math.isnan(constant)):
+                raise node.wrong(f"expected what {field} is compared with")
+            comparisons.append(Comparison(field, key, constant))
+    return Every(tuple(comparisons)) if len(comparisons) > 1 else comparisons[0] if comparisons else Flag(field)
