@@ -62,7 +62,7 @@ _ANY = frozenset(OutcomeKind)
 _SUCCEEDED = frozenset({OutcomeKind.SUCCEEDED})
 _UNSUCCESSFUL = _ANY - _SUCCEEDED
 _EARLY = {OutcomeKind.REJECTED: Cause.REJECTED, OutcomeKind.UNAVAILABLE: Cause.UNAVAILABLE, OutcomeKind.LOST: Cause.LOST}
-"""How a request may end before anybody has said that it was accepted."""
+"""Ends of a request that may come before its acceptance."""
 _NOT_EARLY = _ANY - frozenset(_EARLY)
 _LATE = {OutcomeKind.ABORTED: Cause.ABORTED, OutcomeKind.CANCELED: Cause.CANCELED, OutcomeKind.LOST: Cause.LOST}
 _ODD = _UNSUCCESSFUL - frozenset(_LATE)
@@ -128,7 +128,7 @@ class CallBlock(Block[ActionCall]):
 
     @cached_property
     def _announced(self) -> list[str]:
-        """What the start of the call marks."""
+        """Places that the start of the call marks."""
         return self.builder.out_of.get(PlanEvent(self.step.index, Moment.START), [])
 
     @cached_property
@@ -147,7 +147,7 @@ class CallBlock(Block[ActionCall]):
 
     @property
     def retries(self) -> int:
-        """How often the call is tried again if nothing else is said."""
+        """Retries of the call, from the plan or else from its binding."""
         return self.binding.retries if self.step.retries is None else self.step.retries
 
     @property

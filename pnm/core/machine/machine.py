@@ -87,7 +87,7 @@ class Withheld:
     call: int
     seconds: float
     action: TransitionAction | None
-    """What it waits with: a request that is sent is another one than that which goes on, and may need others."""
+    """Action of the transition that waits: a request to be sent may need other resources than one that goes on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,12 +233,12 @@ def check_rule(cause: Cause, guard: Guard, call: int | None = None, action: Tran
 
 
 class OnFailure(Enum):
-    """What happens to running calls once a failure place is marked."""
+    """Policy for running calls once a failure place is marked."""
 
     DRAIN = "drain"
     CANCEL = "cancel"
     CONTINUE_OTHERS = "continue_others"
-    """As drain; but whoever has the run carried out does not wait for its end before going on in another way."""
+    """As drain; but the task does not wait for the end of the run before it goes on in another way."""
 
 
 @dataclass(frozen=True, slots=True)

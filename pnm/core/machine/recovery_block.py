@@ -1,4 +1,4 @@
-"""What a plan says itself about failing calls: chains of steps, and how to go on after them.
+"""Recoveries of a call that the plan itself gives: chains of steps, and how to go on after them.
 
     recovering → (recover) → chain → recovered → ready, finished, done, or done and failed
 
@@ -24,7 +24,7 @@ class Recoveries:
     """Where the tokens of a call go when something is wrong."""
 
     places: Mapping[Cause, list[str]] = field(default_factory=dict)
-    """What is marked in the place of the usual."""
+    """Places marked instead of the usual ones, by cause."""
     kept: frozenset[Cause] = frozenset()
     """Causes after which the call goes on as if it had succeeded: what was done at the start stays."""
     checks: tuple[tuple[Cause, str, Condition, list[str]], ...] = ()

@@ -30,12 +30,12 @@ class Block(Generic[AnyStep]):
 
     @cached_property
     def title(self) -> str:
-        """How the step is called."""
+        """Name of the step, and prefix of its places and transitions."""
         return str(self.step)
 
     @cached_property
     def awaited(self) -> list[str]:
-        """What the end of the step waits for besides the step itself."""
+        """Places that the end of the step waits for besides the step itself."""
         return self.builder.into.get(PlanEvent(self.step.index, Moment.END), [])
 
     def enter(self, ready: str, release: float = 0.0) -> None:

@@ -191,5 +191,5 @@ class Marking(Mapping[str, int]):
         return f"Marking({', '.join(f'{place}: {count}' for place, count in sorted(self._tokens.items()))})"
 
     def covers(self, weights: Mapping[str, int], times: int = 1) -> bool:
-        """Tell whether there are at least `times` as many tokens as the weights ask for."""
+        """Return whether there are at least `times` as many tokens as the weights ask for."""
         return all(self[place] >= weight * times for place, weight in weights.items())
