@@ -14,7 +14,7 @@ from pnm.core.logic.computed_values import Layer, Query, parts
 from pnm.core.logic.conditions import TRUE, Condition, conjunction, data_in
 from pnm.core.logic.domain import DurationConstraint
 from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, Set, When
-from pnm.core.logic.expressions import Constant, Expression, ValueOf
+from pnm.core.logic.expressions import UNDEFINED, Constant, Expression, ValueOf
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Node
 from pnm.language.formulas.conditions import read_condition, read_expression, read_quantified
@@ -93,7 +93,8 @@ def _is_fact(node: Node) -> bool:
 
 def _change(found: Form, scope: FormulaScope) -> Set:
     target, value = found.items(2)
-    effect = Set(read_fluent(target), read_expression(value, scope), _CHANGES[found.word])
+    new = Constant(UNDEFINED) if value.text == UNDEFINED else read_expression(value, scope)
+    effect = Set(read_fluent(target), new, _CHANGES[found.word])
     scope.check_change(effect.fluent, target, effect.value, value)
     if scope.strict and effect.operation != "assign" and scope.is_object(ValueOf(effect.fluent)):
         raise target.wrong(f"the values of {effect.fluent[0]!r} are objects; expected assign, found {found.written}")

@@ -55,10 +55,12 @@ class FormulaScope:
         known = self.declared.objects
         if name.startswith("?"):
             self.check_variable(name, node)
-        elif name not in known and name != UNDEFINED and (not self.borrows if self.strict else known):
+        elif name not in known and (not self.borrows if self.strict else known and name != UNDEFINED):
             raise unknown("object", name, known, node.position_of(name))
         if not self.strict:
             return
+        if name == DURATION[0]:
+            raise InputError(f"{name} is a number; expected an object", node.position_of(name))
         domain = self.declared.domain
         types = (self.variables or {}).get(name, _ANY) if name.startswith("?") else known.get(name, needed)
         if not (domain.may_match if name.startswith("?") else domain.matches)(types, needed):
@@ -104,14 +106,15 @@ class FormulaScope:
             if any(rule.name == fluent[0] for rule in self.declared.domain.rules):
                 raise InputError(f"{fluent[0]!r} is a derived predicate; it follows from others", node.position_of(fluent[0]))
             return
-        self.check_value(value, self.declared.domain.functions[fluent[0]].values, value_node or node)
+        self.check_value(value, self._values(fluent), value_node or node)
 
     def check_value(self, value: Expression, types: Types, node: Node) -> None:
         """Refuse an expression that is no number, or, where types are given, no object of any of these."""
         match value:
             case Constant(str() as name) if types:
-                self.check_object(name, node, types)
-            case ValueOf(fluent) if types and (own := self.declared.domain.functions[fluent[0]].values):
+                if name != UNDEFINED:
+                    self.check_object(name, node, types)
+            case ValueOf(fluent) if types and (own := self._values(fluent)):
                 if not self.declared.domain.may_match(own, types):
                     raise node.wrong(f"{value} is of type {' or '.join(own)}; expected {' or '.join(types)}")
             case _ if types or self.is_object(value):
@@ -128,9 +131,13 @@ class FormulaScope:
             case Constant(constant):
                 return isinstance(constant, str)
             case ValueOf(fluent):
-                return fluent != DURATION and bool(self.declared.domain.functions[fluent[0]].values)
+                return bool(self._values(fluent))
             case _:
                 return False
+
+    def _values(self, fluent: Fluent) -> Types:
+        """Return the types of the values of a function, if these are objects."""
+        return () if fluent == DURATION else self.declared.domain.functions[fluent[0]].values
 
     def check_type(self, name: str, node: Node) -> None:
         """Refuse a type that is not there."""
