@@ -56,11 +56,7 @@ class StepReader:
         return FormulaScope(self.declared, dict.fromkeys(self.variables, ("object",)))
 
     def steps(self, node: Node) -> SequenceStep:
-        """Read a list of steps.
-
-        Raises:
-            InputError: it is something else, or a step is malformed or has names that are not there.
-        """
+        """Read a list of steps."""
         if node.items is None and not node.is_null:
             raise node.wrong(f"expected a list of steps, found {shown(node)}")
         return self.sequence(node.items or (), node.position)

@@ -26,11 +26,7 @@ _OPERANDS: Final = {"-": range(1, 3), "/": range(2, 3)}
 
 
 def read_condition(node: Node, scope: FormulaScope = ANYTHING) -> Condition:
-    """Read a condition.
-
-    Raises:
-        InputError: it is something else, malformed, or has names that are not there.
-    """
+    """Read a condition."""
     if node.items is not None:
         return conjunction(read_condition(item, scope) for item in node.items)
     if node.is_mapping:
@@ -160,11 +156,7 @@ def _check(node: Node, expression: Expression, scope: FormulaScope, *, objects: 
 
 
 def read_expression(node: Node, scope: FormulaScope = ANYTHING) -> Expression:
-    """Read a number, an object, a parameter, ``?duration``, the value of a function, or arithmetic over these.
-
-    Raises:
-        InputError: it is something else, malformed, or has names that are not there.
-    """
+    """Read a number, an object, a parameter, ``?duration``, the value of a function, or arithmetic over these."""
     found = _expression(node)
     if found is None:
         hint = f"; write {node.written!r} with quotes" if node.written and isinstance(node.plain(), bool) else ""

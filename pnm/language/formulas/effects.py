@@ -37,11 +37,7 @@ class WrittenEffects:
 
 
 def read_effects(node: Node, scope: FormulaScope = ANYTHING) -> WrittenEffects:
-    """Read effects: a list, or one of them.
-
-    Raises:
-        InputError: it is something else, malformed, or has names that are not there.
-    """
+    """Read effects: a list, or one of them."""
     found = _parts(node, scope)
     effects = tuple(one for one in found if isinstance(one, Set | When | ForEach))
     tests = [one for one in found if not isinstance(one, Set | When | ForEach)]
@@ -131,11 +127,7 @@ class TimedConditions:
 
 
 def read_conditions(node: Node | None, scope: FormulaScope = ANYTHING) -> TimedConditions:
-    """Read preconditions: a condition, or conditions by moment: ``{at_start: c, over_all: c, at_end: c}``.
-
-    Raises:
-        InputError: they are something else, malformed, or have names that are not there.
-    """
+    """Read preconditions: a condition, or conditions by moment: ``{at_start: c, over_all: c, at_end: c}``."""
     if node is None:
         return TimedConditions()
     if not _has_moments(node):
@@ -151,11 +143,7 @@ def read_conditions(node: Node | None, scope: FormulaScope = ANYTHING) -> TimedC
 
 
 def read_timed_effects(node: Node | None, scope: FormulaScope = ANYTHING) -> tuple[Effects, WrittenEffects]:
-    """Read effects: at the end, or by moment: ``{at_start: [...], at_end: [...]}``; return those at the start and the others.
-
-    Raises:
-        InputError: they are something else, malformed, or have names that are not there.
-    """
+    """Read effects: at the end, or by moment: ``{at_start: [...], at_end: [...]}``; return those at the start and the others."""
     if node is None:
         return (), WrittenEffects()
     if not _has_moments(node):
@@ -177,11 +165,7 @@ _BOUNDS: Final[Mapping[str, Literal["=", "<=", ">="]]] = {"=": "=", "<=": "<=", 
 
 
 def read_duration(node: Node, scope: FormulaScope = ANYTHING) -> tuple[DurationConstraint, ...]:
-    """Read a duration: an expression, or a list of bounds ``{"<=": expression}``; an empty list for any duration.
-
-    Raises:
-        InputError: it is something else, malformed, or has names that are not there.
-    """
+    """Read a duration: an expression, or a list of bounds ``{"<=": expression}``; an empty list for any duration."""
     if node.items is None and form(node, _BOUNDS) is None:
         return (DurationConstraint("=", _bound(node, scope)),)
     found = [needed_form(item, _BOUNDS, "a bound") for item in ((node,) if node.items is None else node.items)]

@@ -169,11 +169,7 @@ def fluent_in(text: str) -> Fluent | None:
 
 
 def read_fluent(node: Node, scope: FormulaScope = ANYTHING, kind: FluentKind | None = None) -> Fluent:
-    """Read the text of a fact, or of a function with its arguments: ``(at ?r kitchen)``.
-
-    Raises:
-        InputError: it is something else, or has names that are not there.
-    """
+    """Read the text of a fact, or of a function with its arguments: ``(at ?r kitchen)``."""
     found = fluent_in(node.text) if node.text is not None else None
     if found is None:
         raise node.wrong(f"expected something like (at ?r kitchen), found {shown(node)}")
@@ -185,9 +181,6 @@ def read_typed(node: Node, scope: FormulaScope = ANYTHING) -> tuple[Variable, ..
     """Read variables with their types: PDDL's text ``?r - robot ?from ?to - place``, or a list of such texts.
 
     In a list a name may stand without its ``?``.
-
-    Raises:
-        InputError: it is something else, a name is there twice, or a type is not there.
     """
     parts = (node,) if node.items is None else node.items
     return _variables([pair for part in parts if not part.is_null for pair in _typed(_text(part), part, scope)], node)

@@ -17,11 +17,7 @@ from pnm.language.formulas.words import ARITHMETIC, QUERIES, UPDATES, VALUES, Fo
 
 
 def read_data(node: Node, scope: FormulaScope = ANYTHING) -> Data:
-    """Read a value.
-
-    Raises:
-        InputError: it is malformed, or has names that are not there.
-    """
+    """Read a value."""
     found = form(node, (*VALUES, *UPDATES), in_value=True)
     if found is not None:
         return read_form(found, scope)
@@ -56,11 +52,7 @@ def _scalar(node: Node, scope: FormulaScope) -> Data:
 
 
 def read_literal(node: Node) -> Literal:
-    """Read a value as it stands.
-
-    Raises:
-        InputError: it has a number that is not finite.
-    """
+    """Read a value as it stands."""
     value = node.plain()
     try:
         json.dumps(value, allow_nan=False)
@@ -167,11 +159,7 @@ def _assertion(found: Form, scope: FormulaScope) -> Operation:
 
 
 def read_operation(node: Node, scope: FormulaScope = ANYTHING) -> KnowledgeOperation:
-    """Read an operation on knowledge: an update, a query, or an operator that changes it.
-
-    Raises:
-        InputError: it is something else, malformed, or has names that are not there.
-    """
+    """Read an operation on knowledge: an update, a query, or an operator that changes it."""
     found = needed_form(node, (*UPDATES, *QUERIES, "operation"), "an update, a query or an operation")
     if found.word in UPDATES:
         name, value, *meta = found.items(2, 3)
