@@ -44,9 +44,9 @@ def read_condition(node: Node, scope: FormulaScope = ANYTHING) -> Condition:
 def _condition(found: Form, scope: FormulaScope) -> Condition:
     match found.word:
         case "and":
-            return conjunction(read_condition(one, scope) for one in found.operands())
+            return conjunction(read_condition(operand, scope) for operand in found.operands())
         case "or":
-            return Any(tuple(read_condition(one, scope) for one in found.operands()))
+            return Any(tuple(read_condition(operand, scope) for operand in found.operands()))
         case "not":
             return Not(read_condition(found.items(1)[0], scope))
         case "imply":
@@ -132,7 +132,8 @@ def _comparable(name: str, sides: tuple[Expression, Expression]) -> bool:
 def _counts_with_names(expression: Expression) -> bool:
     match expression:
         case Arithmetic(_, operands):
-            return any(_counts_with_names(one) or (isinstance(one, Constant) and isinstance(one.value, str)) for one in operands)
+            names = [operand for operand in operands if isinstance(operand, Constant) and isinstance(operand.value, str)]
+            return bool(names) or any(map(_counts_with_names, operands))
         case _:
             return False
 

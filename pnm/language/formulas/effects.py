@@ -39,8 +39,8 @@ class WrittenEffects:
 def read_effects(node: Node, scope: FormulaScope = ANYTHING) -> WrittenEffects:
     """Read effects: a list, or one of them."""
     found = _parts(node, scope)
-    effects = tuple(one for one in found if isinstance(one, Set | When | ForEach))
-    tests = [one for one in found if not isinstance(one, Set | When | ForEach)]
+    effects = tuple(part for part in found if isinstance(part, Set | When | ForEach))
+    tests = [part for part in found if not isinstance(part, Set | When | ForEach)]
     return WrittenEffects(effects, conjunction(tests))
 
 

@@ -223,8 +223,8 @@ def _typed(text: str, node: Node, scope: FormulaScope) -> list[tuple[str, tuple[
         token = tokens.popleft()
         if token == "-" and waiting:
             types = _types(tokens, node)
-            for one in types:
-                scope.check_type(one, node)
+            for kind in types:
+                scope.check_type(kind, node)
             found += [(name, types) for name in waiting]
             waiting = []
         elif token in ("-", "(", ")", "?"):
