@@ -25,11 +25,12 @@ from pnm.core.execution.events import (
     Resume,
     Send,
     Stop,
-    Tell,
+    Store,
     Tick,
     Wake,
     Withdraw,
 )
+from pnm.core.execution.handover import check_succession
 from pnm.core.execution.run import Run
 from pnm.core.logic.computed_values import MISSING, Question
 from pnm.core.logic.expressions import Fluent, Unknown, Value
@@ -96,7 +97,7 @@ class Executor:
         """
         if not self._leaving or not self.run.begun:
             raise RunError("the run that is to be succeeded is not being carried out")
-        check_succession(self.run, run)
+        check_succession(self.run.handover, run.handover)
         old, self.run = self.run, run
         self._asker = replace(self._asker, run=run.id)
         self._leave(run.inherit(old))
@@ -188,7 +189,7 @@ class Executor:
             case Withdraw(identity):
                 if identity in self._talks:
                     self._talks[identity].cancel()
-            case Tell(identity, question, value):
+            case Store(identity, question, value):
                 self._talk(identity, self._tell(identity, question, value))
             case _:
                 assert_never(command)
@@ -242,27 +243,6 @@ class Executor:
 
 
 def _is_cancelled() -> bool:
-    """Tell whether this talk itself is cancelled; otherwise a source has been, by somebody else."""
+    """Return whether this talk itself is cancelled; otherwise a source has been, by somebody else."""
     task = asyncio.current_task()
     return task is not None and task.cancelling() > 0
-
-
-def check_succession(old: Run, new: Run) -> None:
-    """Refuse to lose what is under way.
-
-    Raises:
-        RunError: the one cannot be succeeded by the other.
-    """
-    if old.over or old.stopped:
-        raise RunError("a run that is over, or was told to stop, is not succeeded by another")
-    if old.id == new.id:
-        raise RunError("the run that succeeds another has an id of its own")
-    if old.settling:
-        raise RunError(f"the effects of {', '.join(map(str, old.settling))} are still to be looked for")
-    taken, there = set(new.open_requests), {one.request for one in old.under_way()}
-    left = [str(call) for request, call in old.open_calls.items() if request not in taken]
-    if left:
-        raise RunError(f"the other run does not take over {', '.join(left)}")
-    gone = [str(call) for request, call in new.open_calls.items() if request not in there]
-    if gone:
-        raise RunError(f"{', '.join(gone)} cannot be taken over: it is over, or being cancelled")

@@ -1,9 +1,7 @@
-"""Tasks, as whoever wants them done and whoever does them speak of them; knows nothing of planners or of ROS 2.
+"""The interface of a task manager, and of the world that its tasks share; knows nothing of planners or of ROS 2.
 
 A *task* is a goal that is pursued with as many plans as it takes, or one plan that is carried out. All tasks of a
 process share the knowledge of the world and the resources of its robots.
-
-What others may ask of, and tell to, the world that all tasks of a process share; texts in, texts out.
 """
 
 from __future__ import annotations
@@ -78,10 +76,10 @@ class OnConflict(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What somebody wants done.
+    """A task as its client wants it.
 
     Args:
-        id: of the task; chosen by whoever wants it.
+        id: of the task; chosen by the client.
         text: a condition in PDDL or the name of a goal; or the name or the text of a plan.
         priority: higher ones come first.
         deadline: seconds from the beginning of the task, None for none.
@@ -100,8 +98,8 @@ class Wanted:
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
-    """How a task is doing now."""
+class TaskStatus:
+    """The status of a task now."""
 
     id: UUID
     goal: str
@@ -118,7 +116,7 @@ class Status:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class TaskStep:
     """One call of a plan and how far it has come."""
 
     action: str
@@ -134,7 +132,7 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class TraceEvent:
     """One thing that has happened to a task.
 
     Args:
@@ -159,7 +157,7 @@ class TaskEnding:
     code: Code
     message: str
     replans: int = 0
-    trace: tuple[Moment, ...] = ()
+    trace: tuple[TraceEvent, ...] = ()
     results: Mapping[str, object] = field(default_factory=dict)
     """The variables that a plan gives back."""
     cause: str = ""
@@ -168,14 +166,14 @@ class TaskEnding:
 
 @dataclass(frozen=True, slots=True)
 class MadePlan:
-    """What became of the search for a plan that nobody carries out."""
+    """The result of a plan request: a plan that is not carried out."""
 
     code: Code
     """`GOAL_REACHED` when there is a plan."""
     message: str
     goal: str = ""
     """What was pursued, in PDDL."""
-    steps: tuple[Step, ...] = ()
+    steps: tuple[TaskStep, ...] = ()
 
 
 Make: TypeAlias = Callable[[str, str, float | None], Awaitable[MadePlan]]
@@ -186,7 +184,7 @@ What is wrong with the goal is in the result; a search that is cancelled ends th
 
 
 class TaskListener:
-    """Is told what happens to tasks, on the event loop's thread: one empty method per moment. Must not raise, and must not block."""
+    """Listens to all tasks, on the event loop's thread: one empty method per moment. Must not raise, and must not block."""
 
     def changed(self, task: UUID) -> None:
         """Note that the status of a task is another one, or that it is there now."""
@@ -194,8 +192,8 @@ class TaskListener:
     def planned(self, task: UUID) -> None:
         """Note that a task has another plan and another net."""
 
-    def happened(self, moment: Moment) -> None:
-        """Note an event."""
+    def happened(self, moment: TraceEvent) -> None:
+        """Note an event of a task."""
 
     def moved(self, task: UUID) -> None:
         """Note that tokens of its net have moved."""
@@ -209,7 +207,7 @@ class TaskRefused(Exception):
 
 
 class Tasks(Protocol):
-    """Does what is wanted, several tasks at once. To be used on the event loop's thread."""
+    """A task manager: carries out several tasks at once. To be used on the event loop's thread."""
 
     def begin(self, wanted: Wanted, /) -> None:
         """Begin a task. Whatever is wrong with it ends it, with a code and a reason."""
@@ -235,17 +233,17 @@ class Tasks(Protocol):
             TaskRefused: there is no such task.
         """
 
-    def status(self) -> tuple[Status, ...]:
-        """Return how all tasks that are not over are doing, in the order in which they are served, and those that ended last."""
+    def status(self) -> tuple[TaskStatus, ...]:
+        """Return the status of all tasks that are not over, in the order in which they are served, and of those that ended last."""
 
-    def plan(self, task: UUID, /) -> tuple[int, tuple[Step, ...]]:
-        """Return how many plans the task has had before, and how far its plan has come; nothing when it has none."""
+    def plan(self, task: UUID, /) -> tuple[int, tuple[TaskStep, ...]]:
+        """Return the number of plans that the task has had before, and the steps of its plan; none when it has none."""
 
     def net(self, task: UUID, /) -> tuple[int, PetriNetMachine, Marking] | None:
-        """Return how many nets the task has had before, the net that it has now, and where its tokens are."""
+        """Return the number of nets that the task has had before, the net that it has now, and its marking."""
 
     def listen(self, listener: TaskListener, /) -> Callable[[], None]:
-        """Tell the listener from now on; return what stops that."""
+        """Have a listener listen from now on; return what stops that."""
 
 
 class ServedWorld(Protocol):

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import pytest
 
 from tests.support.files import ROOT
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # we are in the background of a shell: our children are not to ignore it as well
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture

@@ -38,6 +38,8 @@ FOUND = 60.0
 """Seconds in which the node has to be found."""
 STUCK = 60.0
 """Seconds that a script may take."""
+LAST = 10.0
+"""Seconds in which the last states of tasks are told."""
 REPEATED = 0.3
 """Seconds after which an answer is given once more."""
 STATES = {value: name for name, value in vars(TaskStatus).items() if name.isupper() and isinstance(value, int)}
@@ -184,6 +186,13 @@ class Visitor:
             self.answers.publish(self.given[question])
             self.later(REPEATED, lambda: self.publish(question))
 
+    def see_all_over(self) -> None:
+        """Hear how the tasks of the last script have ended, which is told a moment after their results."""
+        until = time.monotonic() + LAST
+        ids = {request.id for request in self.requests if request.is_over}
+        while time.monotonic() < until and not all(self.states.get(id, ("", ""))[0] == "OVER" for id in ids):
+            self.spin(0.02)
+
     # what is seen
 
     def asked(self, message: Question) -> None:
@@ -255,7 +264,7 @@ def main(file: str) -> None:
     sys.stdout.write("ready\n")
     for script in told["scripts"]:
         visitor.play(script)
-    visitor.spin(REPEATED)  # the last states of tasks are told a moment later
+    visitor.see_all_over()
     rclpy.try_shutdown()
 
 

@@ -6,6 +6,7 @@ Commands import what they need in their functions, so that each starts as fast a
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -275,4 +276,7 @@ def demo(story: str) -> int:
 
 def main() -> None:
     """Run the command line."""
+    # Shells without job control start background processes with SIGINT ignored; whoever sends it all the same wants us to stop in order.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     app()

@@ -15,7 +15,7 @@ from planner_bridge.cli.options import tell
 from planner_bridge.node.serve import NodeObserver
 from pnm.core.machine.verification.verify import Proof
 from pnm.errors import Tolerated
-from pnm.tasks import Code, Moment, Status, TaskEnding, TaskListener, Tasks
+from pnm.tasks import Code, TaskEnding, TaskListener, Tasks, TaskStatus, TraceEvent
 
 _SHOWN: Final = 200
 """Characters of a goal, of parameters or of results that a line shows."""
@@ -75,7 +75,7 @@ class TaskConsole(TaskListener):
         """Print the goal of a task that is new."""
         self._lines_of(task)
 
-    def happened(self, moment: Moment) -> None:
+    def happened(self, moment: TraceEvent) -> None:
         """Print an event, but not every transition that fires."""
         if moment.kind != "fired" and not moment.text.startswith("over: "):  # `ended` prints the result
             text = ": ".join(filter(None, (moment.subject, moment.text)))
@@ -96,7 +96,7 @@ class TaskConsole(TaskListener):
         return self._lines[task]
 
 
-def _goal(status: Status) -> str:
+def _goal(status: TaskStatus) -> str:
     """Return the goal, or the plan with its parameters."""
     given = (
         f"{name}: {value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)}"

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
-from pnm.core.execution.call_requests import UnderWay
+from pnm.core.execution.handover import UnderWay
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.effects import Changes, Effects, changes, decided

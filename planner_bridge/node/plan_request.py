@@ -17,7 +17,7 @@ from planner_bridge.tasks.result import code_of_planning
 from planner_bridge.tasks.settings import Settings
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
-from pnm.tasks import Code, MadePlan, Step, StepState
+from pnm.tasks import Code, MadePlan, StepState, TaskStep
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,12 @@ class Maker:
         return MadePlan(Code.GOAL_REACHED, f"found by {result.planner}", str(problem.goal), _steps(problem, result.plan))
 
 
-def _steps(problem: Problem, plan: Plan) -> tuple[Step, ...]:
+def _steps(problem: Problem, plan: Plan) -> tuple[TaskStep, ...]:
     """Return the steps of a plan, each with the steps that are ordered before it."""
     before: dict[int, set[int]] = {}
     for ordering in plan_graph(problem, plan).orderings:
         before.setdefault(ordering.after.call, set()).add(ordering.before.call)
     return tuple(
-        Step(step.action, step.arguments, step.start, step.duration, StepState.WAITING, tuple(sorted(before.get(number, ()))))
+        TaskStep(step.action, step.arguments, step.start, step.duration, StepState.WAITING, tuple(sorted(before.get(number, ()))))
         for number, step in enumerate(plan.steps)
     )

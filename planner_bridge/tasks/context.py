@@ -4,21 +4,86 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 from uuid import UUID
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall, calls_acquiring
 from planner_bridge.model.problem import Problem
+from planner_bridge.ordering.interference import ReadWriteSets
 from planner_bridge.tasks.control import TaskControl
 from planner_bridge.tasks.replanning import History
-from planner_bridge.tasks.scheduling.planning_queue import PlanningQueue
-from planner_bridge.tasks.scheduling.preemption import Preemption
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from planner_bridge.tasks.task import Task
 from pnm.actions.backend import Backend
 from pnm.core.execution.resources import Resources
 from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.machine.plan_graph import ActionCall
 from pnm.knowledge.sources.source import Source
 from pnm.tasks import OnConflict
+
+
+@dataclass(frozen=True, slots=True)
+class Conflict:
+    """A task beside which a plan cannot be carried out.
+
+    Args:
+        task: the other task.
+        name: its name for people.
+        footprint: what its plan still needs and changes.
+        why: the fact or function in the way.
+        yields: whether it has a lower priority, so that it can be preempted.
+    """
+
+    task: UUID
+    name: str
+    footprint: ReadWriteSets
+    why: str
+    yields: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.why}"
+
+
+@dataclass(frozen=True, slots=True)
+class RunningCalls:
+    """Calls of another task that have begun and not ended: until then the world is not what it will be.
+
+    Args:
+        task: the other task.
+        name: its name for people.
+        calls: which are under way, being cancelled, or waiting for their effects.
+        yields: whether it has a lower priority, so that it can be preempted.
+    """
+
+    task: UUID
+    name: str
+    calls: tuple[ActionCall, ...]
+    yields: bool
+
+    def __str__(self) -> str:
+        return f"it has begun {', '.join(str(call.action) for call in self.calls)}"
+
+
+class Scheduler(Protocol):
+    """The other tasks, as the one that is to be planned sees them."""
+
+    def conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
+        """Return the active tasks that conflict with a plan of the task. `footprint` is called only if there are any."""
+
+    def new_conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
+        """Return the conflicts in which neither task has been preempted for the other yet."""
+
+    def running_calls(self, task: Task) -> tuple[RunningCalls, ...]:
+        """Return the calls of other tasks that have begun and not ended."""
+
+    async def preempt(self, task: Task, conflicts: tuple[Conflict, ...]) -> None:
+        """Have the tasks of lower priority pause until this task is over; return when nothing of theirs is under way."""
+
+    async def begin_turn(self, task: Task) -> None:
+        """Wait for the turn of the task to plan; one whose attempt failed waits for a change first."""
+
+    def end_turn(self, task: Task, *, failed: bool) -> None:
+        """End the turn of the task to plan."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +98,7 @@ class TaskContext:
         settings: planner, bindings, limits and policies.
         resources: shared by the calls of all tasks.
         source: answers what runs do not know; None for none.
-        preemption: finds and preempts tasks in conflict.
-        queue: where tasks wait for their turn to plan.
+        scheduler: knows the other tasks.
         on_conflict: what to do about a goal that is in conflict with those of other tasks.
         new_run_id: makes the identities of runs.
     """
@@ -46,8 +110,7 @@ class TaskContext:
     settings: Settings
     resources: Resources
     source: Source | None
-    preemption: Preemption
-    queue: PlanningQueue[Task]
+    scheduler: Scheduler
     on_conflict: OnConflict
     new_run_id: Callable[[], UUID]
 

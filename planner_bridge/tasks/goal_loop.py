@@ -5,9 +5,7 @@ from __future__ import annotations
 import asyncio
 from contextlib import ExitStack, suppress
 from dataclasses import replace
-from enum import Enum, auto
 from functools import partial
-from typing import assert_never
 
 from planner_bridge.model.forbidden_actions import ForbiddenCall
 from planner_bridge.model.plan import Plan
@@ -19,26 +17,13 @@ from planner_bridge.tasks.control import TaskEnded
 from planner_bridge.tasks.plan_execution import PlanExecution
 from planner_bridge.tasks.plan_search import NoPlan, PlanSearch
 from planner_bridge.tasks.replanning import Decision, GiveUp, History, PlanAgain, Progress, Resume, decide, shortened, times_that_matter
-from planner_bridge.tasks.result import TaskLog, TaskResult, code_of_failures, code_of_planning, join_reasons, no_plan_reason, retry_reason
+from planner_bridge.tasks.result import TaskLog, TaskResult, code_of_failures, code_of_planning, join_reasons, retry_reason
 from pnm.core.execution.resources import who_keeps
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import PlanGraph, PlanGraphError
 from pnm.core.machine.verification.explore import Unsound
 from pnm.tasks import Code, TaskState
-
-
-class _Advice(Enum):
-    """What to do about a run that may not lead to the goal any more."""
-
-    GO_ON = auto()
-    """It still does, or is to come to its end first."""
-    FINISH = auto()
-    """The goal holds already: start nothing more."""
-    MAKE_ROOM = auto()
-    """Others have begun with what it is in conflict with: start nothing more, and see then what can go on beside them."""
-    REPLACE = auto()
-    """Replan while calls are under way."""
 
 
 class GoalLoop:
@@ -97,7 +82,7 @@ class GoalLoop:
             while True:
                 with context.task.stopwatch.of("execute"):
                     await execution.attention()
-                if follower := await self._replan(execution):
+                if (follower := await self._replan(execution)) is not None:
                     return follower
                 execution.release()
 
@@ -177,33 +162,21 @@ class GoalLoop:
 
     def _is_to_be_replaced(self, execution: PlanExecution) -> bool:
         """Return whether to replan while the run goes on. If it has nothing more to do, it is finished."""
-        advice = self._advice(execution)
-        match advice:
-            case _Advice.FINISH:
-                execution.finish("the goal holds already")
-            case _Advice.MAKE_ROOM:
-                execution.finish("others have begun with what it is in conflict with")
-            case _Advice.GO_ON | _Advice.REPLACE:
-                pass
-            case _:
-                assert_never(advice)
-        return advice is _Advice.REPLACE
-
-    def _advice(self, execution: PlanExecution) -> _Advice:
         context = self._context
         if self._control.stopped or self._control.is_paused or execution.is_finishing:
-            return _Advice.GO_ON
+            return False
         if execution.is_blocked:
-            return _Advice.MAKE_ROOM
+            execution.finish("others have begun with what it is in conflict with")
+            return False
         if self._given or context.problem.network or times_that_matter(context.problem):
-            return _Advice.GO_ON
+            return False
         if execution.result.failures:
-            return _Advice.REPLACE if context.settings.on_failure is OnFailure.CONTINUE_OTHERS else _Advice.GO_ON
+            return context.settings.on_failure is OnFailure.CONTINUE_OTHERS
         if self._goal_holds() and not execution.waits_for_more():
-            return _Advice.FINISH
+            execution.finish("the goal holds already")
+            return False
         progress = execution.progress
-        still_works = not execution.obstacle() and shortened(progress, context.world) == progress
-        return _Advice.GO_ON if still_works else _Advice.REPLACE
+        return bool(execution.obstacle()) or shortened(progress, context.world) != progress
 
     def _next_history(self, execution: PlanExecution) -> History:
         """Return the history with this run, if another is to follow it."""
@@ -293,9 +266,11 @@ class GoalLoop:
                     return (await self._search.plan(forbidden, execution.run.under_way()))[0]
                 return await self._search.in_turn(partial(self._search.plan, forbidden))
             except NoPlan:
-                await self._control.wait(0.0 if is_last else world.longest_lag)
+                if is_last:
+                    raise
+                await self._control.wait(world.longest_lag)
                 self._control.check()
-                if is_last or world.facts() == facts:
+                if world.facts() == facts:
                     raise
         raise AssertionError("the last attempt finds a plan or fails")
 
@@ -313,8 +288,8 @@ class GoalLoop:
     def _without_plan(self, no_plan: NoPlan) -> TaskEnded:
         withheld = who_keeps(self._context.resources.withheld)  # nobody knows what their servers have made of the world
         unfulfilled = self._log.unfulfilled(self._monitor.missing)
-        reason = join_reasons(self._log.last_failure, no_plan_reason(no_plan.result, no_plan.forbidden), unfulfilled, withheld)
-        return TaskEnded(code_of_planning(no_plan.result.status, self._log.failures), reason)
+        reason = join_reasons(self._log.last_failure, str(no_plan), unfulfilled, withheld)
+        return TaskEnded(code_of_planning(no_plan.status, self._log.failures), reason)
 
     def _result(self, ended: TaskEnded) -> TaskResult:
         self._control.reserved = None

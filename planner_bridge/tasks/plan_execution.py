@@ -13,9 +13,9 @@ from planner_bridge.tasks.replanning import Progress, why_not
 from planner_bridge.tasks.result import TaskLog
 from planner_bridge.tasks.settings import OnChange
 from pnm.broadcast import broadcast
-from pnm.core.execution.call_requests import UnderWay
 from pnm.core.execution.call_results import Failure, RunResult
 from pnm.core.execution.events import Observer
+from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.run import Run
 from pnm.core.logic.conditions import names
 from pnm.core.logic.effects import names_written, possible_assignments
@@ -99,7 +99,7 @@ class PlanExecution(Observer):
     @property
     def result(self) -> RunResult:
         """The result of the run, so far or for good."""
-        return self._future.result() if self.is_over else self.run.told()
+        return self._future.result() if self.is_over else self.run.interim_result()
 
     @property
     def progress(self) -> Progress:
@@ -170,7 +170,7 @@ class PlanExecution(Observer):
 
     def resume(self) -> None:
         """Go on after a pause; if the plan does not work any more, or is in conflict with others, call for attention first."""
-        if self._context.preemption.new_conflicts(self._context.task, lambda: self.footprint):
+        if self._context.scheduler.new_conflicts(self._context.task, lambda: self.footprint):
             self.is_blocked = True
         if self.is_blocked or self.result.failures or (self.is_eager and self.obstacle()):
             self._attention.set()
@@ -196,7 +196,7 @@ class PlanExecution(Observer):
     async def at_rest(self) -> bool:
         """Wait until everything that is under way can be handed over; return whether the run is still going on then."""
         while not self.executor.ended:
-            is_settled = all(one.kind is not CallOutcome.RUNNING for one in self.run.told().calls)
+            is_settled = all(one.kind is not CallOutcome.RUNNING for one in self.run.interim_result().calls)
             if is_settled and set(self.run.open_requests) == {one.request for one in self.run.under_way()}:
                 return True
             await self.executor.happens()

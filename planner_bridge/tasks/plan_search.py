@@ -9,7 +9,7 @@ from functools import cache, partial
 from typing import Final, TypeAlias, TypeVar, cast
 from uuid import UUID
 
-from planner_bridge.model.forbidden_actions import ForbiddenCall, forbid
+from planner_bridge.model.forbidden_actions import ANY, ForbiddenCall, forbid
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.plan import Plan, PlanningResult, PlanningStatus
 from planner_bridge.model.plan_simulation import projected_state
@@ -18,11 +18,10 @@ from planner_bridge.ordering.interference import avoid_interference, optimistic_
 from planner_bridge.ordering.plan_to_graph import calls_of, total_order
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.constraint_monitor import TaskMonitor
-from planner_bridge.tasks.context import TaskContext
+from planner_bridge.tasks.context import Conflict, RunningCalls, TaskContext
 from planner_bridge.tasks.control import TaskEnded
 from planner_bridge.tasks.replanning import Progress, shortened, why_not
-from planner_bridge.tasks.scheduling.preemption import Conflict, RunningCalls
-from pnm.core.execution.call_requests import UnderWay
+from pnm.core.execution.handover import UnderWay
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.plan_graph import ActionCall, PlanGraph
 from pnm.errors import InputError
@@ -41,9 +40,14 @@ class NoPlan(Exception):
     """The planner has found no plan without the forbidden calls, and would find none without the other tasks."""
 
     def __init__(self, result: PlanningResult, forbidden: frozenset[ForbiddenCall]) -> None:
-        super().__init__(result.reason)
-        self.result = result
-        self.forbidden = forbidden
+        failed = sorted(str(call) for call in forbidden if ANY not in call.arguments)
+        lacking = sorted(str(call) for call in forbidden if ANY in call.arguments)
+        without = [
+            *([f" without {', '.join(failed)}, not to be tried again"] if failed else []),
+            *([f" without {', '.join(lacking)}, for which others keep what is needed"] if lacking else []),
+        ]
+        super().__init__(f"no plan{' and'.join(without)}: {result.reason}")
+        self.status = result.status
 
 
 class PlanSearch:
@@ -71,7 +75,7 @@ class PlanSearch:
         context, control, task = self._context, self._control, self._context.task
         while True:
             await control.unpaused()
-            await control.until(context.queue.enter(task))
+            await control.until(context.scheduler.begin_turn(task))
             blocking: tuple[Conflict, ...] = ()
             try:
                 while not (blocking or control.is_paused):
@@ -81,11 +85,11 @@ class PlanSearch:
                     if plan is not None:
                         return plan
                     if all(conflict.yields for conflict in conflicts):
-                        await control.until(context.preemption.preempt(task, conflicts))
+                        await control.until(context.scheduler.preempt(task, conflicts))
                     else:
                         blocking = conflicts
             finally:
-                context.queue.leave(task, failed=bool(blocking))
+                context.scheduler.end_turn(task, failed=bool(blocking))
             if blocking:
                 reason = "; ".join(map(str, blocking))
                 if context.on_conflict is OnConflict.REFUSE:
@@ -117,7 +121,7 @@ class PlanSearch:
         going_on = [one.call for one in under_way or ()]
         self._control.reserved = None
         context.observer.planning(context.settings.planner)
-        running = context.preemption.running_calls(context.task)  # now, and not when the planner has answered
+        running = context.scheduler.running_calls(context.task)  # now, and not when the planner has answered
         found = await self._solve(now)
         if found.plan is None:
             context.observer.unplanned(found)
@@ -142,7 +146,7 @@ class PlanSearch:
         """Attempt to carry out the rest of a plan."""
         context = self._context
         self._control.reserved = needed = cache(partial(read_write_sets, rest.calls, rest.goal, context.world))
-        return self._unless_in_conflict(rest, context.preemption.new_conflicts(context.task, needed))
+        return self._unless_in_conflict(rest, context.scheduler.new_conflicts(context.task, needed))
 
     def _begin(self) -> None:
         self.origin = asyncio.get_running_loop().time()
@@ -152,7 +156,7 @@ class PlanSearch:
         self._control.reserved = needed = cache(
             lambda: read_write_sets((*under_way, *calls_of(now, plan)), now.goal, initial_knowledge(now))
         )
-        return self._context.preemption.conflicts(self._context.task, needed)
+        return self._context.scheduler.conflicts(self._context.task, needed)
 
     def _unless_in_conflict(self, plan: P | None, conflicts: tuple[Conflict, ...]) -> tuple[P | None, tuple[Conflict, ...]]:
         if conflicts:

@@ -81,7 +81,7 @@ class PlanTask:
     def footprint(self) -> ReadWriteSets:
         """What the plan needs and changes: all calls that it may still reach."""
         run = self.executor.run
-        plan, calls = run.machine.plan, run.told().calls
+        plan, calls = run.machine.plan, run.interim_result().calls
         is_flat = len(plan.every_step) == len(plan.calls)
         ended = {result.call.index for result in calls if result.ended is not None} if is_flat else set()
         return read_write_sets([call for call in plan.calls if call.index not in ended], plan.goal, self._context.world)

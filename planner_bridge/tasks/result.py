@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any, Final, Literal, TypeAlias
 
-from planner_bridge.model.forbidden_actions import ANY, ForbiddenCall
-from planner_bridge.model.plan import PlanningResult, PlanningStatus
+from planner_bridge.model.plan import PlanningStatus
 from planner_bridge.tasks.replanning import Decision, GiveUp, History, PlanAgain, Resume
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
 from pnm.core.logic.trajectory import Constraint
@@ -293,25 +292,13 @@ _HAPPENED: Final = {
 """Predicates of sentences about calls, by the cause of the failure."""
 
 
-def no_plan_reason(found: PlanningResult, forbidden: frozenset[ForbiddenCall]) -> str:
-    """Return why there is no plan."""
-    failed = sorted(str(call) for call in forbidden if ANY not in call.arguments)
-    lacking = sorted(str(call) for call in forbidden if ANY in call.arguments)
-    without = [
-        *([f" without {', '.join(failed)}, not to be tried again"] if failed else []),
-        *([f" without {', '.join(lacking)}, for which others keep what is needed"] if lacking else []),
-    ]
-    return f"no plan{' and'.join(without)}: {found.reason}"
-
-
 def retry_reason(seconds: float, result: RunResult) -> str:
     """Return when a plan is tried again, and why its run has failed."""
-    return f"tries again in {seconds:g} s after {_happened(result.failures[-1]) if result.failures else result.reason}"
-
-
-def _happened(failure: Failure) -> str:
-    subject = failure.call.action if isinstance(failure.call, ActionCall) else failure.call
-    return f"{subject} {_HAPPENED.get(failure.cause, f'failed: {failure.cause}')}"
+    event = result.reason
+    if result.failures:
+        call, cause = result.failures[-1].call, result.failures[-1].cause
+        event = f"{call.action if isinstance(call, ActionCall) else call} {_HAPPENED.get(cause, f'failed: {cause}')}"
+    return f"tries again in {seconds:g} s after {event}"
 
 
 def join_reasons(*parts: str) -> str:

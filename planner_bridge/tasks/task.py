@@ -21,7 +21,7 @@ from pnm.core.machine.plan_graph import ActionCall
 from pnm.core.machine.requests import Outcome, Request
 from pnm.core.machine.verification.verify import Proof
 from pnm.core.net.net import Marking
-from pnm.tasks import Moment, Status, Step, StepState, TaskEnding, TaskListener, TaskState, Wanted
+from pnm.tasks import StepState, TaskEnding, TaskListener, TaskState, TaskStatus, TaskStep, TraceEvent, Wanted
 
 TRACE: Final = 200
 """The events of a task that are kept, the last ones."""
@@ -86,7 +86,7 @@ class Task(TaskObserver):
     result: TaskResult | None = None
     error: Exception | None = None
     """What went wrong, if there is no result."""
-    trace: deque[Moment] = field(default_factory=lambda: deque(maxlen=TRACE))
+    trace: deque[TraceEvent] = field(default_factory=lambda: deque(maxlen=TRACE))
     deadline: asyncio.TimerHandle | None = None
 
     def __post_init__(self) -> None:
@@ -120,17 +120,17 @@ class Task(TaskObserver):
         return self.is_active and not (execution is not None and execution.awaits_answers)
 
     @property
-    def status(self) -> Status:
+    def status(self) -> TaskStatus:
         """The status of the task now."""
         control, wanted = self.control, self.wanted
         running = control.execution.running if control.execution else ()
         counts = (self.ended_calls, self.replans, self.restarts)
-        return Status(
+        return TaskStatus(
             self.id, wanted.text or self.goal, wanted.priority, control.state, control.reason, running, *counts, wanted.parameters
         )
 
     @property
-    def steps(self) -> tuple[Step, ...]:
+    def steps(self) -> tuple[TaskStep, ...]:
         """The calls of its plan, and how far they have come."""
         run = self.control.run
         if run is None:
@@ -140,10 +140,10 @@ class Task(TaskObserver):
         for ordering in graph.orderings:
             if ordering.before.call < len(graph.calls) and ordering.after.call < len(graph.calls):
                 before.setdefault(ordering.after.call, []).append(ordering.before.call)
-        results = {result.call.index: result for result in run.told().calls}
+        results = {result.call.index: result for result in run.interim_result().calls}
         arguments = {index: result.call.action.arguments for index, result in results.items() if result.started is not None}
         return tuple(
-            Step(
+            TaskStep(
                 call.action.name,
                 arguments[call.index] if call.index in arguments else run.arguments(call),
                 call.planned,
@@ -170,7 +170,7 @@ class Task(TaskObserver):
 
     def note(self, kind: str, subject: str = "", text: str = "") -> None:
         """Note an event of the task."""
-        event = Moment(self.id, self.clock(), kind, subject, text)
+        event = TraceEvent(self.id, self.clock(), kind, subject, text)
         self.trace.append(event)
         self.listener.happened(event)
 
@@ -239,5 +239,5 @@ class Task(TaskObserver):
         if rule.restarts:
             self.restarts += 1
             self.listener.changed(self.id)
-        self.listener.happened(Moment(self.id, now, "fired", transition))
+        self.listener.happened(TraceEvent(self.id, now, "fired", transition))
         self.listener.moved(self.id)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pnm.core.execution.questions import Consultation
+from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import compute
 from pnm.core.logic.evaluation import evaluate
@@ -32,7 +32,7 @@ TEXT = PAGE.read_text(encoding="utf-8")
 FILES = example_files(TEXT)
 COMMANDS_SHOWN = [shown(body) for _, body in blocks("console", TEXT)]
 FACTS: dict[Fluent, Value | Unknown] = {("at", "r1", "kitchen"): True, ("battery", "r1"): 80.0}
-KNOWN = Consultation(
+KNOWN = EvaluationContext(
     Layered(KnowledgeBase(FACTS, objects={"robot": ("r1", "r2")}), KnowledgeBase(variables={"v": 3, "list": [1, 2]})),
 )
 

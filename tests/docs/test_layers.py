@@ -44,6 +44,9 @@ def test_imports_lead_one_way(path: Path) -> None:
             assert name.startswith(ONLY[top]), f"{name} imports {module}"
         if not name.startswith("pnm/ros/") and module.startswith("pnm.ros"):
             assert name.startswith("planner_bridge/"), f"{name} imports {module}"
+        if name.startswith("planner_bridge/tasks/"):
+            above = ("planner_bridge.pipeline", "planner_bridge.node", "planner_bridge.cli")
+            assert not module.startswith(above), f"{name} imports {module}"
 
 
 @pytest.mark.parametrize("package", ["pnm", "planner_bridge", "planner_bridge.cli.commands"])

@@ -1,10 +1,14 @@
-"""What runs on this machine, read from /proc."""
+"""Other processes: how long to wait for them, and those that run on this machine, read from /proc."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Final
+
+LIMIT: Final = 120.0
+"""Seconds that anything may take; a busy machine needs many, and only what hangs needs more."""
 
 
 def working_in(folder: Path, word: str = "") -> list[int]:
@@ -20,7 +24,7 @@ def working_in(folder: Path, word: str = "") -> list[int]:
     return found
 
 
-def until(happens: Callable[[], object], seconds: float = 60.0) -> None:
+def until(happens: Callable[[], object], seconds: float = LIMIT) -> None:
     """Wait for something that other processes do."""
     deadline = time.monotonic() + seconds
     while not happens():

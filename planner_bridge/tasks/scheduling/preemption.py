@@ -7,61 +7,18 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from uuid import UUID
 
 from planner_bridge.ordering.interference import ReadWriteSets, interference
+from planner_bridge.tasks.context import Conflict, RunningCalls
 from planner_bridge.tasks.scheduling.planning_queue import PlanningQueue
 from planner_bridge.tasks.task import Task
 from pnm.core.execution.resources import Resources
-from pnm.core.machine.plan_graph import ActionCall
 from pnm.tasks import TaskListener, TaskState
 
 
-@dataclass(frozen=True, slots=True)
-class Conflict:
-    """A task beside which a plan cannot be carried out.
-
-    Args:
-        task: the other task.
-        name: its name for people.
-        footprint: what its plan still needs and changes.
-        why: the fact or function in the way.
-        yields: whether it has a lower priority, so that it can be preempted.
-    """
-
-    task: UUID
-    name: str
-    footprint: ReadWriteSets
-    why: str
-    yields: bool = False
-
-    def __str__(self) -> str:
-        return f"{self.name}: {self.why}"
-
-
-@dataclass(frozen=True, slots=True)
-class RunningCalls:
-    """Calls of another task that have begun and not ended: until then the world is not what it will be.
-
-    Args:
-        task: the other task.
-        name: its name for people.
-        calls: which are under way, being cancelled, or waiting for their effects.
-        yields: whether it has a lower priority, so that it can be preempted.
-    """
-
-    task: UUID
-    name: str
-    calls: tuple[ActionCall, ...]
-    yields: bool
-
-    def __str__(self) -> str:
-        return f"it has begun {', '.join(str(call.action) for call in self.calls)}"
-
-
 class Preemption(TaskListener):
-    """Finds the tasks that are in conflict with each other, and pauses and resumes those of lower priority.
+    """Finds the tasks that are in conflict with each other, and pauses and resumes those of lower priority, as `Scheduler`.
 
     The mutable state is which tasks are being paused.
 
@@ -108,6 +65,14 @@ class Preemption(TaskListener):
 
     def _others(self, task: Task) -> list[Task]:
         return [other for other in self._tasks.values() if other is not task and other.is_active]
+
+    async def begin_turn(self, task: Task) -> None:
+        """Wait for the turn of the task to plan; one whose attempt failed waits for a change first."""
+        await self._queue.enter(task)
+
+    def end_turn(self, task: Task, *, failed: bool) -> None:
+        """End the turn of the task to plan."""
+        self._queue.leave(task, failed=failed)
 
     # --- preempting -----------------------------------------------------------------------------
 

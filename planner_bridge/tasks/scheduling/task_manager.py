@@ -36,7 +36,7 @@ from pnm.core.net.net import Marking
 from pnm.errors import InputError
 from pnm.knowledge.sources.source import Asker, Source
 from pnm.language.runner import Performer
-from pnm.tasks import Code, OnConflict, Status, Step, TaskEnding, TaskListener, TaskRefused, TaskState, Wanted
+from pnm.tasks import Code, OnConflict, TaskEnding, TaskListener, TaskRefused, TaskState, TaskStatus, TaskStep, Wanted
 
 _REMEMBERED: Final = 20
 """Tasks that are over and still listed."""
@@ -174,11 +174,11 @@ class TaskManager:
         for one in chosen:
             await one.control.over.wait()
 
-    def status(self) -> tuple[Status, ...]:
+    def status(self) -> tuple[TaskStatus, ...]:
         """Return the status of all tasks that are not over, in the order in which they are served, and of those that ended last."""
         return tuple(one.status for one in (*sorted(self._tasks.values(), key=lambda one: one.rank), *self._past))
 
-    def plan(self, task: UUID, /) -> tuple[int, tuple[Step, ...]]:
+    def plan(self, task: UUID, /) -> tuple[int, tuple[TaskStep, ...]]:
         """Return the number of plans that the task has had before, and the steps of its plan; none when it has none."""
         found = self._tasks.get(task)
         return (max(0, found.plans - 1), found.steps) if found else (0, ())
@@ -291,7 +291,6 @@ class TaskManager:
             self._resources,
             self._source,
             self._preemption,
-            self._queue,
             task.wanted.on_conflict or self._limits.on_conflict,
             lambda: UUID(bytes=self._prefix + uuid4().bytes[4:]),
         )

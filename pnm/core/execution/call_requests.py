@@ -1,21 +1,20 @@
 """What the calls of a run are doing: their requests, what they intend to change, and what they have changed.
 
-Decides nothing: `pnm.core.execution.run` says when. What has to be done outside is collected for it in `commands`, and what has
-happened at once, because it concerned knowledge alone, in `reports`.
+Decides nothing: `pnm.core.execution.run` says when, and is returned what has to be done outside.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import assert_never
+from typing import Final, assert_never
 from uuid import UUID, uuid5
 
 from pnm.core.execution.call_results import CallResult
 from pnm.core.execution.effect_checks import Intention, finished, intention, lag_of_effects, unseen
-from pnm.core.execution.events import Cancel, Command, Send, Tell
-from pnm.core.execution.questions import Consultation
+from pnm.core.execution.events import Cancel, Command, Send, Store
+from pnm.core.execution.handover import UnderWay
+from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import (
     MISSING,
@@ -40,20 +39,15 @@ from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Report, Reque
 
 
 @dataclass(frozen=True, slots=True)
-class UnderWay:
-    """A request that was accepted and is not over, with what its run knows of it: another run may take it over."""
+class Performed:
+    """What a transition's action leads to: commands, ends of requests that concerned knowledge alone, and whether knowledge changed."""
 
-    call: ActionCall
-    """As it was sent."""
-    request: UUID
-    accepted: float
-    """When it was."""
-    result: CallResult
-    """What is told of the call so far."""
-    intended: Intention
-    begun: Changes | None
-    """What was assumed at its start, as it was before."""
-    resources: tuple[str, ...]
+    commands: tuple[Command, ...] = ()
+    reports: tuple[Report, ...] = ()
+    changes_knowledge: bool = False
+
+
+_NOTHING: Final = Performed()
 
 
 GoalFields = Callable[[GroundAction], tuple[str, ...] | None]
@@ -73,10 +67,6 @@ class Calls:
         self._goal_fields = goal_fields
         self._asks = asks
         # state
-        self.commands: list[Command] = []
-        self.reports: deque[Report] = deque()
-        self.changed = False
-        """Whether knowledge has been changed since somebody last looked."""
         self.open: dict[UUID, int] = {}
         """The requests that are not over, as far as is known, and their calls."""
         self._requests: dict[int, UUID] = {}
@@ -99,95 +89,96 @@ class Calls:
 
     def arguments(self, call: int) -> tuple[str, ...]:
         """Return what its parameters would have for values if it were sent now, as far as nobody has to be asked; else their names."""
-        return bind(self._plan.calls[call].action.arguments, self.consult(call, None).environment())
+        return bind(self._plan.calls[call].action.arguments, self.context_of(call, None).environment())
 
     def binding(self, call: int) -> Binding:
         """Return the binding of the call's action."""
         return self._bindings.of(self._plan.calls[call].action.name)
 
-    def consult(self, call: int | None, answers: Mapping[Question, object] | None) -> Consultation:
+    def context_of(self, call: int | None, answers: Mapping[Question, object] | None) -> EvaluationContext:
         """Return what a decision about the call is made from; without answers, when nobody can be asked any more."""
         asks = self._asks and answers is not None
         if call is None or call >= len(self._plan.calls):
-            return Consultation(self._knowledge, answers=answers or {}, asks=asks)
-        return Consultation(self._knowledge, self._plan.calls[call].action, self.binding(call), answers or {}, asks)
+            return EvaluationContext(self._knowledge, answers=answers or {}, asks=asks)
+        return EvaluationContext(self._knowledge, self._plan.calls[call].action, self.binding(call), answers or {}, asks)
 
-    def ready(self, call: int, consulted: Consultation) -> GroundAction:
+    def ready(self, call: int, context: EvaluationContext) -> GroundAction:
         """Return the action with what knowledge now has for the parameters that the plan leaves open."""
         action = self._plan.calls[call].action
-        env = consulted.environment()
+        env = context.environment()
         return _grounded(action, env) if env else action
 
-    def goal(self, call: int, consulted: Consultation) -> tuple[dict[str, object], tuple[str, ...]]:
+    def goal(self, call: int, context: EvaluationContext) -> tuple[dict[str, object], tuple[str, ...]]:
         """Return the fields of the goal, and the names of those for which there is no value."""
-        action = self.ready(call, consulted)
+        action = self.ready(call, context)
         if action.operation is not None:
-            return {}, _unknown_values(action.operation, consulted)
+            return {}, _unknown_values(action.operation, context)
         binding = self.binding(call)
-        fields, missing = goal_data(action, binding, self._goal_fields(action), consulted)
+        fields, missing = goal_data(action, binding, self._goal_fields(action), context)
         patterns = (binding.server or "", *binding.resources, *action.resources)
         in_names = {name for pattern in patterns for name in placeholders(pattern)}
         return fields, tuple(dict.fromkeys((*missing, *(name for name in open_parameters(action) if name in in_names))))
 
-    def claiming(self, call: int, deed: TransitionAction | None, consulted: Consultation) -> tuple[UUID, GroundAction]:
+    def claiming(self, call: int, action: TransitionAction | None, context: EvaluationContext) -> tuple[UUID, GroundAction]:
         """Return for which request, and with which parameters, the call claims resources: for the next one if it is being sent."""
-        if deed is TransitionAction.SEND:
-            return self._next(call), self.ready(call, consulted)
+        if action is TransitionAction.SEND:
+            return self._next(call), self.ready(call, context)
         return self._requests[call], self.action(call)
 
     def resources(self, action: GroundAction) -> tuple[str, ...]:
         """Return what the action has for itself while it is under way."""
         return self._bindings.resources(action)
 
-    def unseen(self, call: int, consulted: Consultation) -> tuple[str, ...]:
+    def unseen(self, call: int, context: EvaluationContext) -> tuple[str, ...]:
         """Return what of the call's effects is not seen."""
-        return unseen(self._intended[call].expected, self.action(call), consulted)
+        return unseen(self._intended[call].expected, self.action(call), context)
 
-    def lag_of_effects(self, call: int, consulted: Consultation) -> float:
+    def lag_of_effects(self, call: int, context: EvaluationContext) -> float:
         """Return how many seconds late the reports about its effects may come."""
-        return lag_of_effects(self._intended[call].expected, self.action(call), consulted)
+        return lag_of_effects(self._intended[call].expected, self.action(call), context)
 
-    # --- deeds --------------------------------------------------------------------------------
+    # --- actions of transitions -----------------------------------------------------------------
 
-    def foresee(self, deed: TransitionAction | None, call: int, consulted: Consultation) -> None:
-        """Work out what the deed is going to change.
+    def compute_intention(self, action: TransitionAction | None, call: int, context: EvaluationContext) -> None:
+        """Compute what the action of a transition is going to change, only to find out which questions that depends on.
 
         Raises:
-            Unanswered: that depends on a question, which has to be asked before the deed is done.
+            Unanswered: a question has to be asked before the transition fires.
         """
         if not self._asks:
             return
-        match deed:
+        match action:
             case TransitionAction.SEND:
-                action = self.ready(call, consulted)
-                if not all(map(is_fixed, (*action.start_effects, *action.end_effects))):
-                    intention(replace(self._plan.calls[call], action=action), consulted)
+                ready = self.ready(call, context)
+                if not all(map(is_fixed, (*ready.start_effects, *ready.end_effects))):
+                    intention(replace(self._plan.calls[call], action=ready), context)
             case TransitionAction.FINISH if not all(map(is_fixed, self._intended[call].end_effects)):
-                finished(self.action(call), self._intended[call], consulted)
+                finished(self.action(call), self._intended[call], context)
             case _:
                 pass
 
-    def do(self, deed: TransitionAction, call: int, attempt: int, consulted: Consultation) -> None:
-        """Do what the firing of a transition brings about; `attempt` counts the requests each time the call is reached."""
-        match deed:
+    def perform(self, action: TransitionAction, call: int, attempt: int, context: EvaluationContext) -> Performed:
+        """Carry out the action of a transition that fires; `attempt` counts the requests each time the call is reached."""
+        match action:
             case TransitionAction.SEND:
-                self._send(call, attempt, consulted)
+                return self._send(call, attempt, context)
             case TransitionAction.ADOPT:
-                pass  # what there is to know of it is known
+                return _NOTHING  # the request is known since the run was made
             case TransitionAction.CANCEL:
                 self.accepted.pop(call, None)
-                self.commands.append(Cancel(self._requests[call]))
+                return Performed((Cancel(self._requests[call]),))
             case TransitionAction.BEGIN:
                 start = self._intended[call].start
-                self._begun[call] = values_before(start, consulted)
-                self._write(start)
+                self._begun[call] = values_before(start, context)
+                return self._write(start)
             case TransitionAction.FINISH:
-                self._write(finished(self.action(call), self._intended[call], consulted))
+                return self._write(finished(self.action(call), self._intended[call], context))
             case TransitionAction.UNDO:
-                if call in self._begun:
-                    self._write(undo(self._begun.pop(call), self._intended[call].start, consulted))
+                if call not in self._begun:
+                    return _NOTHING
+                return self._write(undo(self._begun.pop(call), self._intended[call].start, context))
             case _:
-                assert_never(deed)
+                assert_never(action)
 
     def adopt(self, call: int, taken: UnderWay) -> None:
         """Know of the request what its run has known."""
@@ -222,11 +213,10 @@ class Calls:
     def store(self, call: int, outcome: Outcome) -> None:
         """Store the fields of the result, by their own names or as the binding says."""
         store = {**self.binding(call).store, **dict(self._plan.calls[call].store)}
-        self.changed = True
         self._knowledge.local.store({store.get(name, name): value for name, value in outcome.result.items()})
 
-    def _send(self, call: int, attempt: int, consulted: Consultation) -> None:
-        action = self.ready(call, consulted)
+    def _send(self, call: int, attempt: int, context: EvaluationContext) -> Performed:
+        action = self.ready(call, context)
         self._actions[call] = action
         self._begun.pop(call, None)
         self.accepted.pop(call, None)
@@ -234,11 +224,10 @@ class Calls:
         self._sent[call] = self._sent.get(call, 0) + 1
         self.open[identity] = call
         self._requests[call] = identity
-        self._intended[call] = intention(replace(self._plan.calls[call], action=action), consulted)
+        self._intended[call] = intention(replace(self._plan.calls[call], action=action), context)
         if action.operation is not None:
-            self._operate(identity, action.operation, consulted)
-        else:
-            self.commands.append(Send(Request(identity, action, self.goal(call, consulted)[0], attempt)))
+            return self._operate(identity, action.operation, context)
+        return Performed((Send(Request(identity, action, self.goal(call, context)[0], attempt)),))
 
     def _next(self, call: int) -> UUID:
         """Return the identity of the next request of the call."""
@@ -248,69 +237,65 @@ class Calls:
         """Return an identity that follows from the run's and what it is for; the first four bytes are the run's, to be found by."""
         return UUID(bytes=self._run.bytes[:4] + uuid5(self._run, what).bytes[4:])
 
-    def _write(self, new: Changes) -> None:
-        """Write what nobody reports; sensors tell the rest."""
+    def _write(self, changes: Changes) -> Performed:
+        """Write the assumed effects; sensors report all others."""
         world = self._knowledge.world
-        if world.update({fluent: value for fluent, value in new.items() if not world.is_sensed(fluent)}):
-            self.changed = True
+        assumed = {fluent: value for fluent, value in changes.items() if not world.is_sensed(fluent)}
+        return Performed(changes_knowledge=bool(world.update(assumed)))
 
     # --- operations on knowledge --------------------------------------------------------------
 
-    def _operate(self, identity: UUID, operation: KnowledgeOperation, consulted: Consultation) -> None:
+    def _operate(self, identity: UUID, operation: KnowledgeOperation, context: EvaluationContext) -> Performed:
+        """Carry out an operation on knowledge; what is stored outside is a command, everything else is over at once."""
         try:
-            told = self._operated(operation, consulted)
+            match operation:
+                case Query():
+                    compute(operation, context)
+                    return _ended(identity)
+                case Operation(name, operands):
+                    value = compute(operation, context)
+                    if name in CHANGING and isinstance(operands[0], Query):
+                        return self._store(identity, question_of(operands[0], context), value)
+                    return _ended(identity)
+                case Update(name, data, layer, meta):
+                    value = compute(data, context)
+                    question = question_of(Query(name, layer, meta), context)
+                    return self._store(identity, question, None if value is MISSING else value)
+                case _:
+                    assert_never(operation)
         except Uncomputable as error:
-            self.reports.append(Ended(identity, Outcome(OutcomeKind.ABORTED, message=str(error))))
-            return
-        if told is None:
-            self.reports.append(Ended(identity, Outcome(OutcomeKind.SUCCEEDED)))
-        else:
-            self.commands.append(Tell(identity, *told))
+            return Performed(reports=(Ended(identity, Outcome(OutcomeKind.ABORTED, message=str(error))),))
 
-    def _operated(self, operation: KnowledgeOperation, consulted: Consultation) -> tuple[Question, object] | None:
-        """Do what can be done at once; return what has to be stored outside."""
-        match operation:
-            case Query():
-                compute(operation, consulted)
-                return None
-            case Operation(name, operands):
-                value = compute(operation, consulted)
-                if name in CHANGING and isinstance(operands[0], Query):
-                    return self._stored(question_of(operands[0], consulted), value)
-                return None
-            case Update(name, data, layer, meta):
-                value = compute(data, consulted)
-                question = question_of(Query(name, layer, meta), consulted)
-                return self._stored(question, None if value is MISSING else value)
-            case _:
-                assert_never(operation)
-
-    def _stored(self, question: Question, value: object) -> tuple[Question, object] | None:
-        self.changed = True
+    def _store(self, identity: UUID, question: Question, value: object) -> Performed:
         if question.layer in (Layer.LOCAL, Layer.ALL):
             self._knowledge.local.store({question.name: value})
         if question.layer is Layer.LOCAL:
-            return None
+            return _ended(identity, changes_knowledge=True)
         if self._asks:
-            return replace(question, layer=Layer.GLOBAL if question.layer is Layer.ALL else question.layer), value
+            outside = replace(question, layer=Layer.GLOBAL if question.layer is Layer.ALL else question.layer)
+            return Performed((Store(identity, outside, value),), changes_knowledge=True)
         if question.layer is Layer.PERSON:
             raise Uncomputable(f"there is nobody to be told {value!r}")
         self._knowledge.world.store({question.name: value})
-        return None
+        return _ended(identity, changes_knowledge=True)
 
 
-def _unknown_values(operation: KnowledgeOperation, consulted: Consultation) -> tuple[str, ...]:
+def _ended(identity: UUID, *, changes_knowledge: bool = False) -> Performed:
+    return Performed((), (Ended(identity, Outcome(OutcomeKind.SUCCEEDED)),), changes_knowledge)
+
+
+def _unknown_values(operation: KnowledgeOperation, context: EvaluationContext) -> tuple[str, ...]:
     """Return the variables that an update copies but nobody knows; have everything asked that the operation depends on."""
     try:
         match operation:
             case Update(name, data, _, meta):
-                variable_name(name, consulted)
-                compute(meta, consulted)
-                if compute(data, consulted) is not MISSING:
+                variable_name(name, context)
+                compute(meta, context)
+                if compute(data, context) is not MISSING:
                     return ()
-                return (question_of(data, consulted).name,) if isinstance(data, Query) else (str(data).removeprefix("?"),)
+                return (question_of(data, context).name,) if isinstance(data, Query) else (str(data).removeprefix("?"),)
             case _:
-                compute(operation, consulted)
+                compute(operation, context)
                 return ()
     except Uncomputable:
         return ()  # the operation itself will say so

@@ -90,10 +90,10 @@ class Explanation(NamedTuple):
     observed: str
 
 
-class Ledger:
-    """What a run writes down about its calls.
+class CallResults:
+    """Results of the calls of a run, and its failures.
 
-    The mutable state is `results`, what became of calls the last time they were reached, `rounds`, the same of all times
+    The mutable state is `current`, what became of calls the last time they were reached, `rounds`, the same of all times
     before, `failures` and, per call, the last message and the last cause.
     """
 
@@ -102,13 +102,13 @@ class Ledger:
         self._steps = {step.index: step for step in plan.every_step}
         self._outermost = frozenset(step.index for step in plan.steps)
         self._is_flat = len(plan.steps) == len(plan.every_step) == len(plan.calls)
-        self.results = [CallResult(call) for call in plan.calls]
+        self.current = [CallResult(call) for call in plan.calls]
         self.rounds: list[CallResult] = []
         self.failures: list[Failure] = []
         self._messages: dict[int, str] = {}
         self._causes: dict[int, Explanation] = {}
 
-    def told(self, handed: Collection[int] = ()) -> tuple[CallResult, ...]:
+    def calls(self, handed: Collection[int] = ()) -> tuple[CallResult, ...]:
         """Return what became of the calls, every time they were reached.
 
         A plan of calls alone keeps its order; of any other plan calls are told in the order in which they were sent, and of those
@@ -117,7 +117,7 @@ class Ledger:
         Args:
             handed: the numbers of calls whose requests another run takes over.
         """
-        results = [replace(one, kind=CallOutcome.HANDED_OVER) if one.call.index in handed else one for one in self.results]
+        results = [replace(one, kind=CallOutcome.HANDED_OVER) if one.call.index in handed else one for one in self.current]
         if self._is_flat and not self.rounds:
             return tuple(results)
         reached = [one for one in (*self.rounds, *results) if one.kind is not CallOutcome.WAITING]
@@ -139,28 +139,28 @@ class Ledger:
             missing: the effects not seen.
             assumed: whether some of the call's effects are reported by nothing.
         """
-        result = self.results[call]
+        result = self.current[call]
         match rule.outcome:
             case None:
                 pass
             case CallOutcome.WAITING:
                 if result.kind is not CallOutcome.WAITING:
                     self.rounds.append(result)
-                    self.results[call] = CallResult(self._calls[call])
+                    self.current[call] = CallResult(self._calls[call])
                     self._causes.pop(call, None)
             case CallOutcome.RUNNING:
                 started = now if result.started is None else result.started
-                self.results[call] = replace(result, kind=rule.outcome, attempts=result.attempts + 1, started=started)
+                self.current[call] = replace(result, kind=rule.outcome, attempts=result.attempts + 1, started=started)
             case CallOutcome.SUSPENDED:
-                self.results[call] = replace(result, kind=rule.outcome)
+                self.current[call] = replace(result, kind=rule.outcome)
             case CallOutcome.SKIPPED if result.kind is CallOutcome.SUSPENDED:
-                self.results[call] = replace(result, kind=CallOutcome.CANCELED, ended=now)
+                self.current[call] = replace(result, kind=CallOutcome.CANCELED, ended=now)
             case CallOutcome.PASSED_OVER:
                 if result.ended is None:
-                    self.results[call] = replace(result, kind=rule.outcome, cause=self._causes[call].cause, ended=now)
+                    self.current[call] = replace(result, kind=rule.outcome, cause=self._causes[call].cause, ended=now)
             case _:
                 assumed = assumed and rule.action is TransitionAction.FINISH
-                self.results[call] = replace(result, kind=rule.outcome, cause=None, ended=now, assumed=assumed)
+                self.current[call] = replace(result, kind=rule.outcome, cause=None, ended=now, assumed=assumed)
         if check is not None:
             self._causes[call] = check
         elif rule.cause is not None and not is_check(rule.guard):
@@ -170,11 +170,11 @@ class Ledger:
 
     def adopted(self, call: ActionCall, before: CallResult) -> None:
         """Note that the call was sent by another run, and what was told of it there."""
-        self.results[call.index] = replace(before, call=call)
+        self.current[call.index] = replace(before, call=call)
 
     def sent(self, call: ActionCall) -> None:
         """Note with which values for its parameters the call was sent."""
-        self.results[call.index] = replace(self.results[call.index], call=call)
+        self.current[call.index] = replace(self.current[call.index], call=call)
 
     def failed(self, step: int, now: float, check: Explanation | None, rule: Rule, lacking: tuple[str, ...]) -> Failure:
         """Note that the step has failed.
@@ -191,11 +191,11 @@ class Ledger:
             again = f"so it was not tried again after {before.cause}: expected {before.expected}, observed {before.observed}"
             check = check._replace(observed=f"{check.observed}; {again}")
         explanation = check or self._causes[step]
-        call = self.results[step].call if step < len(self.results) else self._steps[step]
+        call = self.current[step].call if step < len(self.current) else self._steps[step]
         failure = Failure(call, *explanation, unconfirmed=rule.gives_up, replan=rule.replans, lacking=lacking)
         self.failures.append(failure)
         if isinstance(call, ActionCall):
-            self.results[step] = replace(self.results[step], kind=CallOutcome.FAILED, cause=failure.cause, ended=now)
+            self.current[step] = replace(self.current[step], kind=CallOutcome.FAILED, cause=failure.cause, ended=now)
         return failure
 
 

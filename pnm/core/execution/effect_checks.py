@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from pnm.core.execution.questions import Consultation
+from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.conditions import TRUE, Condition, conjuncts, names
 from pnm.core.logic.effects import Changes, Effects, changes, decided, facts, is_fixed, names_written
@@ -19,8 +19,8 @@ from pnm.core.logic.expressions import Fluent, Value, same_value
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 
 
-def already_true(action: GroundAction, knowledge: Consultation) -> bool:
-    """Tell whether what is expected of the action holds, and it changes nothing but plain facts and objects which are so already.
+def already_true(action: GroundAction, knowledge: EvaluationContext) -> bool:
+    """Return whether what is expected of the action holds, and it changes nothing but plain facts and objects which are so already.
 
     An action of which nothing is expected and that changes nothing is never done already.
     """
@@ -44,7 +44,7 @@ class Intention:
     """The facts and objects that sensors should report once the call has succeeded."""
 
 
-def intention(call: ActionCall, knowledge: Consultation) -> Intention:
+def intention(call: ActionCall, knowledge: EvaluationContext) -> Intention:
     """Compute what the call, which is being sent, is going to change, and what of it should be seen.
 
     Numbers are not expected: a real battery never shows the modelled figure. Nor is, of a durative
@@ -60,7 +60,7 @@ def intention(call: ActionCall, knowledge: Consultation) -> Intention:
     return Intention(start, end, ending, seen)
 
 
-def finished(action: GroundAction, intended: Intention, knowledge: Consultation) -> Changes:
+def finished(action: GroundAction, intended: Intention, knowledge: EvaluationContext) -> Changes:
     """Return what the end of the action changes.
 
     A durative action's end effects read the state at its end. An instantaneous action's conditions and
@@ -73,13 +73,13 @@ def finished(action: GroundAction, intended: Intention, knowledge: Consultation)
     return {fluent: value if isinstance(value, bool | str) else now.get(fluent, value) for fluent, value in intended.end.items()}
 
 
-def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: Consultation) -> tuple[str, ...]:
+def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: EvaluationContext) -> tuple[str, ...]:
     """Return, as PDDL, which expected facts are not reported and which end conditions and expectations do not hold."""
     missing = (statement_text(fluent, value) for fluent, value in wanted.items() if not same_value(knowledge.world.value(fluent), value))
     return (*missing, *map(str, _end_denied(action, knowledge)), *map(str, failing(action.expected, knowledge)))
 
 
-def _end_denied(action: GroundAction, knowledge: Consultation) -> Iterator[Condition]:
+def _end_denied(action: GroundAction, knowledge: EvaluationContext) -> Iterator[Condition]:
     """Yield the parts of the end condition that do not hold; those the end itself changes cannot be told any more."""
     changed = names_written(action.end_effects)
     for part in conjuncts(action.end_condition):
@@ -87,11 +87,11 @@ def _end_denied(action: GroundAction, knowledge: Consultation) -> Iterator[Condi
             yield part
 
 
-def lag_of_effects(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: Consultation) -> float:
+def lag_of_effects(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: EvaluationContext) -> float:
     """Return how many seconds late the reports about the effects and the end condition may come."""
     return knowledge.world.lag({*(fluent[0] for fluent in wanted), *names(action.end_condition), *names(action.expected)})
 
 
-def is_assumed(action: GroundAction, knowledge: Consultation) -> bool:
-    """Tell whether nothing reports some of what the action changes."""
+def is_assumed(action: GroundAction, knowledge: EvaluationContext) -> bool:
+    """Return whether nothing reports some of what the action changes."""
     return not all(knowledge.world.is_sensed((name,)) for name in names_written((*action.start_effects, *action.end_effects)))

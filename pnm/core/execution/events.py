@@ -109,7 +109,7 @@ class Withdraw:
 
 
 @dataclass(frozen=True, slots=True)
-class Tell:
+class Store:
     """Store the value outside of the run; one `Ended` follows, as for a request that was sent."""
 
     id: UUID
@@ -118,7 +118,7 @@ class Tell:
     value: object
 
 
-Command: TypeAlias = Send | Cancel | Wake | Ask | Withdraw | Tell
+Command: TypeAlias = Send | Cancel | Wake | Ask | Withdraw | Store
 
 
 class Observer:

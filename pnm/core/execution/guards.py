@@ -1,4 +1,8 @@
-"""The decision at a place: what it is made from, when guards open, and how it is explained."""
+"""Guards: when they open, and how a check that fails is explained.
+
+What a guard answers depends on the state, on knowledge and on how long its own condition has been so, never on which other guards
+were asked before.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +10,12 @@ from collections.abc import Iterator, Mapping
 from typing import Final, assert_never
 from uuid import UUID
 
-from pnm.core.execution.call_requests import Calls, UnderWay
+from pnm.core.execution.call_requests import Calls
 from pnm.core.execution.call_results import Explanation
 from pnm.core.execution.effect_checks import already_true
-from pnm.core.execution.questions import Consultation, Questions
-from pnm.core.execution.resources import Claim, Claims, who_keeps
-from pnm.core.execution.run_state import Situation
+from pnm.core.execution.questions import EvaluationContext, Questions
+from pnm.core.execution.resources import Claim, RunClaims, who_keeps
+from pnm.core.execution.run_state import RunState
 from pnm.core.logic.conditions import Condition, ground, names
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.explain import failing, observed
@@ -22,15 +26,15 @@ from pnm.core.machine.machine import (
     AlreadyTrue,
     Always,
     CancelAsked,
+    ConditionFalse,
+    ConditionTrue,
     DataMissing,
-    Denied,
     Due,
     EffectsMissing,
     EffectsSeen,
     Ending,
     Ends,
     Failing,
-    Holding,
     PauseAsked,
     Rule,
     Withheld,
@@ -39,27 +43,18 @@ from pnm.core.machine.machine import (
 NEVER: Final = float("inf")
 
 
-class Decision:
-    """The decision that is being made.
+class Guards:
+    """Evaluates the guards of a run. Questions may be asked for a guard at a place; without a place only what is known counts.
 
-    The mutable state is what the constructor sets under "state".
+    The mutable state is since when conditions have not been true, and since when resources have been withheld, by transition.
     """
 
-    def __init__(self, situation: Situation, calls: Calls, claims: Claims, questions: Questions, adopted: Mapping[int, UnderWay]) -> None:
-        self._situation = situation
+    def __init__(self, state: RunState, calls: Calls, claims: RunClaims, questions: Questions) -> None:
+        self._state = state
         self._calls = calls
         self._claims = claims
         self._questions = questions
-        # state
-        self.place: int | None = None
-        """Where it is made; None when only what is known counts."""
-        self.adopted = dict(adopted)
-        """Requests of another run that are still to be taken over, by call."""
-        self.arrived: dict[int, float] = {}
-        """When places were marked."""
-        self.missing: dict[int, tuple[str, ...]] = {}
-        """For every call, the effects that were not seen when they were last looked for."""
-        self._denied_since: dict[int, float] = {}
+        self._false_since: dict[int, float] = {}
         self._withheld_since: dict[int, float] = {}
 
     def opens(self, transition: int, place: int) -> float:
@@ -68,132 +63,135 @@ class Decision:
         Raises:
             Unanswered: a question has to be asked first.
         """
-        rule, situation = self._situation.roles.rules[transition], self._situation
+        state = self._state
+        rule = state.index.rules[transition]
         match rule.guard:
             case Always():
                 return -NEVER
             case Ending():
-                return _now_if(situation.ending)
+                return _now_if(state.ending)
             case Failing():
-                return _now_if(situation.failing)
+                return _now_if(state.failing)
             case CancelAsked():
-                return _now_if(situation.cancels)
+                return _now_if(state.cancels)
             case PauseAsked():
-                return _now_if(situation.suspends)
-            case Holding(condition):
-                return _now_if(self.holds(condition, rule.call))
-            case Denied(condition):
-                return self._denied(transition, self.holds(condition, rule.call), self.consult(rule.call).world.lag(names(condition)))
+                return _now_if(state.suspends)
+            case ConditionTrue(condition):
+                return _now_if(self._holds(condition, self.context(rule.call, place)))
+            case ConditionFalse(condition):
+                context = self.context(rule.call, place)
+                return self._after_lag(transition, self._holds(condition, context), context.world.lag(names(condition)))
             case AlreadyTrue(call):
-                consulted = self.consult(call)
-                return _now_if(already_true(self._calls.ready(call, consulted), consulted))
+                context = self.context(call, place)
+                return _now_if(already_true(self._calls.ready(call, context), context))
             case DataMissing(call):
-                return _now_if(bool(self._calls.goal(call, self.consult(call))[1]))
+                return _now_if(bool(self._calls.goal(call, self.context(call, place))[1]))
             case Withheld():
-                return self._withheld(transition, bool(self.withheld(rule.guard)), rule.guard.seconds)
+                return self._after_wait(transition, bool(self.withheld(rule.guard, place)), rule.guard.seconds)
             case EffectsSeen(call):
-                self.missing[call] = self._calls.unseen(call, self.consult(call))
-                return _now_if(not self.missing[call])
+                return _now_if(not self.unseen(call, place))
             case EffectsMissing(call):
-                return self._denied(transition, not self.missing[call], self._calls.lag_of_effects(call, self.consult(call)))
+                lag = self._calls.lag_of_effects(call, self.context(call, place))
+                return self._after_lag(transition, not self.unseen(call, place), lag)
             case Adopted(call):
-                return _now_if(call in self.adopted)
+                return _now_if(call in state.adopted)
             case Accepts() | Ends():
                 return NEVER
             case After(seconds):
-                return self.arrived[place] + seconds
+                return state.marked_at[place] + seconds
             case Due(seconds, since):
-                ids = situation.engine.compiled.place_id
-                return max([(situation.origin or 0.0) + seconds, *(self.arrived[ids[one]] + delay for one, delay in since)])
+                ids = state.engine.compiled.place_id
+                return max([(state.origin or 0.0) + seconds, *(state.marked_at[ids[one]] + delay for one, delay in since)])
             case _:
                 assert_never(rule.guard)
 
-    def _denied(self, transition: int, holds: bool, lag: float) -> float:
+    def _after_lag(self, transition: int, holds: bool, lag: float) -> float:
         if holds:
-            self._denied_since.pop(transition, None)
+            self._false_since.pop(transition, None)
             return NEVER
-        return self._denied_since.setdefault(transition, self._situation.now) + lag
+        return self._false_since.setdefault(transition, self._state.now) + lag
 
-    def lacks_resources(self, transition: int) -> bool:
-        """Tell whether the transition would be enabled if no call of the run had what it needs for itself."""
-        return self._situation.engine.lacking(transition) <= self._situation.roles.resources
-
-    def has_resources(self, transition: int, place: int) -> bool:
-        """Tell whether the call can have what the transition needs for it; if not, it waits for that."""
-        return self._claims.are_free(place, self.claim(transition))
-
-    def withheld(self, guard: Withheld) -> Mapping[str, str]:
-        """Return which resources the call could not have until the end of requests is known that were given up, and theirs."""
-        _, action = self._calls.claiming(guard.call, guard.action, self.consult(guard.call))
-        return self._claims.withheld_from(self._calls.resources(action))
-
-    def claim(self, transition: int) -> Claim:
-        """Return what the transition needs for its call."""
-        rule = self._situation.roles.rules[transition]
-        assert rule.call is not None, "only calls have resources"
-        request, action = self._calls.claiming(rule.call, rule.action, self.consult(rule.call))
-        return self._claims.claim(request, self._calls.resources(action))
-
-    def _withheld(self, transition: int, is_so: bool, seconds: float) -> float:
-        if not is_so or self._situation.pause:  # during which nothing is waited for
+    def _after_wait(self, transition: int, is_withheld: bool, seconds: float) -> float:
+        if not is_withheld or self._state.pause:  # a pause stops this clock
             self._withheld_since.pop(transition, None)
             return NEVER
-        return self._withheld_since.setdefault(transition, self._situation.now) + seconds
+        return self._withheld_since.setdefault(transition, self._state.now) + seconds
 
-    def left(self, place: int) -> Iterator[UUID]:
-        """Forget what the decision at the place was made from; yield the questions whose answers are no longer needed."""
-        for consumer, _ in self._situation.engine.compiled.consumers[place]:
-            self._denied_since.pop(consumer, None)
+    def forget(self, place: int) -> Iterator[UUID]:
+        """Forget since when guards at the place have been waiting; yield its questions, whose answers are no longer needed."""
+        for consumer, _ in self._state.engine.compiled.consumers[place]:
+            self._false_since.pop(consumer, None)
             self._withheld_since.pop(consumer, None)
         return self._questions.left(place)
 
-    def consult(self, call: int | None) -> Consultation:
-        """Return what a decision about the call is made from here."""
-        answers = None if self.place is None else self._questions.answers_at(self.place)
-        return self._calls.consult(call, answers)
+    def context(self, call: int | None, place: int | None) -> EvaluationContext:
+        """Return what guards of the call at the place are evaluated from."""
+        return self._calls.context_of(call, None if place is None else self._questions.answers_at(place))
 
-    def holds(self, condition: Condition, call: int | None) -> bool:
-        """Tell whether the condition is true.
+    def unseen(self, call: int, place: int | None) -> tuple[str, ...]:
+        """Return the effects of the call that are not seen."""
+        return self._calls.unseen(call, self.context(call, place))
 
-        Raises:
-            Unanswered: a question has to be asked first.
-        """
-        consulted = self.consult(call)
-        return evaluate(_grounded(condition, consulted), consulted) is True
+    def _holds(self, condition: Condition, context: EvaluationContext) -> bool:
+        return evaluate(_grounded(condition, context), context) is True
 
-    def explain(self, condition: Condition, call: int | None) -> tuple[str, str]:
+    # --- resources ------------------------------------------------------------------------------
+
+    def lacks_resources(self, transition: int) -> bool:
+        """Return whether the transition would be enabled if no call of the run had resources."""
+        return self._state.engine.lacking(transition) <= self._state.index.resources
+
+    def has_resources(self, transition: int, place: int) -> bool:
+        """Return whether the resources that the transition takes are free; if not, its call stands in line for them."""
+        return self._claims.are_free(place, self.claim(transition, place))
+
+    def withheld(self, guard: Withheld, place: int | None) -> Mapping[str, str]:
+        """Return which resources of the call belong to requests that were given up, and the names of these requests."""
+        _, action = self._calls.claiming(guard.call, guard.action, self.context(guard.call, place))
+        return self._claims.withheld_from(self._calls.resources(action))
+
+    def claim(self, transition: int, place: int | None) -> Claim:
+        """Return the claim that the transition makes for its call."""
+        rule = self._state.index.rules[transition]
+        assert rule.call is not None, "only calls have resources"
+        request, action = self._calls.claiming(rule.call, rule.action, self.context(rule.call, place))
+        return self._claims.claim(request, self._calls.resources(action))
+
+    # --- explanations ---------------------------------------------------------------------------
+
+    def explain(self, condition: Condition, call: int | None, place: int | None) -> tuple[str, str]:
         """Return which parts of the condition are expected and not so, and what was seen instead."""
-        consulted = self.consult(call)
-        missing = failing(_grounded(condition, consulted), consulted)
-        seen = (*(observed(part, consulted) for part in missing), *self._questions.silence_at(self.place))
+        context = self.context(call, place)
+        missing = failing(_grounded(condition, context), context)
+        seen = (*(observed(part, context) for part in missing), *self._questions.silence_at(place))
         return " ".join(map(str, missing)), "; ".join(seen)
 
-    def explain_check(self, rule: Rule) -> Explanation | None:
+    def explain_check(self, rule: Rule, place: int | None) -> Explanation | None:
         """Return the cause that a check has found, with what was expected and what was seen; None if the rule has no cause or no check."""
         if rule.cause is None:
             return None
         match rule.guard:
-            case Denied(condition):
-                return Explanation(rule.cause, *self.explain(condition, rule.call))
-            case Holding(condition):
-                return Explanation(rule.cause, rule.expected or f"(not {condition})", observed(condition, self.consult(rule.call)))
+            case ConditionFalse(condition):
+                return Explanation(rule.cause, *self.explain(condition, rule.call, place))
+            case ConditionTrue(condition):
+                return Explanation(rule.cause, rule.expected or f"(not {condition})", observed(condition, self.context(rule.call, place)))
             case DataMissing(call):
-                consulted = self.consult(call)
-                missing = self._calls.goal(call, consulted)[1]
-                why = "".join(f"; {message}" for message in (*self._questions.silence_at(self.place), *consulted.uncomputable(missing)))
+                context = self.context(call, place)
+                missing = self._calls.goal(call, context)[1]
+                why = "".join(f"; {message}" for message in (*self._questions.silence_at(place), *context.uncomputable(missing)))
                 return Explanation(rule.cause, f"values for {', '.join(missing)}", f"no argument, variable or constant of that name{why}")
             case Withheld(_, seconds):
-                keepers = self.withheld(rule.guard)
+                keepers = self.withheld(rule.guard, place)
                 return Explanation(rule.cause, f"{', '.join(keepers)} within {seconds:g} s", who_keeps(keepers))
             case Due(seconds):
-                passed = f"{self._situation.passed:g} s have passed"
+                passed = f"{self._state.passed:g} s have passed"
                 return Explanation(rule.cause, f"an end within {seconds:g} s of the plan's start", passed)
             case _:
                 return None
 
 
-def _grounded(condition: Condition, consulted: Consultation) -> Condition:
-    env = consulted.environment()
+def _grounded(condition: Condition, context: EvaluationContext) -> Condition:
+    env = context.environment()
     return ground(condition, env) if env else condition
 
 

@@ -1,21 +1,63 @@
-"""What a run may take over from another.
+"""Handover: a run that is succeeded by another while requests are out hands them over.
 
-When a run may be succeeded by another.
+The new run is made with the requests that its plan says are under way (`check_adoption`); then it takes the place of the old one
+if nothing is lost or invented by that (`check_succession`). Both checks are made before anything changes.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from uuid import UUID
 
-from pnm.core.execution.call_requests import UnderWay
+from pnm.core.execution.call_results import CallResult
+from pnm.core.execution.effect_checks import Intention
+from pnm.core.logic.effects import Changes
 from pnm.core.machine.machine import PetriNetMachine
-from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.errors import RunError
 
 
+@dataclass(frozen=True, slots=True)
+class UnderWay:
+    """A request that was accepted and is not over, with what its run knows of it: another run may take it over."""
+
+    call: ActionCall
+    """As it was sent."""
+    request: UUID
+    accepted: float
+    """When it was."""
+    result: CallResult
+    """The result of the call so far."""
+    intended: Intention
+    begun: Changes | None
+    """What was assumed at its start, as it was before."""
+    resources: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Handover:
+    """State of a run as far as it matters when one run succeeds another."""
+
+    run: UUID
+    is_ending: bool
+    """It is over, or was told to stop."""
+    settling: tuple[ActionCall, ...]
+    """Calls that have succeeded, and whose effects are still to be looked for: no other run can do that."""
+    open_calls: Mapping[UUID, ActionCall]
+    """The requests that are not over, as far as is known, and their calls as they were sent."""
+    under_way: tuple[UnderWay, ...]
+    """Those of the requests that another run can take over."""
+
+
 def check_adoption(machine: PetriNetMachine, adopted: Mapping[int, UnderWay], resources: Callable[[GroundAction], tuple[str, ...]]) -> None:
-    """Refuse requests other than those of which the plan says that they are under way.
+    """Refuse to make a run that takes over other requests than those that its plan says are under way.
+
+    Args:
+        machine: of the new run.
+        adopted: the requests that are taken over, by call.
+        resources: returns what an action has for itself while it is under way.
 
     Raises:
         RunError: they are others, or have more than there is.
@@ -31,3 +73,24 @@ def check_adoption(machine: PetriNetMachine, adopted: Mapping[int, UnderWay], re
     for call, taken in adopted.items():
         if taken.resources != resources(plan.calls[call].action):
             raise RunError(f"{taken.call} has {', '.join(taken.resources) or 'nothing'} for itself; the plan says otherwise")
+
+
+def check_succession(old: Handover, new: Handover) -> None:
+    """Refuse a successor that loses a request under way, or has one that cannot be taken over.
+
+    Raises:
+        RunError: the old run cannot be succeeded by the new one.
+    """
+    if old.is_ending:
+        raise RunError("a run that is over, or was told to stop, is not succeeded by another")
+    if old.run == new.run:
+        raise RunError("the run that succeeds another has an id of its own")
+    if old.settling:
+        raise RunError(f"the effects of {', '.join(map(str, old.settling))} are still to be looked for")
+    left = [str(call) for request, call in old.open_calls.items() if request not in new.open_calls]
+    if left:
+        raise RunError(f"the other run does not take over {', '.join(left)}")
+    there = {one.request for one in old.under_way}
+    gone = [str(call) for request, call in new.open_calls.items() if request not in there]
+    if gone:
+        raise RunError(f"{', '.join(gone)} cannot be taken over: it is over, or being cancelled")

@@ -22,7 +22,7 @@ _NO_ACTION = GroundAction("")
 
 
 @dataclass(frozen=True, slots=True)
-class Consultation:
+class EvaluationContext:
     """What conditions, goal fields and operations are computed from.
 
     Asking for what is not known here raises `Unanswered` as long as the question is not among the answers.
@@ -143,6 +143,8 @@ class Questions:
         self._answers: dict[int, dict[Question, object]] = {}
         self._silence: dict[int, list[str]] = {}
         self._asked: dict[UUID, tuple[int, Question]] = {}
+        self.count = 0
+        """How many questions the run has asked itself."""
         self._inherited: list[tuple[str, Question, object]] = []
         """What the run before was told and has not used."""
         self._open: dict[UUID, tuple[str, Question]] = {}
@@ -153,7 +155,7 @@ class Questions:
         return self._answers.get(place, {})
 
     def is_asked(self, place: int, question: Question) -> bool:
-        """Tell whether the question has been asked for the decision at the place, and not been answered yet."""
+        """Return whether the question has been asked for the decision at the place, and not been answered yet."""
         return (place, question) in self._asked.values()
 
     @property
@@ -164,6 +166,7 @@ class Questions:
     def ask(self, identity: UUID, place: int, subject: str, question: Question) -> None:
         """Note that the question is being asked, for the sake of the subject."""
         self._subjects[place] = subject
+        self.count += 1
         self._asked[identity] = (place, question)
 
     def silence_at(self, place: int | None) -> Sequence[str]:
@@ -204,7 +207,7 @@ class Questions:
         return frozenset(self._open)
 
     def take_up(self, place: int, subject: str, question: Question) -> bool:
-        """Have the decision at the place know what was asked by the run before; tell whether it was."""
+        """Have the decision at the place know what was asked by the run before; return whether it was."""
         for number, (its, known, value) in enumerate(self._inherited):
             if (its, known) == (subject, question):
                 del self._inherited[number]
@@ -214,7 +217,8 @@ class Questions:
         for identity, asked in self._open.items():
             if asked == (subject, question):
                 del self._open[identity]
-                self.ask(identity, place, subject, question)
+                self._subjects[place] = subject
+                self._asked[identity] = (place, question)
                 return True
         return False
 

@@ -20,6 +20,8 @@ from dataclasses import dataclass
 from typing import Final
 from uuid import UUID
 
+from pnm.errors import RunError
+
 _ONE_EACH: Final[Mapping[str, int]] = {}
 
 
@@ -72,8 +74,18 @@ class Resources:
         """The capacities given; one for resources not listed."""
         return self._capacities
 
+    def check_capacities(self, capacities: Mapping[str, int]) -> None:
+        """Refuse a machine made for other capacities: what is free for a call must be free in its net.
+
+        Raises:
+            RunError: it is.
+        """
+        for name, capacity in capacities.items():
+            if capacity != self.capacity(name):
+                raise RunError(f"the machine was generated for {capacity} calls with {name}; {self.capacity(name)} may have it")
+
     def is_free(self, claim: Claim) -> bool:
-        """Tell whether the claim would be granted now."""
+        """Return whether the claim would be granted now."""
         taken = self._used.copy()
         for other in self._ahead(claim):
             taken.update(other.names)
@@ -151,7 +163,7 @@ class Resources:
         )
 
     def gives(self, claim: Claim) -> bool:
-        """Tell whether what was granted is going to be given back: nobody has given up waiting for that."""
+        """Return whether what was granted is going to be given back: nobody has given up waiting for that."""
         return claim.request not in self._withheld
 
     def servable(self) -> frozenset[UUID]:
@@ -199,7 +211,7 @@ class Resources:
         self._used.update(claim.names)
 
     def _tell(self) -> None:
-        """Tell everybody if there is somebody in line who could be served."""
+        """Store everybody if there is somebody in line who could be served."""
         if any(True for _ in self._servable()):
             self._call()
 
@@ -220,7 +232,7 @@ def who_keeps(withheld: Mapping[str, str]) -> str:
     return "; ".join(f"{name} is kept by {by}, which has not confirmed that it is over" for name, by in withheld.items())
 
 
-class Claims:
+class RunClaims:
     """The claims of one run to resources that it shares with others.
 
     Args:
@@ -246,7 +258,7 @@ class Claims:
         return Claim(self._task, request, self._priority, names)
 
     def are_free(self, place: int, claim: Claim) -> bool:
-        """Tell whether the claim would be granted; if not, it stands in line, and the place waits for it."""
+        """Return whether the claim would be granted; if not, it stands in line, and the place waits for it."""
         if self.resources.is_free(claim):
             return True
         self.resources.take(claim)
@@ -284,7 +296,7 @@ class Claims:
         return bool(self._waiting)
 
     def leave(self, place: int) -> bool:
-        """No longer wait at the place; tell whether it did."""
+        """No longer wait at the place; return whether it did."""
         if place not in self._waiting:
             return False
         self.resources.withdraw(self._waiting.pop(place))

@@ -5,22 +5,25 @@ What places and transitions are to whoever executes a machine, by their numbers.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from heapq import heappop, heappush
 from math import inf
 from typing import Final
 
-from pnm.core.execution.call_results import Ledger
+from pnm.core.execution.call_results import CallResults
 from pnm.core.execution.events import Pause, Stop
+from pnm.core.execution.handover import UnderWay
 from pnm.core.machine.machine import (
     Accepts,
     AlreadyTrue,
+    ConditionFalse,
+    ConditionTrue,
     DataMissing,
-    Denied,
     EffectsMissing,
     EffectsSeen,
     Ends,
-    Holding,
     OnFailure,
     PetriNetMachine,
     Rule,
@@ -28,13 +31,13 @@ from pnm.core.machine.machine import (
 )
 from pnm.core.net.firing_engine import Engine
 
-_KNOWING: Final = (Holding, Denied, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
+_KNOWING: Final = (ConditionTrue, ConditionFalse, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
 """Guards whose answer may change when facts change."""
 
 
 @dataclass
-class Roles:
-    """The roles of a machine's places and transitions. Nothing changes once it is made."""
+class MachineIndex:
+    """The index of a machine's places and transitions. Nothing changes once it is made."""
 
     machine: PetriNetMachine
     rules: list[Rule] = field(init=False)
@@ -85,20 +88,51 @@ class Roles:
         return frozenset(transition for transition, found in enumerate(arcs) if any(place in self.resources for place, _ in found))
 
 
+class Timers:
+    """Times at which undecided places are asked again. The mutable state is the queue and, by place, the time set last."""
+
+    def __init__(self) -> None:
+        self._queue: list[tuple[float, int]] = []
+        self._set: dict[int, float] = {}
+
+    def set(self, place: int, time: float) -> None:
+        """Have the place asked again at this time; earlier entries stay, to ask once too often does no harm."""
+        if time < inf and self._set.get(place) != time:
+            self._set[place] = time
+            heappush(self._queue, (time, place))
+
+    @property
+    def next(self) -> float:
+        """The next of the times; infinite if there is none."""
+        return self._queue[0][0] if self._queue else inf
+
+    def due(self, now: float) -> Iterator[int]:
+        """Yield, and forget, the places whose time has come."""
+        while self._queue and self._queue[0][0] <= now:
+            _, place = heappop(self._queue)
+            self._set.pop(place, None)
+            yield place
+
+
 @dataclass
-class Situation:
+class RunState:
     """What guards ask for besides knowledge. The mutable state is what has a default."""
 
     engine: Engine
-    roles: Roles
-    ledger: Ledger
+    index: MachineIndex
+    results: CallResults
     origin: float | None = None
     """The time from which releases count."""
+    has_begun: bool = False
     now: float = -inf
     stop: Stop | None = None
     """What the run was told about its end."""
     pause: Pause | None = None
     """What it was told about a pause that has not ended."""
+    adopted: dict[int, UnderWay] = field(default_factory=dict)
+    """Requests of another run that are still to be taken over, by call."""
+    marked_at: dict[int, float] = field(default_factory=dict)
+    """When places were marked last."""
 
     @property
     def passed(self) -> float:
@@ -108,23 +142,23 @@ class Situation:
     @property
     def over(self) -> bool:
         """Whether the goal place or the failed place is marked."""
-        return bool(self.engine.tokens[self.roles.goal] or self.engine.tokens[self.roles.failed])
+        return bool(self.engine.tokens[self.index.goal] or self.engine.tokens[self.index.failed])
 
     @property
     def failing(self) -> bool:
         """Whether the run can no longer succeed."""
-        return bool(self.ledger.failures) or self.stop is not None
+        return bool(self.results.failures) or self.stop is not None
 
     @property
     def ending(self) -> bool:
         """Whether nothing more is started."""
-        return self.failing or any(self.engine.tokens[place] for place in self.roles.restarts)
+        return self.failing or any(self.engine.tokens[place] for place in self.index.restarts)
 
     @property
     def cancels(self) -> bool:
         """Whether running calls shall be cancelled."""
         told = self.stop is not None and self.stop.cancel
-        return told or (self.ending and self.roles.machine.on_failure is OnFailure.CANCEL)
+        return told or (self.ending and self.index.machine.on_failure is OnFailure.CANCEL)
 
     @property
     def suspends(self) -> bool:
@@ -134,4 +168,4 @@ class Situation:
     @property
     def idle(self) -> bool:
         """Whether no call is under way."""
-        return not any(self.engine.tokens[place] for place in self.roles.alive)
+        return not any(self.engine.tokens[place] for place in self.index.alive)

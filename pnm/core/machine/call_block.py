@@ -38,14 +38,14 @@ from pnm.core.machine.machine import (
     AlreadyTrue,
     CallOutcome,
     CancelAsked,
+    ConditionFalse,
+    ConditionTrue,
     DataMissing,
-    Denied,
     Due,
     EffectsMissing,
     EffectsSeen,
     Ending,
     Ends,
-    Holding,
     PauseAsked,
     Rule,
     TransitionAction,
@@ -173,8 +173,8 @@ class CallBlock(Block[ActionCall]):
         add(check_rule(Cause.DATA_MISSING, DataMissing(call)), ready, self._after(Cause.DATA_MISSING, failed))
         if isfinite(self.step.deadline):
             add(check_rule(Cause.TOO_LATE, Due(self.step.deadline)), ready, failed)
-        add(Rule("start", Holding(may_start), action=TransitionAction.SEND, outcome=CallOutcome.RUNNING), ready, [requested])
-        add(check_rule(Cause.PRECONDITION_FALSE, Denied(may_start)), ready, self._after(Cause.PRECONDITION_FALSE, failed))
+        add(Rule("start", ConditionTrue(may_start), action=TransitionAction.SEND, outcome=CallOutcome.RUNNING), ready, [requested])
+        add(check_rule(Cause.PRECONDITION_FALSE, ConditionFalse(may_start)), ready, self._after(Cause.PRECONDITION_FALSE, failed))
 
         add(Rule("accepted", Accepts(call), action=TransitionAction.BEGIN), requested, [self.name("running"), *announced])
         for kind, cause in _EARLY.items():
@@ -219,7 +219,7 @@ class CallBlock(Block[ActionCall]):
         self.fire(Rule("stop", CancelAsked(), action=TransitionAction.CANCEL), "running", "stopping")
         self.fire(Rule("suspend", PauseAsked(), action=TransitionAction.CANCEL), "running", "suspending")
         if self.step.action.invariant != TRUE:
-            broken = check_rule(Cause.INVARIANT_FALSE, Denied(self.step.action.invariant), TransitionAction.CANCEL)
+            broken = check_rule(Cause.INVARIANT_FALSE, ConditionFalse(self.step.action.invariant), TransitionAction.CANCEL)
             self.fire(broken, "running", "stopping", "failed")
         if isfinite(self.step.deadline):
             missed = check_rule(Cause.DEADLINE_MISSED, Due(self.step.deadline), TransitionAction.CANCEL)
@@ -277,7 +277,7 @@ class CallBlock(Block[ActionCall]):
         """Add the checks that the plan has besides, in its order."""
         for cause, title, condition, places in self.recoveries.checks:
             if cause is wanted:
-                self.add(check_rule(cause, Holding(condition)), [self.name(source)], places, title=title)
+                self.add(check_rule(cause, ConditionTrue(condition)), [self.name(source)], places, title=title)
 
 
 def _before_invariant(action: GroundAction, rules: Rules) -> Condition:

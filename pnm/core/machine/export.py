@@ -104,7 +104,7 @@ def as_data(machine: PetriNetMachine) -> dict[str, Any]:
                 "event": rule.name,
                 "call": rule.call,
                 "guard": _guard(rule.guard),
-                "deed": rule.action.name if rule.action else None,
+                "action": rule.action.name if rule.action else None,
             }
             for name, rule in machine.rules.items()
         ],

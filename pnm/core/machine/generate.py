@@ -12,7 +12,7 @@ from typing import assert_never
 from pnm.core.machine.bindings import Bindings, is_open
 from pnm.core.machine.builder import Builder, Context
 from pnm.core.machine.call_block import CallBlock
-from pnm.core.machine.machine import Always, Denied, Due, Ending, Failing, Holding, OnFailure, PetriNetMachine, Rule
+from pnm.core.machine.machine import Always, ConditionFalse, ConditionTrue, Due, Ending, Failing, OnFailure, PetriNetMachine, Rule
 from pnm.core.machine.plan_graph import ActionCall, Choice, Junction, Loop, PlanGraph, Step
 from pnm.core.machine.step_block import ChoiceBlock, JunctionBlock, LoopBlock
 
@@ -47,8 +47,8 @@ def generate(
     builder.transition("finish", Rule("finish", Due(plan.due) if plan.due else Always()), whole.last, [end])
     builder.transition("ended_by_failure", Rule("ended_by_failure", Failing()), [end], [failed])
     _begin_anew(builder, end, start)
-    builder.transition("goal_holds", Rule("goal_holds", Holding(plan.goal)), [end], [goal])
-    builder.transition("goal_missing", Rule("goal_missing", Denied(plan.goal)), [end], [failed])
+    builder.transition("goal_holds", Rule("goal_holds", ConditionTrue(plan.goal)), [end], [goal])
+    builder.transition("goal_missing", Rule("goal_missing", ConditionFalse(plan.goal)), [end], [failed])
     return builder.machine(goal, failed, on_failure)
 
 

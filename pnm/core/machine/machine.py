@@ -53,14 +53,14 @@ class PauseAsked:
 
 
 @dataclass(frozen=True, slots=True)
-class Holding:
+class ConditionTrue:
     """Open when the condition is true."""
 
     condition: Condition
 
 
 @dataclass(frozen=True, slots=True)
-class Denied:
+class ConditionFalse:
     """Open when the condition has not been true for as long as reports about it may be late."""
 
     condition: Condition
@@ -148,8 +148,8 @@ Guard: TypeAlias = (
     | Failing
     | CancelAsked
     | PauseAsked
-    | Holding
-    | Denied
+    | ConditionTrue
+    | ConditionFalse
     | AlreadyTrue
     | DataMissing
     | Withheld
@@ -165,7 +165,7 @@ Guard: TypeAlias = (
 
 def is_check(guard: Guard) -> bool:
     """Return whether the guard compares a condition, data, time or resources with what is known, and no end of a request."""
-    return isinstance(guard, (Holding, Denied, DataMissing, Withheld, Due))
+    return isinstance(guard, (ConditionTrue, ConditionFalse, DataMissing, Withheld, Due))
 
 
 class TransitionAction(Enum):

@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Generic, TypeVar
 
 from pnm.core.machine.builder import Builder, Context
-from pnm.core.machine.machine import Always, CallOutcome, Denied, Due, Ending, Holding, Region, Rule, check_rule
+from pnm.core.machine.machine import Always, CallOutcome, ConditionFalse, ConditionTrue, Due, Ending, Region, Rule, check_rule
 from pnm.core.machine.plan_graph import Cause, Choice, Flow, Junction, Loop, Moment, PlanEvent, Step
 
 AnyStep = TypeVar("AnyStep", bound=Step)
@@ -99,10 +99,10 @@ class LoopBlock(Block[Loop]):
         self.fire(Rule("skip", Ending()), "head", "done")
         condition = self.step.condition
         all_spent = f"(not {condition}) after {self.step.limit} rounds"
-        exceeded = check_rule(Cause.LOOP_LIMIT, Holding(condition))._replace(expected=all_spent)
+        exceeded = check_rule(Cause.LOOP_LIMIT, ConditionTrue(condition))._replace(expected=all_spent)
         self.add(exceeded, {head: 1, spent: self.step.limit}, [done, failed])
-        self.add(Rule("repeat", Holding(condition)), [head, left], [*body.first, spent])
-        self.fire(Rule("no_more", Denied(condition)), "head", "done")
+        self.add(Rule("repeat", ConditionTrue(condition)), [head, left], [*body.first, spent])
+        self.fire(Rule("no_more", ConditionFalse(condition)), "head", "done")
         self.add(Rule("round_done"), body.last, [head])
         self.leave()
 
@@ -115,7 +115,10 @@ class ChoiceBlock(Block[Choice]):
         head, done = self.place("head"), self.place("done")
         self.enter("head")
         self.fire(Rule("skip", Ending()), "head", "done")
-        branches = (("then", Holding(self.step.condition), self.step.then), ("else", Denied(self.step.condition), self.step.otherwise))
+        branches = (
+            ("then", ConditionTrue(self.step.condition), self.step.then),
+            ("else", ConditionFalse(self.step.condition), self.step.otherwise),
+        )
         for name, guard, flow in branches:
             branch = self.region(flow, name, repeated=False)
             self.add(Rule(name, guard), [head], branch.first)

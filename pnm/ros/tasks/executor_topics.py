@@ -11,7 +11,7 @@ from pnm.ros.node.publisher import Publisher
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.throttle import Throttle
 from pnm.ros.tasks.task_messages import Fields, marking_fields, moment_fields, net_fields, plan_fields, status_fields
-from pnm.tasks import Moment, ServedWorld, Status, TaskEnding, TaskListener, Tasks, TaskState
+from pnm.tasks import ServedWorld, TaskEnding, TaskListener, Tasks, TaskState, TaskStatus, TraceEvent
 
 PERIOD: Final = 0.1
 """Seconds between two messages about all tasks, and between two markings of one net."""
@@ -87,7 +87,7 @@ class TaskTopics(TaskListener):
         self._note_nets()
         self.moved(task)
 
-    def happened(self, moment: Moment) -> None:
+    def happened(self, moment: TraceEvent) -> None:
         """Publish a trace event."""
         if self._trace.subscriptions:
             self._trace.publish(lambda: moment_fields(moment, clock_offset(self._ros, self._loop)))
@@ -115,7 +115,7 @@ class TaskTopics(TaskListener):
         for status in self._active():
             self._due_markings.note(status.id)
 
-    def _active(self) -> tuple[Status, ...]:
+    def _active(self) -> tuple[TaskStatus, ...]:
         return tuple(status for status in self._tasks.status() if status.state is not TaskState.OVER)
 
     def _publish_status(self) -> None:

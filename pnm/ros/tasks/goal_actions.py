@@ -31,7 +31,7 @@ from pnm.ros.tasks.task_messages import (
     wanted_plan,
     wanted_run,
 )
-from pnm.tasks import Code, Status, Step, TaskEnding, TaskListener, TaskRefused, Tasks, Wanted
+from pnm.tasks import Code, TaskEnding, TaskListener, TaskRefused, Tasks, TaskStatus, TaskStep, Wanted
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class _TaskAction:
     type: str
     read: Callable[[UUID, Any], Wanted]
     write: Callable[[TaskEnding, float], Fields]
-    feedback: Callable[[Status, Iterable[Step]], Fields] = task_feedback_fields
+    feedback: Callable[[TaskStatus, Iterable[TaskStep]], Fields] = task_feedback_fields
 
 
 _ACTIONS: Final = {

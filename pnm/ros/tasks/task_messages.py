@@ -17,7 +17,7 @@ from pnm.knowledge.sources.memory import read_value, write_value
 from pnm.knowledge.sources.person_text import printable
 from pnm.knowledge.sources.source import SourceError
 from pnm.ros.knowledge.knowledge_source import uuid_field
-from pnm.tasks import Code, MadePlan, Moment, OnConflict, Status, Step, StepState, TaskEnding, Wanted
+from pnm.tasks import Code, MadePlan, OnConflict, StepState, TaskEnding, TaskStatus, TaskStep, TraceEvent, Wanted
 
 TRACE: Final = 200
 """Trace events in a result: the last ones."""
@@ -114,7 +114,7 @@ def _text(name: str, text: str) -> str:
     return text.strip()
 
 
-def status_fields(status: Status) -> Fields:
+def status_fields(status: TaskStatus) -> Fields:
     """Return the fields of a ``TaskStatus``."""
     return {
         "id": uuid_field(status.id),
@@ -128,22 +128,22 @@ def status_fields(status: Status) -> Fields:
     }
 
 
-def task_feedback_fields(status: Status, steps: Iterable[Step]) -> Fields:
+def task_feedback_fields(status: TaskStatus, steps: Iterable[TaskStep]) -> Fields:
     """Return the fields of the feedback of ``achieve_goal`` and ``execute_plan``."""
     return {"status": status_fields(status), "plan": remaining(steps)}
 
 
-def run_feedback_fields(status: Status, _steps: Iterable[Step]) -> Fields:
+def run_feedback_fields(status: TaskStatus, _steps: Iterable[TaskStep]) -> Fields:
     """Return the fields of the feedback of the action of a plan."""
     return {"running": [printable(call) for call in status.running], "ended": status.ended, "restarts": status.restarts}
 
 
-def plan_fields(task: UUID, goal: str, number: int, steps: Iterable[Step]) -> Fields:
+def plan_fields(task: UUID, goal: str, number: int, steps: Iterable[TaskStep]) -> Fields:
     """Return the fields of a ``Plan``."""
     return {"task": uuid_field(task), "goal": printable(goal), "number": number, "steps": [_step_fields(step) for step in steps]}
 
 
-def _step_fields(step: Step) -> Fields:
+def _step_fields(step: TaskStep) -> Fields:
     return {
         "action": step.action,
         "arguments": [printable(argument) for argument in step.arguments],
@@ -154,7 +154,7 @@ def _step_fields(step: Step) -> Fields:
     }
 
 
-def remaining(steps: Iterable[Step]) -> list[str]:
+def remaining(steps: Iterable[TaskStep]) -> list[str]:
     """Return the calls of a plan that have not ended."""
     return [printable(str(step)) for step in steps if step.state in (StepState.WAITING, StepState.RUNNING)]
 
@@ -169,7 +169,7 @@ def marking_fields(task: UUID, number: int, marking: Marking) -> Fields:
     return {"task": uuid_field(task), "number": number, "places": list(marking), "tokens": list(marking.values())}
 
 
-def moment_fields(moment: Moment, offset: float) -> Fields:
+def moment_fields(moment: TraceEvent, offset: float) -> Fields:
     """Return the fields of a ``TraceEvent``; the offset is that from the event loop's clock to the node's."""
     return {
         "stamp": moment.time + offset,

@@ -6,6 +6,7 @@ import io
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Final
 
 import pytest
 from rich.console import Console
@@ -15,10 +16,13 @@ from tests.support.e2e.processes import Program
 from tests.support.mall.scene import Mall
 from tests.support.ros.domains import ros_domain
 
+PATIENT: Final = 4.0
+"""Seconds for an answer: no machine is so busy that one that was given takes longer, which would be another course of events."""
+
 
 @pytest.fixture
 def mall(tmp_path: Path) -> Iterator[Mall]:
-    with ros_domain() as domain, closing(Mall(tmp_path, domain)) as scene:
+    with ros_domain() as domain, closing(Mall(tmp_path, domain, PATIENT)) as scene:
         yield scene
 
 
@@ -32,7 +36,7 @@ def test_in_all_scripts_the_right_task_is_begun_paused_resumed_and_finished_and_
 
 def test_the_demo_tells_who_speaks_and_how_the_tasks_are_doing(mall):
     demo = mall.start(Program(["-m", "planner_bridge", "demo", "mall"], mall.environment))
-    assert demo.ended(120.0) == 0, str(demo)
+    assert demo.ended() == 0, str(demo)
     told = "\n".join(demo.out)
     assert 'ann    "Where is shop_0?"' in told
     assert "shop_0: paused, makes way for" in told

@@ -57,7 +57,7 @@ def test_without_robots_every_call_tried_fails_by_the_name_of_its_server(waiting
     assert all(failure["observed"].startswith("there is no action server /r1/move") for failure in result["failures"])
 
 
-@pytest.mark.parametrize(("end", "limit"), [("stop", 30.0), ("kill", 45.0)])  # the lease of what was killed lasts 20 s
+@pytest.mark.parametrize(("end", "limit"), [("stop", 60.0), ("kill", 75.0)])  # the lease of what was killed lasts 20 s
 def test_robots_that_vanish_are_lost(waiting, end, limit):
     run, _ = waiting[end]
     status, result = run.result()

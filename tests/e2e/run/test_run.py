@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import signal
 
+import pytest
+
 from tests.support.e2e.processes import overlaps
 from tests.support.e2e.scene import play_together
 
@@ -34,10 +36,11 @@ def test_a_robot_patrols(stage):
     at_first_attempt(*play_together(stage("patrol/p01"), stage("patrol/p02")))
 
 
-def test_ctrl_c_cancels_what_runs_and_still_tells_how_it_went(stage):
+@pytest.mark.parametrize("within", [(), ("sh", "-c", 'trap "" INT; exec "$@"', "sh")], ids=["foreground", "background"])
+def test_ctrl_c_cancels_what_runs_and_still_tells_how_it_went(stage, within):
     scene = stage("delivery/p01", speed="0.1")
     simulation = scene.simulate().ready()
-    run = scene.run()
+    run = scene.run(within=within)
     simulation.until(lambda: len([one for one in simulation.objects() if one["event"] == "start"]) == 2)
     run.process.send_signal(signal.SIGINT)
     story = scene.judge(run, simulation)

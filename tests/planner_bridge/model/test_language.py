@@ -26,7 +26,7 @@ from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.clock import run_async
 from pnm.core.execution.call_results import RunResult
-from pnm.core.execution.questions import Consultation
+from pnm.core.execution.questions import EvaluationContext
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Not
@@ -485,12 +485,12 @@ def test_a_goal_field_may_be_an_object_that_is_known() -> None:
 
     async def script(stage: Stage) -> None:
         graph = plan_graph(wanted, timed("0 3 fetch r1"))
-        data = goal_data(graph.calls[0].action, bindings.of("fetch"), ("robot", "to"), Consultation(stage.knowledge))
+        data = goal_data(graph.calls[0].action, bindings.of("fetch"), ("robot", "to"), EvaluationContext(stage.knowledge))
         assert data == ({"robot": "r1", "to": "lab"}, ())
         assert (await stage.run(graph)).goal
         for nothing in (UNKNOWN, UNDEFINED):
             stage.knowledge.world.update({("wanted", "r1"): nothing})
-            assert goal_data(graph.calls[0].action, bindings.of("fetch"), None, Consultation(stage.knowledge))[1] == ("to",)
+            assert goal_data(graph.calls[0].action, bindings.of("fetch"), None, EvaluationContext(stage.knowledge))[1] == ("to",)
 
     play(wanted, script, bindings=bindings)
 

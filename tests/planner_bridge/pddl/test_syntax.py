@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from planner_bridge.pddl.syntax.expressions import MAX_DEPTH, Atom, Group, Node, parse, where
 from pnm.errors import InputError
+from tests.support.refusals import refused
+
+BAD_INPUT = Path(__file__).with_name("refused")
 
 BAD = [
-    (")", "f:1:1: this ')' closes nothing; expected '(' or the end of the file"),
-    ("(a))(b)", "f:1:4: this ')' closes nothing; expected '(' or the end of the file"),
-    ("(a\n (b", "f:2:2: this '(' is never closed; expected ')' before the end of the file"),
-    ("(a (b)\n", "f:1:1: this '(' is never closed; expected ')' before the end of the file"),
-    ("(a ; )\n", "f:1:1: this '(' is never closed; expected ')' before the end of the file"),
-    (
-        "(define (domain d)\n (:predicates (p)\n (:action a))",
-        "f:2:2: this '(' is not closed before the next section; expected ')' before ':action' in line 3",
-    ),
+    *refused(BAD_INPUT / "lists.pddl"),
     ("(" * 20_000, f"f:1:{MAX_DEPTH + 1}: nested deeper than {MAX_DEPTH} lists"),
     ("(" * 20_000 + ")" * 20_000, f"f:1:{MAX_DEPTH + 1}: nested deeper than {MAX_DEPTH} lists"),
 ]
 
 
-@pytest.mark.parametrize(("text", "message"), BAD, ids=[message for _, message in BAD])
+@pytest.mark.parametrize(("text", "message"), BAD)
 def test_refusals_say_where(text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         parse(text, "f")

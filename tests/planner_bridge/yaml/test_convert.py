@@ -31,6 +31,7 @@ from pnm.errors import InputError
 from tests.planner_bridge.pddl import test_pddl
 from tests.support import strategies as generated
 from tests.support.files import ROOT, SHARED
+from tests.support.refusals import refused
 
 PAIRS = SHARED / "pddl"
 GOLDEN = ROOT / "tests" / "planner_bridge" / "yaml" / "golden" / "patrol.yaml"
@@ -388,51 +389,7 @@ def test_every_text_of_a_list_says_its_own_types() -> None:
 HEAD = "name: d\npredicates: [(p), (q)]\n"
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("plan: []\n", "x.yaml:1:1: there is no domain in the file; expected the key 'actions'"),
-        (f"{HEAD}predicate: []\n", "x.yaml:3:1: unknown key 'predicate'; did you mean 'predicates'?"),
-        (f"{HEAD}actions: {{a: {{precondition: (p)}}}}\n", "x.yaml:3:15: unknown key 'precondition'; did you mean 'preconditions'?"),
-        (
-            f"{HEAD}actions:\n  a:\n    params:\n    effects: (pp)\n",
-            "x.yaml:6:15: there is no predicate 'pp' here; did you mean 'p'?",
-        ),
-        (f"{HEAD}actions:\n  a:\n    effects:\n      - (q)\n      - (p kitchen)\n", "x.yaml:7:9: p takes 0 arguments, found 1"),
-        (f"{HEAD}actions:\n  a:\n    preconditions:\n      orr: [(p)]\n", "x.yaml:6:7: unknown word 'orr'; did you mean 'or'?"),
-        (
-            f"{HEAD}actions:\n  a:\n    preconditions:\n      Exists: {{Query: v}}\n",
-            "x.yaml:6:7: PDDL has no 'Exists': it knows facts and functions, not variables",
-        ),
-        (
-            f"{HEAD}actions:\n  a:\n    preconditions: {{Comparison: [contains, [a, b]]}}\n",
-            "x.yaml:5:34: PDDL does not compare with 'contains'; expected one of =, !=, <, <=, >, >=",
-        ),
-        (f"{HEAD}actions: {{a: {{effects: [{{increse: [(p), 1]}}]}}}}\n", "x.yaml:3:26: unknown word 'increse'; did you mean 'increase'?"),
-        (f"{HEAD}actions: {{a: {{effects: [7]}}}}\n", "x.yaml:3:25: expected an effect, such as (at ?r kitchen), found 7"),
-        (f"{HEAD}problem: {{goal: (r), objects: []}}\n", "x.yaml:3:18: there is no predicate 'r' here; expected one of: p, q"),
-        (f"{HEAD}problem: {{gaol: (p)}}\n", "x.yaml:3:11: unknown key 'gaol'; did you mean 'goal'?"),
-        (
-            f"{HEAD}problem:\n  init:\n    - (p)\n    - (p\n",
-            "x.yaml:6:7: expected a fact such as (at r1 kitchen) or (= (battery r1) 80), found '(p'",
-        ),
-        (
-            f"{HEAD}problem: {{init: [{{at: soon, facts: [(p)]}}]}}\n",
-            "x.yaml:3:23: expected a number of at least 0 under 'at', found 'soon'",
-        ),
-        (f"{HEAD}problem: {{metric: {{minimise: 1}}}}\n", "x.yaml:3:20: unknown word 'minimise'; did you mean 'minimize'?"),
-        (f"{HEAD}preferences: [{{name: p1, condition: (p)}}]\n", "x.yaml:3:15: the key 'constraints' is missing"),
-        (f"{HEAD}constraints: [{{alway: (p)}}]\n", "x.yaml:3:16: unknown word 'alway'; did you mean 'always'?"),
-        (
-            f"{HEAD}problem: {{preferences: [{{moment: at_strat, condition: (p)}}]}}\n",
-            "x.yaml:3:34: unknown moment 'at_strat'; did you mean 'at_start'?",
-        ),
-        (f"{HEAD}derived: [{{fact: (p)}}]\n", "x.yaml:3:11: the key 'condition' is missing"),
-        (f"{HEAD}hierarchy: [(:tusk t)]\n", "x.yaml:3:13: expected the text of :task or :method"),
-        ("name: d\ntypes: [[a]]\n", "x.yaml:2:9: expected names and types such as '?r - robot ?to - place', found a list"),
-        ("name: [d]\nactions: {}\n", "x.yaml:1:7: expected a text under 'name', found ['d']"),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), refused(Path(__file__).parent / "refused" / "converted.yaml"))
 def test_what_is_wrong_is_said_where_it_is(text: str, message: str) -> None:
     with pytest.raises(InputError) as refusal:
         parse(text, "x.yaml")

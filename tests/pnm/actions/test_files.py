@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pnm.actions.bindings_file import read_bindings
 from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange, ground_name, read_faults
-from pnm.core.execution.questions import Consultation
+from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.declared_names import Vocabulary
 from pnm.core.logic.expressions import UNKNOWN
@@ -21,6 +21,9 @@ from pnm.errors import InputError, Position
 from pnm.files.text import read_text
 from pnm.files.yaml_loader import MAX_DEPTH, MAX_NODES
 from pnm.files.yaml_nodes import MAX_BYTES, Mapped, load_yaml
+from tests.support.refusals import refused
+
+BAD_INPUT = Path(__file__).with_name("refused")
 
 
 def error(read: Callable[[Path], object], path: Path) -> str:
@@ -42,37 +45,14 @@ def written(folder: Path, content: str | bytes) -> Path:
 AT_LIMIT = "a: " + "[" * MAX_DEPTH + "]" * MAX_DEPTH
 BOMB = "a: &a0 [x, x]\n" + "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 20))
 
-BAD_YAML: list[tuple[str | bytes, str]] = [
+BAD_YAML = [
+    *refused(BAD_INPUT / "plain_data.yaml"),
     ("", "FILE:1:1: the file is empty; expected a mapping"),
-    ("# nothing yet\n", "FILE:1:1: the file is empty; expected a mapping"),
-    ("- a\n", "FILE:1:1: expected a mapping (key: value)"),
-    ("\n  text", "FILE:2:3: expected a mapping (key: value)"),
-    ("~", "FILE:1:1: expected a mapping (key: value)"),
     ("a: 1\nb: {x: 1\n", "FILE:3:1: not YAML: expected ',' or '}', but got '<stream end>'"),
-    ("a: b: c", "FILE:1:5: not YAML: mapping values are not allowed here"),
-    ("a: 1\n\tb: 2", "FILE:2:1: not YAML: found character '\\t' that cannot start any token"),
-    ("a: {b: ?to}", "FILE:1:8: not YAML: expected the node content, but found '?'; inside braces and brackets a '?' needs quotes"),
-    ("a: *nobody", "FILE:1:4: not YAML: found undefined alias 'nobody'"),
-    ("a: 1\n---\nb: 2\n", "FILE:3:1: a second document begins here; expected one"),
+    ("\n  text", "FILE:2:3: expected a mapping (key: value)"),
     ("a: \x07", "FILE:1:1: not YAML: unacceptable character #x0007: special characters are not allowed"),
-    ("a: 1\nb: 2\na: 3\n", "FILE:3:1: the key 'a' is there twice"),
-    ("a: {b: {c: 1,\n  c: 2}}", "FILE:2:3: the key 'c' is there twice"),
-    ("[a]: 1", "FILE:1:1: expected a name as the key"),
-    ("a: 1\nc: !!python/object/apply:os.getcwd", "FILE:2:4: the tag !!python/object/apply:os.getcwd is not allowed; expected plain data"),
-    ("a: [1, !!python/name:os.system ]", "FILE:1:8: the tag !!python/name:os.system is not allowed; expected plain data"),
-    ("a: {b: !robot r1}", "FILE:1:8: the tag !robot is not allowed; expected plain data"),
-    ("--- !robot\na: 1", "FILE:1:5: the tag !robot is not allowed; expected plain data"),
-    ("!robot a: 1", "FILE:1:1: the tag !robot is not allowed; expected plain data"),
-    ("a: !!set {b, c}", "FILE:1:4: the tag !!set is not allowed; expected plain data"),
-    ("a: !!binary aGk=", "FILE:1:4: the tag !!binary is not allowed; expected plain data"),
-    ("<<: [{a: 1}, 2]", "FILE:1:14: expected a mapping (key: value)"),
-    ("a: &anchor 1\nb: *anchr", "FILE:2:4: not YAML: found undefined alias 'anchr'; did you mean 'anchor'?"),
-    ("a: !!int x1", "FILE:1:4: cannot be read as int: 'x1'"),
-    ("a: [!!bool maybe]", "FILE:1:5: cannot be read as bool: 'maybe'"),
     ("a: 1" + "0" * 5000, f"FILE:1:4: cannot be read as int: '1{'0' * 39}'"),
-    ("a: [" + AT_LIMIT[3:] + "]", f"FILE:1:{MAX_DEPTH + 4}: nested deeper than {MAX_DEPTH}"),
     ("a: " + "[" * 20_000, f"FILE:1:1: nested deeper than {MAX_DEPTH}"),
-    ("a: &me\n  - *me\n", f"FILE:1:4: nested deeper than {MAX_DEPTH}"),
     (b"a: 1\nb: \xff\xfe", "FILE:2:4: not a text file: byte 0xff is not UTF-8"),
     (b"\x7fELF\x00\x00", "FILE:1:1: not a text file: it contains zero bytes"),
 ]
@@ -83,7 +63,7 @@ def everything(path: Path) -> dict[str, object]:
     return {key: top.plain(key) for key in top.nodes}
 
 
-@pytest.mark.parametrize(("content", "message"), BAD_YAML, ids=[message for _, message in BAD_YAML])
+@pytest.mark.parametrize(("content", "message"), BAD_YAML)
 def test_what_is_not_plain_yaml_is_refused(tmp_path: Path, content: str | bytes, message: str) -> None:
     assert error(everything, written(tmp_path, content)) == message
 
@@ -145,60 +125,8 @@ def test_anything_is_read_or_refused_with_a_position(tmp_path_factory: pytest.Te
 
 # --- bindings ---------------------------------------------------------------------------------
 
-BAD_BINDINGS = [
-    ("action: {}", "FILE:1:1: unknown key 'action'; did you mean 'actions'?"),
-    ("lag: 1\nrobots: 2", "FILE:2:1: unknown key 'robots'; expected one of actions, assumed, lag"),
-    ("actions: [move]", "FILE:1:10: expected a mapping (key: value)"),
-    ("actions:\n  move: fast", "FILE:2:9: expected a mapping (key: value)"),
-    ("actions:\n  move: {timout: 3}", "FILE:2:10: unknown key 'timout'; did you mean 'timeout'?"),
-    (
-        "actions: {move: {x: 3}}",
-        "FILE:1:18: unknown key 'x'; expected one of server, type, goal, store, timeout, accept, cancel, retries, ask, resources",
-    ),
-    ("actions:\n  move: {}\n  move: {}", "FILE:3:3: the key 'move' is there twice"),
-    ("assumed: at", "FILE:1:10: expected a list of names under 'assumed'"),
-    ("assumed: [at, 3]", "FILE:1:10: expected a list of names under 'assumed'"),
-    ("lag: -1", "FILE:1:6: expected a number of at least 0 under 'lag', found -1"),
-    ("lag: soon", "FILE:1:6: expected a number of at least 0 under 'lag', found 'soon'"),
-    ("lag: '1'", "FILE:1:6: expected a number of at least 0 under 'lag', found '1'"),
-    ("lag: true", "FILE:1:6: expected a number of at least 0 under 'lag', found True"),
-    ("lag: .nan", "FILE:1:6: expected a number of at least 0 under 'lag', found nan"),
-    ("lag: .inf", "FILE:1:6: expected a number of at least 0 under 'lag', found inf"),
-    ("lag: 1" + "0" * 400, "FILE:1:6: expected a number of at least 0 under 'lag', found 1" + "0" * 400),
-    ("actions: {move: {retries: 1.5}}", "FILE:1:27: expected a whole number under 'retries', found 1.5"),
-    ("actions: {move: {timeout: [1]}}", "FILE:1:27: expected a number of at least 0 under 'timeout', found [1]"),
-    ("actions: {move: {server: 3}}", "FILE:1:26: expected a text under 'server', found 3"),
-    ("actions: {move: {type: yes}}", "FILE:1:24: expected a text under 'type', found True"),
-    ("actions: {move: {goal: pose}}", "FILE:1:24: expected goal fields and their values"),
-    ("actions: {move: {goal: [?to]}}", "FILE:1:24: expected goal fields and their values"),
-    (
-        "actions: {move: {goal: {pose: [{x: '(x ?to'}]}}}",
-        "FILE:1:24: not a fact: '(x ?to'; expected something like (at r1 kitchen)",
-    ),
-    ("actions: {move: {store: pose}}", "FILE:1:25: expected result fields and the variables to store them in"),
-    ("actions: {move: {store: {pose: 3}}}", "FILE:1:25: expected result fields and the variables to store them in"),
-    (
-        "actions: {move: {server: '/{robot'}}",
-        "FILE:1:26: expected '}' before end of string in '/{robot'; expected something like /{robot}/navigate",
-    ),
-    (
-        "actions: {move: {server: '/robot}/x'}}",
-        "FILE:1:26: Single '}' encountered in format string in '/robot}/x'; expected something like /{robot}/navigate",
-    ),
-    ("actions: {move: {server: '/{}'}}", "FILE:1:26: {} is no parameter in '/{}'; expected something like /{robot}/navigate"),
-    (
-        "actions: {move: {server: '/{r.__class__}'}}",
-        "FILE:1:26: {r.__class__} is no parameter in '/{r.__class__}'; expected something like /{robot}/navigate",
-    ),
-    ("actions: {move: {resources: arm}}", "FILE:1:29: expected a list of names under 'resources'"),
-    (
-        "actions: {move: {resources: [arm, '{robot/base']}}",
-        "FILE:1:35: expected '}' before end of string in '{robot/base'; expected something like {robot}/base",
-    ),
-]
 
-
-@pytest.mark.parametrize(("content", "message"), BAD_BINDINGS, ids=[message[:80] for _, message in BAD_BINDINGS])
+@pytest.mark.parametrize(("content", "message"), refused(BAD_INPUT / "bindings.yaml"))
 def test_bad_bindings_are_refused(tmp_path: Path, content: str, message: str) -> None:
     assert error(read_bindings, written(tmp_path, content)) == message
 
@@ -242,19 +170,9 @@ MOVE = GroundAction("move", ("r1", "hall", "lab"), ("robot", "from", "to"), dura
 WORDS = Vocabulary(
     {"move": MOVE.parameters, "wait": ()}, frozenset({"at", "battery", "near"}), frozenset({"r1", "lab"}), derived=frozenset({"near"})
 )
-UNKNOWN_NAMES = [
-    ("assumed: [att]", "FILE:1:10: there is no predicate or function 'att' in the domain; did you mean 'at'?"),
-    ("assumed: [near]", "FILE:1:10: facts of near follow from rules; they are neither set nor reported"),
-    ("actions:\n  wait: {goal: {a: {b: '?nobody'}}}", "FILE:2:16: nobody is not a parameter of wait (it has none)"),
-    ("actions: {mvoe: {retries: 1}}", "FILE:1:17: there is no action 'mvoe' in the domain; did you mean 'move'?"),
-    ("actions: {jump: {}}", "FILE:1:17: there is no action 'jump' in the domain; expected one of move, wait"),
-    ("actions: {move: {server: '{to}/{who}'}}", "FILE:1:26: who is not a parameter of move (robot, from, to)"),
-    ("actions: {move: {resources: [arm, '{who}/base']}}", "FILE:1:35: who is not a parameter of move (robot, from, to)"),
-    ("actions: {wait: {goal: {at: '?at'}}}", "FILE:1:24: at is not a parameter of wait (it has none)"),
-]
 
 
-@pytest.mark.parametrize(("content", "message"), UNKNOWN_NAMES, ids=[message for _, message in UNKNOWN_NAMES])
+@pytest.mark.parametrize(("content", "message"), refused(BAD_INPUT / "bindings_with_unknown_names.yaml"))
 def test_bindings_of_what_the_domain_does_not_have_are_refused(tmp_path: Path, content: str, message: str) -> None:
     path = written(tmp_path, content)
     assert error(lambda path: read_bindings(path, WORDS), path) == message
@@ -321,42 +239,13 @@ Names = tuple[str, ...]
     ],
 )
 def test_goal_fields_are_filled_by_name(goal: Goal, fields: Names | None, filled: Mapping[str, object], missing: Names) -> None:
-    assert goal_data(MOVE, Binding(goal=goal), fields, Consultation(KNOWN)) == (filled, missing)
+    assert goal_data(MOVE, Binding(goal=goal), fields, EvaluationContext(KNOWN)) == (filled, missing)
 
 
 # --- faults -----------------------------------------------------------------------------------
 
-BAD_FAULTS = [
-    ("fault: []", "FILE:1:1: unknown key 'fault'; did you mean 'faults'?"),
-    ("faults: {}", "FILE:1:9: expected a list under 'faults'"),
-    ("faults:\n- move", "FILE:2:3: expected a mapping (key: value)"),
-    ("faults:\n- {do: abort}", "FILE:2:3: expected either 'action' or 'call'"),
-    ("faults:\n- {do: abort, action: move, call: move(r1)}", "FILE:2:3: expected either 'action' or 'call'"),
-    (
-        "faults:\n- {do: explode, action: move}",
-        "FILE:2:8: expected 'do' to be one of abort, reject, hang, no_effect, slow, lose_server; found 'explode'",
-    ),
-    (
-        "faults:\n- {action: move}",
-        "FILE:2:3: expected 'do' to be one of abort, reject, hang, no_effect, slow, lose_server; found None",
-    ),
-    ("faults:\n- {do: abort, actoin: move}", "FILE:2:15: unknown key 'actoin'; did you mean 'action'?"),
-    ("faults:\n- {do: abort, action: move, after: 0.5}", "FILE:2:36: expected a whole number under 'after', found 0.5"),
-    ("faults:\n- {do: abort, action: move, times: -1}", "FILE:2:36: expected a number of at least 0 under 'times', found -1"),
-    (
-        "faults:\n- {do: hang, action: move, ignores_cancel: 1}",
-        "FILE:2:44: expected true or false under 'ignores_cancel', found 1",
-    ),
-    ("changes:\n- {set: [(p)]}", "FILE:2:3: expected either 'at' (seconds) or 'on' (start of CALL, end of CALL)"),
-    ("changes:\n- {at: 1, on: end of move, set: [(p)]}", "FILE:2:3: expected either 'at' (seconds) or 'on' (start of CALL, end of CALL)"),
-    ("changes:\n- {at: 1, set: [(p), q]}", "FILE:2:16: not a fact: 'q'; expected something like (at r1 kitchen)"),
-    ("changes:\n- {at: 1, st: [(p)]}", "FILE:2:11: unknown key 'st'; did you mean 'set'?"),
-    ("changes:\n- {at: 1, set: (p)}", "FILE:2:16: expected a list of names under 'set'"),
-    ("changes:\n- {on: middle of move, set: [(p)]}", "FILE:2:8: expected 'start of CALL' or 'end of CALL', found 'middle of move'"),
-]
 
-
-@pytest.mark.parametrize(("content", "message"), BAD_FAULTS, ids=[message for _, message in BAD_FAULTS])
+@pytest.mark.parametrize(("content", "message"), refused(BAD_INPUT / "faults.yaml"))
 def test_bad_faults_are_refused(tmp_path: Path, content: str, message: str) -> None:
     assert error(read_faults, written(tmp_path, content)) == message
 
@@ -388,18 +277,7 @@ changes:
     assert read_faults(written(tmp_path, "faults:\nchanges:\n")) == Faults()
 
 
-UNKNOWN_ACTIONS = [
-    ("faults:\n- {call: 'move(r1)', do: abort}", "FILE:2:10: move takes 3 arguments, found 1"),
-    ("changes:\n- {at: 1, set: [(near r1 lab)]}", "FILE:2:16: facts of near follow from rules; they are neither set nor reported"),
-    ("changes:\n- {at: 1, set: ['(= (at r1) bal)']}", "FILE:2:16: there is no object 'bal' in the domain; expected one of lab, r1"),
-    ("changes:\n- {at: 1, set: [(at r9 lab)]}", "FILE:2:16: there is no object 'r9' in the domain; expected one of lab, r1"),
-    ("faults:\n- {do: hang, action: mvoe}", "FILE:2:22: there is no action 'mvoe' in the domain; did you mean 'move'?"),
-    ("faults:\n- {do: hang, call: (jump r1)}", "FILE:2:20: there is no action 'jump' in the domain; expected one of move, wait"),
-    ("changes:\n- {on: end of mvoe, set: [(p)]}", "FILE:2:8: there is no action 'mvoe' in the domain; did you mean 'move'?"),
-]
-
-
-@pytest.mark.parametrize(("content", "message"), UNKNOWN_ACTIONS, ids=[message for _, message in UNKNOWN_ACTIONS])
+@pytest.mark.parametrize(("content", "message"), refused(BAD_INPUT / "faults_with_unknown_names.yaml"))
 def test_faults_of_what_the_domain_does_not_have_are_refused(tmp_path: Path, content: str, message: str) -> None:
     path = written(tmp_path, content)
     assert error(lambda path: read_faults(path, WORDS), path) == message

@@ -28,6 +28,9 @@ from pnm.knowledge.state_reports import StateReports, Watchdog
 from pnm.ros.backend import Ros2Backend
 from tests.pnm.language.test_damage import damaged
 from tests.support.files import ROOT
+from tests.support.refusals import refused
+
+BAD_INPUT = Path(__file__).with_name("refused")
 
 DOMAIN = parse_domain(
     """(define (domain d) (:requirements :adl :fluents :derived-predicates)
@@ -131,64 +134,7 @@ def about(entry: str, sensor: str = "topic: t") -> str:
     return f"sensors: [{{{sensor}, facts: [{entry}]}}]"
 
 
-WRONG = [
-    ("^sensor: []", "unknown key 'sensor'; did you mean 'sensors'?"),
-    ("stale: ^0", "expected more than 0 seconds under 'stale'"),
-    ("sensors: [^{type: a/msg/B}]", "expected either a topic or a service"),
-    ("sensors: [^{topic: t, service: s}]", "expected either a topic or a service"),
-    ("sensors: [{topic: t, ^every: 2}]", "unknown key 'every'"),
-    ("sensors: [^{topic: t}]", "the sensor says nothing; expected facts or variables"),
-    ("sensors: [{topic: ^a b}]", "not a name in ROS: 'a b'"),
-    ("sensors: [{topic: ^'/{r/b'}]", "the braces in '/{r/b' do not match"),
-    ("sensors: [{topic: /t, type: ^sensor_msgs/srv/B}]", "expected something like sensor_msgs/msg/BatteryState"),
-    ("sensors: [{topic: ^'/{robt}/b', for: {robot: robot}}]", "?robt is not in 'for'; did you mean '?robot'?"),
-    ("sensors: [{topic: ^/b, for: {r: robot}}]", "'/b' does not name {r}, so all would be told the same"),
-    ("sensors: [{service: ^/b, for: {r: robot}}]", "'/b' does not name {r}, nor the request, so all would be told the same"),
-    ("sensors: [{topic: '/{r}/b', for: {r: ^robto}}]", "there is no type 'robto' in the domain; did you mean 'robot'?"),
-    ("sensors: [{topic: '/{r}/b', for: {r: ^[]}}]", "expected the type of r"),
-    ("sensors: [{topic: '/{value}', for: {^value: robot}}]", "'value' cannot name an object here"),
-    ("sensors: [{service: s, request: ^{r: '?q'}}]", "?q is not in 'for'; expected {name: type} there"),
-    ("sensors: [{service: s, request: ^3}]", "expected the fields of the request"),
-    ("sensors: [{service: s, every: ^0}]", "expected more than 0 seconds under 'every'"),
-    (about("^{field: x}"), "expected one of fact, number and object"),
-    (about("^{fact: (dark), number: (battery r1)}"), "expected one of fact, number and object"),
-    (about("{fact: ^dark}"), "not a fact: 'dark'"),
-    (about("{fact: ^(drak)}"), "there is no predicate 'drak' in the domain; did you mean 'dark'?"),
-    (about("{fact: ^(battery r1)}"), "battery is a function with numbers for values; expected a predicate"),
-    (about("{number: ^(location r1), field: x}"), "location is a function with objects for values; expected a function with numbers"),
-    (about("{object: ^(dark), field: x}"), "dark is a predicate; expected a function with objects"),
-    (about("{fact: ^(ready r1)}"), "facts of ready follow from rules; they are neither set nor reported"),
-    (about("{fact: ^(dark r1)}"), "dark takes 0 arguments, found 1"),
-    (about("{fact: ^(charged r3)}"), "there is no object 'r3' in the domain; expected one of a1, hall"),
-    (about("{fact: ^(charged hall)}"), "hall is a place; expected a robot"),
-    (about("{fact: ^'(charged ?r)'}"), "?r is not in 'for'"),
-    (about("{fact: ^'(at ?r kitchen)'}", "topic: '/{r}', for: {r: place}"), "?r is a place; at takes a robot"),
-    (about("{fact: ^'(at ?value ?value)', field: x}"), "?value is there twice"),
-    (about("{number: ^'(battery ?value)', field: x}"), "?value is not in 'for'"),
-    (about("^{number: (battery r1)}"), "expected a field, such as pose.position.x"),
-    (about("{number: (battery r1), field: ^3}"), "not a field: '3'; expected something like pose.position.x or cells[0].voltage"),
-    (about("{number: (battery r1), field: ^a..b}"), "not a field: 'a..b'; expected something like pose.position.x"),
-    (about("{number: (battery r1), field: x, table: {a: ^b}}"), "expected a number for 'a'"),
-    (about("{number: (battery r1), field: x, table: {a: ^.nan}}"), "expected a number for 'a'"),
-    (about("{number: (battery r1), field: x, table: ^{}}"), "expected values of the field and what they mean"),
-    (about("{number: (battery r1), field: x, table: ^a}"), "expected values of the field and what they mean"),
-    (about("{number: (battery r1), field: x, ^when: {}}"), "unknown key 'when'"),
-    (about("{object: (location r1), field: x, table: {a: ^r1}}"), "r1 is a robot; expected a place"),
-    (about("{object: (location r1), field: x, table: {a: ^1}}"), "expected the name of an object for 'a'"),
-    (about("{fact: (dark), field: ^x, when: {field: x}}"), "expected either 'field', which is true or false, or 'when'"),
-    (about("{fact: (dark), when: ^{}}"), "expected a test such as"),
-    (about("{fact: (dark), when: {^feild: x}}"), "unknown key 'feild'; did you mean 'field'?"),
-    (about("{fact: (dark), when: ^{ge: 1}}"), "expected the field that is compared by 'ge'"),
-    (about("{fact: (dark), when: {field: x, ^not: {field: y}}}"), "unknown key 'not'"),
-    (about("{fact: (dark), when: {field: x, ge:^ }}"), "expected what x is compared with"),
-    (about("{fact: (dark), when: {all: ^{field: x}}}"), "expected a list of tests under 'all'"),
-    (about("{fact: (dark), when: ^{all: [], any: []}}"), "expected one of not, all, any"),
-    ("sensors: [{topic: '/{r}', for: {r: robot}, variables: [{name: ^zone, field: x}]}]", "'zone' does not name {r}, so all would be one"),
-    ("sensors: [{topic: t, variables: [{name: zone, ^when: x}]}]", "unknown key 'when'"),
-]
-
-
-@pytest.mark.parametrize(("text", "said"), WRONG, ids=[text[:70] for text, _ in WRONG])
+@pytest.mark.parametrize(("text", "said"), refused(BAD_INPUT / "sensors.yaml"))
 def test_what_is_wrong_is_said_with_its_place(tmp_path, text, said):
     """The error is about what stands behind the mark."""
     file = written(tmp_path, text.replace("^", ""))

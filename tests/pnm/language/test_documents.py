@@ -10,6 +10,9 @@ from pnm.errors import InputError
 from pnm.files.yaml_loader import MAX_DOCUMENTS, MAX_NODES
 from pnm.files.yaml_nodes import Mapped, load_yaml, parse_yaml
 from pnm.language.files import parse_documents, read_documents
+from tests.support.refusals import refused
+
+BAD_INPUT = Path(__file__).with_name("refused")
 
 
 def one(text: str) -> Mapped:
@@ -136,24 +139,16 @@ def test_what_cannot_be_mended_is_told_as_it_stands() -> None:
 BOMB = "a0: &a0 {k: v}\n" + "".join(f"a{n}: &a{n} {{{', '.join(f'k{i}: *a{n - 1}' for i in range(9))}}}\n" for n in range(1, 9))
 MERGE_BOMB = "a0: &a0 {k: v}\n" + "".join(f"a{n}: &a{n} {{<<: [{', '.join([f'*a{n - 1}'] * 9)}]}}\n" for n in range(1, 9))
 EVIL = [
-    ("!!python/object/apply:os.system ['true']", "F:1:1: the tag !!python/object/apply:os.system is not allowed; expected plain data"),
-    ("a: !!python/name:os.system ''", "F:1:4: the tag !!python/name:os.system is not allowed; expected plain data"),
+    *refused(BAD_INPUT / "documents.yaml"),
     (BOMB, f"more than {MAX_NODES} values"),
-    (MERGE_BOMB, f"more than {MAX_NODES} values"),
-    ("a: &a {<<: *a}", "nested deeper than"),
-    ("a: &a [*a]", "nested deeper than"),
     ("a: " + "[" * 5000, "F:1:1: nested deeper than"),
     ("{" * 3000, "F:1:1: nested deeper than"),
-    ("? [a]\n: 1", "F:1:3: expected a name as the key"),
-    ("a: 1\na: 2", "F:2:1: the key 'a' is there twice"),
-    ("- a", "F:1:1: expected a mapping (key: value)"),
     ("a: \x00", "F:1:1: not YAML"),
-    ("%YAML 3.0\n---\na: 1", "F:1:1: not YAML: found incompatible YAML document (version 1.* is required)"),
     ("a: *" + "x" * 10_000, "F:1:4: not YAML: found undefined alias"),
 ]
 
 
-@pytest.mark.parametrize(("text", "message"), EVIL, ids=range(len(EVIL)))
+@pytest.mark.parametrize(("text", "message"), EVIL)
 def test_evil_files_are_refused(text: str, message: str) -> None:
     assert message in wrong(text)
 

@@ -16,6 +16,9 @@ from pnm.core.logic.rules import Rule
 from pnm.errors import InputError
 from pnm.language import LanguageDomain, read_domain
 from pnm.language.actions import ActionKind
+from tests.support.refusals import refused
+
+BAD_INPUT = Path(__file__).with_name("refused")
 
 Read: TypeAlias = Callable[[str], LanguageDomain]
 
@@ -252,53 +255,7 @@ def test_equal_names_and_empty_sections_are_nothing(read: Read) -> None:
     assert domain.model.goal == TRUE
 
 
-WRONG = [
-    ("acions: {}\n", ":1:1: unknown key 'acions'; did you mean 'actions'?"),
-    ("actions: {a: {efects: []}}", ":1:15: unknown key 'efects'; did you mean 'effects'?"),
-    ("actions: {a: {type: ros_acton}}", ":1:21: there is no kind of action 'ros_acton' here; did you mean 'ros_action'?"),
-    ("actions: {a: {type: plan}}", ":1:21: there is no kind of action 'plan' here"),
-    ("actions: {a: {type: {module: os, class: system}}}", ":1:21: there is no kind of action 'system' here; expected one of: KBAction"),
-    ("actions: {a: {type: {module: os}}}", ":1:21: expected the keys 'module' and 'class'"),
-    ("actions: {a: {type: [ros_action]}}", ":1:21: expected a kind of action such as ros_action, found a list"),
-    ("actions: {while: {}}", ":1:18: 'while' is a word of the language; an action cannot be called so"),
-    ("actions: {a: {params: [on]}}", ":1:24: expected names and types such as '?r - robot ?to - place'; write 'on' with quotes"),
-    ("actions: {a: {params: [x], preconditions: '(p ?y)'}}", ":1:47: there is no parameter '?y' here; expected one of: ?x"),
-    ("actions: {a: {retries: 1.5}}", ":1:24: expected a whole number under 'retries', found 1.5"),
-    ("actions: {a: {server: '/{robot'}}", ":1:23: expected '}' before end of string in '/{robot'"),
-    ("actions: {a: {store: [b]}}", ":1:22: expected result fields and the variables to store them in"),
-    ("actions: {a: {effects: {at_strt: []}}}", ":1:25: unknown word 'at_strt'; expected an effect"),
-    ("actions: {a: {effects: {at_start: [{Query: x}]}}}", ":1:35: expected effects on facts and functions alone"),
-    ("actions: {a: {preconditions: {at_start: (p), overall: (p)}}}", ":1:46: unknown key 'overall'; did you mean 'over_all'?"),
-    ("action_types: {a: {tpe: x}}\nactions: {}", ":1:20: unknown key 'tpe'; did you mean 'type'?"),
-    ("external_knowledge_base: {module: os, class: system}\nactions: {}", ":1:26: there is no source of knowledge 'os.system'"),
-    ("external_knowledge_base: [a]\nactions: {}", ":1:26: expected a mapping (key: value)"),
-    ("knowledge: [sqlit]\nactions: {}", ":1:13: there is no source of knowledge 'sqlit'; did you mean 'sqlite'?"),
-    ("knowledge: [{sqlite: file}]\nactions: {}", ":1:22: expected options of sqlite (option: value), found 'file'"),
-    ("knowledge: 3\nactions: {}", ":1:12: expected the name of a source of knowledge, found 3"),
-    ("types: [robot - thing]\nconstants: r1 - robt\nactions: {}", ":2:17: there is no type 'robt' here; did you mean 'robot'?"),
-    ("predicates: [at]\nactions: {}", ":1:14: expected something like (at ?r - robot ?p - place)"),
-    (
-        "predicates: (at ?x)\nderived: [{fact: '(att ?x)', condition: (at)}]",
-        ":2:20: there is no predicate 'att' here; did you mean 'at'?",
-    ),
-    ("derived: [{fact: '(p ?x)', condition: {not: '(p ?x)'}}]\nactions: {}", ":1:10: whether (p …) holds would depend on its own negation"),
-    ("derived: [{condition: (p)}]\nactions: {}", ":1:11: the key 'fact' is missing"),
-    ("problem: {inti: []}\nactions: {}", ":1:11: unknown key 'inti'; did you mean 'init'?"),
-    ("problem: {init: [at r1]}\nactions: {}", ":1:18: expected a fact such as (at r1 kitchen) or (= (battery r1) 80)"),
-    ("problem: {init: [{facts: (a)}]}\nactions: {}", ":1:18: the key 'at' is missing"),
-    ("problem: {init: ['(at ?x)']}\nactions: {}", ":1:23: there is no parameter '?x' here"),
-    ("problem: {goal: '(at ?x)'}\nactions: {}", ":1:22: there is no parameter '?x' here"),
-    ("predicates: (at ?x)\nproblem: {init: [(at)]}\nactions: {}", ":2:18: at takes 1 arguments, found 0"),
-    (
-        "actions: {a: {preconditions: {over_all: {not: {Exists: [Query: v]}}}}}",
-        ":1:41: what must hold over all is watched, and nobody is asked all the time; expected LocalQuery",
-    ),
-    ("plan: []\n", ":1:1: there is no domain in the file; expected the key 'actions'"),
-    ("actions: {}\n---\nactions: {}\n", ":3:1: there is a domain in this file already"),
-]
-
-
-@pytest.mark.parametrize(("text", "message"), WRONG, ids=[message for _, message in WRONG])
+@pytest.mark.parametrize(("text", "message"), refused(BAD_INPUT / "domains.yaml"))
 def test_what_is_wrong_with_a_domain(read: Read, tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         read(text)

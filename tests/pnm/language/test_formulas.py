@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -17,6 +18,7 @@ from pnm.language.formulas.conditions import FALSE, read_condition, read_express
 from pnm.language.formulas.effects import TimedConditions, WrittenEffects, read_conditions, read_duration, read_effects, read_timed_effects
 from pnm.language.formulas.scope import FormulaScope, read_names, read_typed
 from pnm.language.formulas.values import read_data, read_operation
+from tests.support.refusals import refused_by_file
 
 
 def node(text: str) -> Node:
@@ -269,90 +271,30 @@ KNOWN = DomainModel(
     {"battery": Declaration("battery", ONE)},
 )
 SCOPE = FormulaScope(ProblemModel("p", KNOWN), {"?robot": ("robot",), "?to": ("place",)})
-C, D, E, K, X, T, L = read_condition, read_data, read_effects, read_operation, read_expression, read_typed, read_duration
-WRONG: list[tuple[Callable[..., object], str, str]] = [
-    # words and shapes
-    (C, "{Comparisn: [eq, [1, 2]]}", "F:1:5: unknown word 'Comparisn'; did you mean 'Comparison'?"),
-    (C, "{and: [{Query: a}], or: [b]}", "F:1:5: 'and' stands beside other keys; expected it alone, or a list of such entries"),
-    (C, "{Query: a, strange: 1}", "F:1:5: 'Query' stands beside other keys; expected it alone, or a list of such entries"),
-    (C, "hello", "F:1:4: expected a condition, such as (at ?r kitchen) or {Exists: [Query: name]}, found 'hello'"),
-    (C, "7", "F:1:4: expected a condition, such as (at ?r kitchen) or {Exists: [Query: name]}, found 7"),
-    (C, "(not (at r1 kitchen))", "F:1:4: expected a condition, such as (at ?r kitchen)"),
-    (C, "{Exists: time}", "F:1:13: expected a query, found 'time'"),
-    (C, "{Exists: [{Query: a}, {Query: b}]}", "F:1:13: Exists takes 1 operands, found 2"),
-    (C, "{not: [{Query: a}, {Query: b}]}", "F:1:10: not takes 1 operands, found 2"),
-    (C, "{imply: [(a)]}", "F:1:12: imply takes 2 operands, found 1"),
-    (C, "{Comparison: [eq, [1, 2, 3]]}", "F:1:22: Comparison takes a list of the two values it compares"),
-    (C, "{Comparison: eq}", "F:1:17: Comparison takes 2 operands, found 1"),
-    (C, "{Comparison: [equals, [1, 2]]}", "F:1:18: there is no operator 'equals'; expected one of: abs"),
-    (C, "{Comparison: [eqq, [1, 2]]}", "F:1:18: there is no operator 'eqq'; did you mean 'eq'?"),
-    (C, "{Comparison: ['==', [1, 2]]}", "F:1:18: there is no operator '=='; did you mean '='?"),
-    (C, "{Comparison: [__import__, [os, 2]]}", "F:1:18: there is no operator '__import__'"),
-    (C, "{Comparison: [eq, [.inf, 1]]}", "F:1:23: expected a finite number, found .inf"),
-    (C, "{Comparison: [eq, [(place), on]]}", "F:1:32: on is a truth value; write 'on' with quotes, or true or false"),
-    (C, "{Operation: [contains, []]}", "F:1:17: contains has no operands"),
-    (C, "{BooleanAssertion: [{Query: a}, 1]}", "F:1:36: expected true or false"),
-    (C, "{forall: {variable: x, condition: (a)}}", "F:1:14: unknown key 'variable'; did you mean 'variables'?"),
-    (C, "{forall: {variables: x}}", "F:1:13: the key 'condition' is missing"),
-    (C, "{LocalUpdate: [a, 1]}", "F:1:5: unknown word 'LocalUpdate'; expected a condition"),
-    (D, "{LocalUpdate: [a, 1]}", "F:1:18: LocalUpdate changes knowledge; it is a step of its own, not a value"),
-    (D, "{Operation: [setitem, [{LocalQuery: d}, k, 1]]}", "F:1:17: setitem changes knowledge; it is a step of its own, not a value"),
-    (D, "{a: [.nan]}", "F:1:9: expected finite numbers, found .nan"),
-    (D, "{Query: 3}", "F:1:12: expected the name of a variable; write '3' with quotes"),
-    (D, "{Query: on}", "F:1:12: expected the name of a variable; write 'on' with quotes"),
-    (D, "{Query: [a, b, c]}", "F:1:12: Query takes 1 or 2 operands, found 3"),
-    (
-        K,
-        "{Foo: 1}",
-        "F:1:5: unknown word 'Foo'; expected an update, a query or an operation, which begins with one of: Update",
-    ),
-    (K, "hello", "F:1:4: expected an update, a query or an operation, found 'hello'"),
-    (K, "{PersonUpdate: hello}", "F:1:19: PersonUpdate takes 2 or 3 operands, found 1"),
-    (K, "{Operation: [setitem, [d, k, 1]]}", "F:1:27: setitem changes what a query finds; expected a query as its first operand"),
-    (K, "{Operation: [delitem, [{LocalQuery: d}]]}", "F:1:27: delitem takes 2 operands, found 1"),
-    (E, "{incraese: [(a), 1]}", "F:1:5: unknown word 'incraese'; did you mean 'increase'?"),
-    (E, "{increase: [(a), on]}", "F:1:21: expected a number, a name or something like (battery ?r), found on; write 'on' with quotes"),
-    (E, "{increase: [a, 1]}", "F:1:16: expected something like (at ?r kitchen), found 'a'"),
-    (E, "{when: {effects: (b)}}", "F:1:11: 'when' takes effects, and either a condition or, for one that is tested early, at_start"),
-    (E, "{when: {condition: (a), effects: {Query: b}}}", "F:1:37: expected effects on facts and functions alone"),
-    (E, "on", "F:1:4: expected an effect, such as (at ?r kitchen), found on; write 'on' with quotes"),
-    (X, "[1]", "F:1:4: expected a number, a name or something like (battery ?r), found a list"),
-    (X, '{Operation: ["/", [1, 2, 3]]}', "F:1:16: / does not take 3 operands"),
-    (X, '{Operation: ["+", [1, kitchen]]}', "F:1:4: expected a number, a name or something like (battery ?r), found a mapping"),
-    (L, '{"<": 5}', "F:1:4: expected a number, a name or something like (battery ?r), found a mapping"),
-    (T, "?a -", "F:1:4: expected a type, or (either a b), after '-' in '?a -'"),
-    (T, "?a - (either", "F:1:4: expected a type, or (either a b), after '-' in '?a - (either'"),
-    (T, "?a ?a", "F:1:4: ?a is there twice"),
-    (T, "?a (b)", "F:1:4: expected a name in place of '(' in '?a (b)'"),
-    (T, "[on]", "F:1:5: expected names and types such as '?r - robot ?to - place'; write 'on' with quotes"),
-]
-WRONG_NAMES: list[tuple[Callable[..., object], str, str]] = [
-    (C, '"(at ?robt kitchen)"', "F:1:9: there is no parameter '?robt' here; did you mean '?robot'?"),
-    (C, '"(att r1 kitchen)"', "F:1:6: there is no predicate or function 'att' here; did you mean 'at'?"),
-    (C, '"(at r1)"', "F:1:4: at takes 2 arguments, found 1"),
-    (C, '"(at r1 kitchn)"', "F:1:12: there is no object 'kitchn' here; did you mean 'kitchen'?"),
-    (C, '{Comparison: [">", ["(batery r1)", 1]]}', "F:1:26: there is no predicate or function 'batery' here; did you mean 'battery'?"),
-    (C, '{Comparison: [eq, ["?rob", "?to"]]}', "F:1:23: there is no parameter '?rob' here; did you mean '?robot'?"),
-    (D, '["?tp"]', "F:1:5: there is no parameter '?tp' here; did you mean '?to'?"),
-    (D, '"(batt r1)"', "F:1:6: there is no predicate or function 'batt' here"),
-    (E, '{increase: ["(battery ?rbot)", 1]}', "F:1:26: there is no parameter '?rbot' here; did you mean '?robot'?"),
-    (E, '{increase: ["(battery r1)", "(at r1)"]}', "F:1:32: at takes 2 arguments, found 1"),
-    (X, "kitschen", "F:1:4: there is no object 'kitschen' here; did you mean 'kitchen'?"),
-    (C, '{forall: {variables: "?x - plaze", condition: (a)}}', "F:1:31: there is no type 'plaze' here; did you mean 'place'?"),
-]
+BAD_INPUT = Path(__file__).with_name("refused")
+READERS: dict[str, Callable[..., object]] = {
+    "condition": read_condition,
+    "data": read_data,
+    "duration": read_duration,
+    "effects": read_effects,
+    "expression": read_expression,
+    "operation": read_operation,
+    "typed": read_typed,
+}
+"""Who reads the cases of a file, by its name."""
 
 
-@pytest.mark.parametrize(("read", "text", "message"), WRONG, ids=[text for _, text, _ in WRONG])
-def test_what_is_wrong_is_said_with_its_place_and_the_nearest_word(read: Callable[..., object], text: str, message: str) -> None:
+@pytest.mark.parametrize(("file", "text", "message"), refused_by_file(BAD_INPUT / "formulas"))
+def test_what_is_wrong_is_said_with_its_place_and_the_nearest_word(file: str, text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
-        read(node(text))
+        READERS[file](node(text))
     assert str(caught.value).startswith(message), str(caught.value)
 
 
-@pytest.mark.parametrize(("read", "text", "message"), WRONG_NAMES, ids=[text for _, text, _ in WRONG_NAMES])
-def test_names_that_are_not_there(read: Callable[..., object], text: str, message: str) -> None:
+@pytest.mark.parametrize(("file", "text", "message"), refused_by_file(BAD_INPUT / "names"))
+def test_names_that_are_not_there(file: str, text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
-        read(node(text), SCOPE)
+        READERS[file](node(text), SCOPE)
     assert str(caught.value).startswith(message), str(caught.value)
 
 

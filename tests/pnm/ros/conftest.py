@@ -26,6 +26,7 @@ from pnm.core.machine.requests import Accepted, Ended, Outcome, Report, Request
 from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.files import ROOT
+from tests.support.processes import LIMIT
 from tests.support.ros.domains import ros_domain
 from tests.support.ros.scripts import Script
 
@@ -45,19 +46,19 @@ class Server:
             [sys.executable, "-m", "tests.support.ros.server", *arguments], cwd=ROOT, stdout=subprocess.PIPE, text=True
         )
         assert self.process.stdout is not None
-        ready, _, _ = select.select([self.process.stdout], [], [], 30.0)
+        ready, _, _ = select.select([self.process.stdout], [], [], LIMIT)
         assert ready, "the server did not start"
         assert self.process.stdout.readline() == "ready\n"
 
     def kill(self) -> None:
         """End the process at once, as a crash would."""
         self.process.kill()
-        self.process.communicate(timeout=10.0)
+        self.process.communicate(timeout=LIMIT)
 
     def stop(self) -> None:
         """End the process in order."""
         self.process.terminate()
-        self.process.communicate(timeout=10.0)
+        self.process.communicate(timeout=LIMIT)
 
 
 @dataclass
@@ -71,11 +72,11 @@ class Sent:
     def id(self) -> UUID:
         return self.request.id
 
-    async def accepted(self, limit: float = 10.0) -> None:
+    async def accepted(self, limit: float = LIMIT) -> None:
         report = await asyncio.wait_for(self.reports.get(), limit)
         assert report == Accepted(self.id)
 
-    async def ended(self, limit: float = 10.0) -> Outcome:
+    async def ended(self, limit: float = LIMIT) -> Outcome:
         """Return the outcome; there must not be a second one."""
         async with asyncio.timeout(limit):
             while True:
@@ -159,7 +160,7 @@ Scenario = Callable[[Client], Coroutine[Any, Any, None]]
 def play(ros: RosThread) -> Callable[..., None]:
     """Run a test's coroutine with a client that has the given bindings."""
 
-    def run(scenario: Scenario, limit: float = 30.0, **bindings: Binding) -> None:
+    def run(scenario: Scenario, limit: float = LIMIT, **bindings: Binding) -> None:
         async def whole() -> None:
             client = Client(ros, **bindings)
             try:

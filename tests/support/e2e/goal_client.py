@@ -19,6 +19,8 @@ from rclpy.action.client import ClientGoalHandle
 from rclpy.qos import QoSProfile
 from unique_identifier_msgs.msg import UUID
 
+from tests.support.processes import LIMIT
+
 
 def say(event: str, **fields: Any) -> None:
     sys.stdout.write(json.dumps({"event": event, **fields}) + "\n")
@@ -66,7 +68,7 @@ def meet(node: Any, client: Any) -> None:
 
 def send(node: Any, *goals: str) -> None:
     sender = Sender(node)
-    assert sender.client.wait_for_server(30.0)
+    assert sender.client.wait_for_server(LIMIT)
     meet(node, sender.client)
     for number, goal in enumerate(goals):
         sender.send(number, goal)
@@ -76,8 +78,8 @@ def send(node: Any, *goals: str) -> None:
 
 def change(node: Any, *labels: str) -> None:
     asked, ask = node.create_client(GetState, "/pnm/get_state"), node.create_client(ChangeState, "/pnm/change_state")
-    assert asked.wait_for_service(30.0)
-    assert ask.wait_for_service(30.0)
+    assert asked.wait_for_service(LIMIT)
+    assert ask.wait_for_service(LIMIT)
     say("state", label=wait(node, asked.call_async(GetState.Request())).current_state.label)
     for label in labels:
         request = ChangeState.Request()
@@ -86,7 +88,7 @@ def change(node: Any, *labels: str) -> None:
 
 
 def wait(node: Any, future: Any) -> Any:
-    rclpy.spin_until_future_complete(node, future, timeout_sec=40.0)
+    rclpy.spin_until_future_complete(node, future, timeout_sec=LIMIT)
     return future.result()
 
 

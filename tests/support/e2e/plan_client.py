@@ -17,6 +17,8 @@ from action_msgs.srv import CancelGoal
 from pnm_interfaces.action import RunPlan
 from rclpy.action import ActionClient
 
+from tests.support.processes import LIMIT
+
 
 def say(event: str, goal: int, **fields: Any) -> None:
     sys.stdout.write(json.dumps({"event": event, "goal": goal, **fields}) + "\n")
@@ -75,8 +77,8 @@ class Sender:
 
 def cancel_all(node: Any, server: str) -> None:
     client = node.create_client(CancelGoal, f"{server}/_action/cancel_goal")
-    assert client.wait_for_service(30.0)
-    rclpy.spin_until_future_complete(node, client.call_async(CancelGoal.Request()), timeout_sec=30.0)
+    assert client.wait_for_service(LIMIT)
+    rclpy.spin_until_future_complete(node, client.call_async(CancelGoal.Request()), timeout_sec=LIMIT)
 
 
 def main(plan: str, cancel_on: str, *parameters: str) -> None:
@@ -86,7 +88,7 @@ def main(plan: str, cancel_on: str, *parameters: str) -> None:
         cancel_all(node, cancel_on)
         return
     sender = Sender(node, plan, cancel_on)
-    assert sender.client.wait_for_server(30.0), f"there is no {plan}"
+    assert sender.client.wait_for_server(LIMIT), f"there is no {plan}"
     for number, text in enumerate(parameters):
         sender.send(number, text)
     while sender.waiting:

@@ -11,9 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import IO, Any, TypeVar
 
 from tests.support.files import ROOT
-
-LIMIT = 60.0
-"""Seconds that anything may take; only a machine under heavy load needs more than a few."""
+from tests.support.processes import LIMIT
 
 T = TypeVar("T")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -162,10 +163,10 @@ class Scene(Place):
         options = [*self._bindings, *self._faults, *self._speed, "--log", "/dev/stdout"]
         return self.start(Simulation(["-m", "planner_bridge", "simulate", *self.files, *options], self.environment))
 
-    def run(self, *options: str) -> Run:
-        """Start a run."""
+    def run(self, *options: str, within: Sequence[str] = ()) -> Run:
+        """Start a run, by the command it is within if any."""
         options = ("--actions", "ros2", "--json", *self._bindings, *options)
-        return self.start(Run(["-m", "planner_bridge", "run", *self.files, *options], self.environment))
+        return self.start(Run(["-m", "planner_bridge", "run", *self.files, *options], self.environment, within))
 
     def play(self, *options: str) -> Story:
         """Start the robots and a run, wait for its end, and judge it."""

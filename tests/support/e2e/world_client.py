@@ -9,6 +9,8 @@ from typing import Any
 import rclpy
 from pnm_interfaces.srv import GetProblem, LoadProblem, QueryFacts, SaveProblem, UpdateFacts
 
+from tests.support.processes import LIMIT
+
 
 def main() -> None:
     rclpy.init()
@@ -16,7 +18,7 @@ def main() -> None:
 
     def ask(event: str, kind: Any, name: str, **fields: Any) -> None:
         client = node.create_client(kind, name)
-        assert client.wait_for_service(30.0)
+        assert client.wait_for_service(LIMIT)
         future = client.call_async(kind.Request(**fields))
         while not future.done():  # everything that is asked here may be asked twice: a first answer may get lost
             rclpy.spin_until_future_complete(node, future, timeout_sec=3.0)

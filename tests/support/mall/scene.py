@@ -16,13 +16,23 @@ DOMAIN: Final = ROOT / "domains" / "mall"
 SPEED: Final = "80"
 """How many times faster than real time the robot is: it speaks for 25 ms."""
 PATIENCE: Final = 1.2
-"""Seconds that the node waits for an answer: more than a machine under load needs to deliver one that is late, or it is asked again."""
-EACH: Final = 30.0
+"""Seconds that the node waits for an answer before it asks again: more than this machine needs to deliver one that is late."""
+EACH: Final = 60.0
 """Seconds for a script, at most; most take about one."""
 
 
 class Mall(Place):
-    """A ROS domain with a robot and a node."""
+    """A ROS domain with a robot and a node.
+
+    Args:
+        folder: for the files.
+        ros_domain: its number.
+        patience: seconds that the node waits for an answer.
+    """
+
+    def __init__(self, folder: Path, ros_domain: int, patience: float = PATIENCE) -> None:
+        super().__init__(folder, ros_domain)
+        self._patience = patience
 
     def play(self, numbers: Iterable[int]) -> Verdict:
         """Play scripts one after the other, and judge them."""
@@ -49,7 +59,7 @@ class Mall(Place):
         plans = DOMAIN / "plans"
         domain = (plans / "domain.yaml").read_text(encoding="utf-8")
         assert "topics]" in domain
-        written(self.folder / "domain.yaml", domain.replace("topics]", f"{{topics: {{limit: {PATIENCE}}}}}]"))
+        written(self.folder / "domain.yaml", domain.replace("topics]", f"{{topics: {{limit: {self._patience}}}}}]"))
         written(self.folder / "small_talk.yaml", (plans / "small_talk.yaml").read_text(encoding="utf-8"))
         world = written(self.folder / "world.yaml", (plans / "world.yaml").read_text(encoding="utf-8"))
         return [str(DOMAIN / "domain.pddl"), str(ROOT / "problems" / "mall" / "p01.pddl"), "--world", world]

@@ -10,6 +10,7 @@ from collections.abc import Coroutine
 from typing import Any
 
 from tests.support.files import ROOT
+from tests.support.processes import LIMIT
 
 
 class Script:
@@ -22,7 +23,7 @@ class Script:
         self.said = ""
         assert self.line() == "ready"
 
-    def line(self, limit: float = 40.0) -> str:
+    def line(self, limit: float = LIMIT) -> str:
         """Wait for the next line of its standard output."""
         assert self.process.stdout is not None
         while b"\n" not in self._read:
@@ -37,15 +38,15 @@ class Script:
     def kill(self) -> None:
         """End it as a crash would."""
         self.process.kill()
-        self.process.communicate(timeout=10.0)
+        self.process.communicate(timeout=LIMIT)
 
     def stop(self) -> str:
         """End it in order and return what it has said on the standard error."""
         self.process.terminate()
-        return self.process.communicate(timeout=20.0)[1].decode()
+        return self.process.communicate(timeout=LIMIT)[1].decode()
 
 
-def run(main: Coroutine[Any, Any, Any], limit: float = 60.0) -> Any:
+def run(main: Coroutine[Any, Any, Any], limit: float = LIMIT) -> Any:
     """Run a test's coroutine, which may not hang."""
 
     async def bounded() -> Any:

@@ -18,8 +18,8 @@ from unique_identifier_msgs import msg
 from pnm.ros.node.messages import import_type, to_data, to_message
 from pnm.ros.node.ros_thread import RosThread
 from pnm.ros.node.service_client import ServiceClient, until_true
+from tests.support.processes import LIMIT
 
-LIMIT = 30.0
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 TYPES = {"achieve_goal": "AchieveGoal", "execute_plan": "ExecutePlan", "plan": "MakePlan"}
 SERVICES = {

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from uuid import UUID
 
 from pnm.core.execution.call_results import RunResult
-from pnm.core.execution.events import Answered, Ask, Begin, Cancel, Command, Event, Send, Tell, Tick, Wake
+from pnm.core.execution.events import Answered, Ask, Begin, Cancel, Command, Event, Send, Store, Tick, Wake
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import MISSING, Question
@@ -98,7 +98,7 @@ class Player:
             case Ask(identity, question):
                 self.asked.append(question)
                 self.events.append(Answered(identity, self.known.get(question.name, MISSING)))
-            case Tell(identity, question, value):
+            case Store(identity, question, value):
                 self.told.append((question, value))
                 self.events.append(Ended(identity, Outcome(OutcomeKind.SUCCEEDED)))
             case _:

@@ -12,7 +12,21 @@ from uuid import UUID
 import yaml
 from hypothesis import strategies as st
 
-from pnm.core.execution.events import Answered, Ask, Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tell, Tick, Wake, Withdraw
+from pnm.core.execution.events import (
+    Answered,
+    Ask,
+    Begin,
+    Cancel,
+    Command,
+    Event,
+    KnowledgeChanged,
+    Send,
+    Stop,
+    Store,
+    Tick,
+    Wake,
+    Withdraw,
+)
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import MISSING
@@ -143,7 +157,7 @@ def _waits(names: list[str], steps: list[Json]) -> st.SearchStrategy[Json]:
 
 
 def _is_free(step: Json) -> bool:
-    """Tell whether this is a call without recoveries."""
+    """Return whether this is a call without recoveries."""
     return not FREE.isdisjoint(step) and step.keys().isdisjoint({"recoveries"})
 
 
@@ -269,7 +283,7 @@ class Chaos:
                 self.queues[identity] = [Answered(identity, random.choice([MISSING, None, 0, 1, 2, "text"]))]
             case Withdraw(identity) if random.random() < 0.5:
                 self.queues.pop(identity, None)
-            case Tell(identity):
+            case Store(identity):
                 self.queues[identity] = [
                     Ended(identity, Outcome(random.choice([OutcomeKind.SUCCEEDED, OutcomeKind.SUCCEEDED, *OutcomeKind])))
                 ]

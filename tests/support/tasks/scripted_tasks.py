@@ -21,7 +21,7 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.net.net import Marking
 from pnm.errors import InputError
-from pnm.tasks import Code, MadePlan, Moment, Status, Step, StepState, TaskEnding, TaskListener, TaskRefused, TaskState, Wanted
+from pnm.tasks import Code, MadePlan, StepState, TaskEnding, TaskListener, TaskRefused, TaskState, TaskStatus, TaskStep, TraceEvent, Wanted
 from tests.support.runs.plan_graphs import plan
 
 _STAYS = {state.name.lower(): state for state in (TaskState.QUEUED, TaskState.PLANNING, TaskState.RUNNING, TaskState.REPLANNING)}
@@ -29,9 +29,9 @@ _ENDS = {code.word: code for code in Code}
 _STUBBORN = 1000.0
 _MACHINE = generate(plan(2, "0e<1s"))
 _STEPS = (
-    Step("done", (), 0.0, 1.0, StepState.DONE),
-    Step("move", ("r1", "hall"), 1.0, 2.0, StepState.RUNNING, (0,)),
-    Step("pick", ("r1", "cup"), 3.0, 2.0, StepState.WAITING, (1,)),
+    TaskStep("done", (), 0.0, 1.0, StepState.DONE),
+    TaskStep("move", ("r1", "hall"), 1.0, 2.0, StepState.RUNNING, (0,)),
+    TaskStep("pick", ("r1", "cup"), 3.0, 2.0, StepState.WAITING, (1,)),
 )
 
 
@@ -41,11 +41,11 @@ class ScriptedTasks:
 
     max_queue: int = 100
     wanted: list[Wanted] = field(default_factory=list)
-    open: dict[UUID, Status] = field(default_factory=dict)
+    open: dict[UUID, TaskStatus] = field(default_factory=dict)
     listeners: list[TaskListener] = field(default_factory=list)
     paused: bool = False
     _before: dict[UUID, TaskState] = field(default_factory=dict)
-    _traces: dict[UUID, list[Moment]] = field(default_factory=dict)
+    _traces: dict[UUID, list[TraceEvent]] = field(default_factory=dict)
 
     # the protocol
 
@@ -61,7 +61,7 @@ class ScriptedTasks:
         elif len(self.open) >= self.max_queue:
             self._end(wanted.id, Code.QUEUE_FULL, f"{self.max_queue} tasks are waiting already")
         else:
-            self.open[wanted.id] = Status(wanted.id, wanted.text, wanted.priority, TaskState.QUEUED)
+            self.open[wanted.id] = TaskStatus(wanted.id, wanted.text, wanted.priority, TaskState.QUEUED)
             self._enter(wanted.id, TaskState.PAUSED if self.paused else _STAYS.get(word, TaskState.RUNNING))
             self._before[wanted.id] = _STAYS.get(word, TaskState.RUNNING)
 
@@ -85,10 +85,10 @@ class ScriptedTasks:
     async def cancel(self, task: UUID | None, /, *, why: str = "") -> None:
         await asyncio.gather(*map(self._cancel, self._meant(task)))
 
-    def status(self) -> tuple[Status, ...]:
+    def status(self) -> tuple[TaskStatus, ...]:
         return tuple(self.open.values())
 
-    def plan(self, task: UUID, /) -> tuple[int, tuple[Step, ...]]:
+    def plan(self, task: UUID, /) -> tuple[int, tuple[TaskStep, ...]]:
         return (3, _STEPS) if self._has_plan(task) else (0, ())
 
     def net(self, task: UUID, /) -> tuple[int, PetriNetMachine, Marking] | None:
@@ -138,7 +138,7 @@ class ScriptedTasks:
                 one.moved(task)
 
     def _happened(self, task: UUID, kind: str, subject: str = "", text: str = "") -> None:
-        moment = Moment(task, asyncio.get_running_loop().time(), kind, subject, text)
+        moment = TraceEvent(task, asyncio.get_running_loop().time(), kind, subject, text)
         self._traces.setdefault(task, []).append(moment)
         for one in self.listeners:
             one.happened(moment)

@@ -23,7 +23,7 @@ from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError
 from pnm.knowledge.sources.source import Source
 from pnm.language.runner import Performer, Program
-from pnm.tasks import Code, Moment, TaskEnding, TaskListener, TaskState, Wanted
+from pnm.tasks import Code, TaskEnding, TaskListener, TaskState, TraceEvent, Wanted
 from tests.support.problems import fleet
 
 LIMIT = 20000.0
@@ -52,7 +52,7 @@ class Stage(TaskListener):
         )
         self.master.listen(self)
         self.goals: dict[UUID, str] = {}
-        self.moments: list[Moment] = []
+        self.moments: list[TraceEvent] = []
         self.endings: dict[UUID, TaskEnding] = {}
         self.wrong: list[str] = []
         """What is against the rules."""
@@ -75,7 +75,7 @@ class Stage(TaskListener):
     def moved(self, task: UUID) -> None:
         self._is_not_over(task, "moved")
 
-    def happened(self, moment: Moment) -> None:
+    def happened(self, moment: TraceEvent) -> None:
         self._is_not_over(moment.task, str(moment))
         if moment.kind != "fired":
             self.moments.append(moment)
@@ -142,7 +142,7 @@ class Stage(TaskListener):
     async def sees(self, task: UUID, kind: str, subject: str = "", times: int = 1) -> None:
         await self.until(lambda: len(self.seen(task, kind, subject)) >= times)
 
-    def seen(self, task: UUID, kind: str, subject: str = "") -> list[Moment]:
+    def seen(self, task: UUID, kind: str, subject: str = "") -> list[TraceEvent]:
         return [one for one in self.moments if one.task == task and one.kind == kind and subject in one.subject + one.text]
 
     def state(self, task: UUID) -> TaskState:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from math import isfinite
 
-from pnm.core.machine.machine import After, Denied, Due, EffectsMissing, EffectsSeen, Ends, Guard, Holding
+from pnm.core.machine.machine import After, ConditionFalse, ConditionTrue, Due, EffectsMissing, EffectsSeen, Ends, Guard
 from pnm.core.machine.requests import OutcomeKind
 
 _ANY = frozenset(OutcomeKind)
@@ -20,9 +20,9 @@ def missing_exit(guards: Collection[Guard]) -> str:
         return ""
     for guard in guards:
         match guard:
-            case Holding(condition):
+            case ConditionTrue(condition):
                 return f"has no exit for when {condition} does not hold"
-            case Denied(condition):
+            case ConditionFalse(condition):
                 return f"has no exit for when {condition} holds"
             case EffectsSeen():
                 return "has no exit for when the effects are not seen"
@@ -45,8 +45,8 @@ def is_timed(guard: object) -> bool:
 def _completes(guard: Guard, guards: Collection[Guard]) -> bool:
     """Tell whether the guard opens, in finite time, whenever another one does not."""
     match guard:
-        case Denied(condition):
-            return Holding(condition) in guards
+        case ConditionFalse(condition):
+            return ConditionTrue(condition) in guards
         case EffectsMissing(call):
             return EffectsSeen(call) in guards
         case _:

@@ -32,8 +32,8 @@ from typing import Final
 from pnm.core.machine.machine import (
     Accepts,
     Adopted,
+    ConditionTrue,
     Due,
-    Holding,
     OnFailure,
     PetriNetMachine,
     TransitionAction,
@@ -158,7 +158,7 @@ def _check_rules(anatomy: Anatomy, call: int | None, names: list[str]) -> None:
         if isinstance(rule.guard, Due):
             for place in dict(rule.guard.since).keys() - net.inputs[name].keys():
                 raise Unsound(f"{name} counts from the marking of {place}, which it does not take from")
-        if goal in outputs and rule.guard != Holding(machine.plan.goal):
+        if goal in outputs and rule.guard != ConditionTrue(machine.plan.goal):
             raise Unsound(f"{name} marks the goal place without asking for the goal")
 
 

@@ -10,9 +10,9 @@ from uuid import UUID
 import pytest
 
 from pnm.clock import run_async
-from pnm.core.execution.call_requests import UnderWay
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Begin, Cancel, Command, Pause, Send, Stop, Tick, Wake
+from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.resources import Resources
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
@@ -113,7 +113,7 @@ def test_what_is_not_accepted_or_being_cancelled_is_not_under_way() -> None:
 def test_how_far_a_run_has_come_is_told() -> None:
     old = going(GroundAction("one"), GroundAction("two"))
     old.handle(Ended(old.open_requests[0], SUCCEEDED), 2.0)
-    told = old.told()
+    told = old.interim_result()
     assert [call.outcome for call in told.calls] == ["succeeded", "handed over"]
     assert (told.goal, told.failures, told.stopped) == (False, (), False)
 

@@ -92,7 +92,7 @@ def test_a_call_is_cancelled_at_once_and_begins_anew_without_spending_its_budget
     assert not run.paused
     assert run.handle(Ended(first, CANCELED), 2.0) == []
     assert run.paused
-    assert run.told().calls[0].outcome == "suspended"
+    assert run.interim_result().calls[0].outcome == "suspended"
     assert run.marking["a0()#0 budget"] == 1
     assert sent(run.handle(Resume(), 3.0)) == ["a0"]
     run.handle(Ended(run.open_requests[0], SUCCEEDED), 4.0)
@@ -130,7 +130,7 @@ def test_success_in_spite_of_the_cancellation_is_success() -> None:
     run.handle(Pause(at_once=True), 1.0)
     assert sent(run.handle(Ended(run.open_requests[0], SUCCEEDED), 2.0)) == []
     assert run.paused
-    assert run.told().calls[0].outcome == "succeeded"
+    assert run.interim_result().calls[0].outcome == "succeeded"
     assert sent(run.handle(Resume(), 3.0)) == ["a1"]
 
 

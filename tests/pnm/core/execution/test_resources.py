@@ -469,7 +469,7 @@ def test_resources_are_named_after_robots_also_when_the_robot_is_known_late() ->
     known, late = GroundAction("move", ("r1",), ("robot",)), GroundAction("move", ("?robot",), ("robot",))
     assert bindings.resources(known) == ("r1/base",)
     run, _ = begun(calls(late, known, GroundAction("move", ("r2",), ("robot",))), bindings=bindings)
-    assert [failure.cause for failure in run._ledger.failures] == ["data_missing"]
+    assert [failure.cause for failure in run._results.failures] == ["data_missing"]
     graph, knowledge = calls(late, known), Layered(KnowledgeBase(), KnowledgeBase(variables={"robot": "r1"}))
     run = Run(generate(graph, bindings), knowledge, id=UUID(int=1), bindings=bindings)
     assert len(run.handle(Begin(), 0.0)) == 2

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pnm.core.execution.events import Begin, Cancel, Command, Event, KnowledgeChanged, Send, Stop, Tick, Wake
+from pnm.core.execution.guards import Guards
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import Holds, Not
@@ -244,3 +245,24 @@ def test_whatever_the_world_answers_the_run_ends_and_every_marking_follows_from_
 
 def _wake(commands: list[Command], before: float | None) -> float | None:
     return next((command.at for command in reversed(commands) if isinstance(command, Wake)), before)
+
+
+@given(st.data())
+def test_what_guards_answer_does_not_depend_on_the_order_in_which_they_are_asked(data: st.DataObject) -> None:
+    done = (Set(("done", "a0"), Constant(True)), Set(("seen", "a0"), Constant(True)))
+    action = GroundAction("a0", precondition=Holds(("ok",)), invariant=Holds(("ok",)), end_effects=done)
+    known = {("ok",): data.draw(st.booleans()), ("done", "a0"): data.draw(st.booleans())}
+    knowledge = Layered(KnowledgeBase(known, sensed={"ok": 1.0, "done": 1.0, "seen": 2.0}))
+    run = Run(generate(PlanGraph((ActionCall(0, action),))), knowledge, id=RUN)
+    for request in sent(run.handle(Begin(), 0.0)):
+        outcome = data.draw(st.sampled_from([None, OutcomeKind.SUCCEEDED, OutcomeKind.ABORTED]))
+        run.handle(Accepted(request) if outcome is None else Ended(request, Outcome(outcome)), 1.0)
+    compiled = run.machine.compiled
+    places = [place for place, tokens in enumerate(run._engine.tokens) if tokens]
+    pairs = [(transition, place) for place in places for transition, _ in compiled.consumers[place] if run._engine.is_enabled(transition)]
+
+    def answers(order: list[tuple[int, int]]) -> dict[tuple[int, int], float]:
+        guards = Guards(run._state, run._calls, run._claims, run._questions)
+        return {pair: guards.opens(*pair) for pair in order}
+
+    assert answers(data.draw(st.permutations(pairs))) == answers(pairs)

@@ -9,11 +9,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pnm.core.logic.conditions import TRUE
-from pnm.core.machine.machine import After, Always, CancelAsked, Denied, Ending, Failing, Guard, Holding, PauseAsked
+from pnm.core.machine.machine import After, Always, CancelAsked, ConditionFalse, ConditionTrue, Ending, Failing, Guard, PauseAsked
 from pnm.core.machine.verification.block_shape import shape_of
 from pnm.core.machine.verification.explore import Part, Step, Unsound, explore_part
 
-GUARDS: tuple[Guard, ...] = (Always(), Holding(TRUE), Denied(TRUE), After(1.0), Ending(), Failing(), CancelAsked(), PauseAsked())
+GUARDS: tuple[Guard, ...] = (
+    Always(),
+    ConditionTrue(TRUE),
+    ConditionFalse(TRUE),
+    After(1.0),
+    Ending(),
+    Failing(),
+    CancelAsked(),
+    PauseAsked(),
+)
 ROLES = ("failures", "records", "counters", "outputs", "finals", "early", "restarts", "resources")
 
 

@@ -15,7 +15,7 @@ from pnm.core.machine.machine import (
     Accepts,
     After,
     Always,
-    Denied,
+    ConditionFalse,
     Due,
     EffectsMissing,
     Ends,
@@ -197,7 +197,7 @@ def test_two_final_places_are_not_one() -> None:
     assert shape_of(one) != shape_of(other)
 
 
-@pytest.mark.parametrize("guard", [PauseAsked(), Accepts(0), Denied(TRUE), EffectsMissing(0), Withheld(0, 1.0, None)])
+@pytest.mark.parametrize("guard", [PauseAsked(), Accepts(0), ConditionFalse(TRUE), EffectsMissing(0), Withheld(0, 1.0, None)])
 def test_what_nobody_may_ever_do_is_no_exit(guard: Guard) -> None:
     with pytest.raises(Unsound, match="start has no exit"):
         explore_part(ending_in("goal", guard=guard))

@@ -13,6 +13,7 @@ from pnm.core.machine.bindings import Binding
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.core.machine.requests import OutcomeKind
 from pnm.ros.node.ros_thread import RosThread
+from tests.support.processes import LIMIT
 
 GROUND = "pnm_interfaces/action/GroundAction"
 FIBONACCI = "test_msgs/action/Fibonacci"
@@ -73,7 +74,7 @@ def test_cancel_before_sending_sends_nothing(play, names):
     async def scenario(client):
         sent = client.send("act")
         client.cancel(sent)
-        outcome = await sent.ended(1.0)
+        outcome = await sent.ended()
         assert (outcome.kind, outcome.message) == (OutcomeKind.CANCELED, "cancelled before it was sent")
 
     play(scenario, act=Binding(server=names(), type=GROUND))
@@ -180,7 +181,7 @@ def test_the_type_of_a_server_that_comes_later_is_learned(play, start, names):
         action = GroundAction(name)
         assert await client.ros2.prepare([action], 0.0) == (f"/{name}",)
         await asyncio.to_thread(start, "--fibonacci", name)
-        await client.ros2.prepare([action], 20.0)
+        await client.ros2.prepare([action], LIMIT)
         assert client.ros2.goal_fields(action) == ("order",)
 
     play(scenario)
@@ -200,7 +201,7 @@ def test_a_server_that_comes_late_is_waited_for(play, start, names):
 def test_30_goals_at_once_on_a_server_with_default_qos_that_end_together(play, shared):
     async def scenario(client):
         sent = [client.send("act", action="together", arguments=["30"]) for _ in range(30)]
-        outcomes = await asyncio.gather(*(one.ended(20.0) for one in sent))
+        outcomes = await asyncio.gather(*(one.ended() for one in sent))
         assert {outcome.kind for outcome in outcomes} == {OutcomeKind.SUCCEEDED}
 
     play(scenario, act=Binding(server=shared))
@@ -212,7 +213,7 @@ def test_30_cancellations_at_once(play, shared):
         await asyncio.gather(*(one.accepted() for one in sent))
         for one in sent:
             client.cancel(one)
-        outcomes = await asyncio.gather(*(one.ended(20.0) for one in sent))
+        outcomes = await asyncio.gather(*(one.ended() for one in sent))
         assert {outcome.kind for outcome in outcomes} == {OutcomeKind.CANCELED}
 
     play(scenario, act=Binding(server=shared))
@@ -242,7 +243,7 @@ def test_a_server_that_shuts_down_is_lost(play, start, names):
         sent = client.send("act", action="hang")
         await sent.accepted()
         await asyncio.to_thread(server.stop)
-        assert (await sent.ended(10.0)).kind is OutcomeKind.LOST
+        assert (await sent.ended()).kind is OutcomeKind.LOST
 
     play(scenario, act=Binding(server=name))
 
@@ -256,14 +257,14 @@ def test_a_restarted_server_is_noticed_quickly_and_used_again(play, start, names
         await sent.accepted()
         server.kill()
         await asyncio.to_thread(start, name)
-        outcome = await sent.ended(10.0)  # the lease of the old process lasts 20 s
+        outcome = await sent.ended()  # the lease of the old process lasts 20 s
         assert (outcome.kind, outcome.message) == (OutcomeKind.LOST, f"/{name} no longer knows the goal; it was restarted")
         assert (await client.send("act", action="succeed").ended()).kind is OutcomeKind.SUCCEEDED
 
     play(scenario, act=Binding(server=name))
 
 
-def test_a_killed_server_is_lost_within_30_seconds_and_a_blocked_one_is_not(play, start, names):
+def test_a_killed_server_is_lost_and_a_blocked_one_is_not(play, start, names):
     killed, blocked = names(), names()
     victim = start(killed)
     start(blocked, "--threads", "1")
@@ -274,12 +275,12 @@ def test_a_killed_server_is_lost_within_30_seconds_and_a_blocked_one_is_not(play
         await asyncio.gather(sent.accepted(), busy.accepted())
         victim.kill()
         since = monotonic()
-        outcome = await sent.ended(30.0)
+        outcome = await sent.ended()
         assert (outcome.kind, outcome.message) == (OutcomeKind.LOST, f"/{killed} went away")
-        assert monotonic() - since > 2.0
-        assert (await busy.ended(30.0)).kind is OutcomeKind.SUCCEEDED
+        assert 2.0 < monotonic() - since < 60.0  # its lease lasts 20 s
+        assert (await busy.ended()).kind is OutcomeKind.SUCCEEDED
 
-    play(scenario, limit=60.0, act=Binding(server=killed), busy=Binding(server=blocked))
+    play(scenario, act=Binding(server=killed), busy=Binding(server=blocked))
 
 
 def test_goals_end_when_the_ros_thread_is_closed_under_the_client(play, shared):
@@ -289,9 +290,9 @@ def test_goals_end_when_the_ros_thread_is_closed_under_the_client(play, shared):
         sent = client.send("act", action="hang")
         await sent.accepted()
         assert await asyncio.to_thread(ros.close)
-        outcome = await sent.ended(2.0)
+        outcome = await sent.ended()
         assert (outcome.kind, outcome.message) == (OutcomeKind.LOST, "the ROS 2 node was closed")
-        assert (await client.send("act", action="succeed").ended(2.0)).kind is OutcomeKind.UNAVAILABLE
+        assert (await client.send("act", action="succeed").ended()).kind is OutcomeKind.UNAVAILABLE
 
     play(scenario)
 
@@ -312,7 +313,7 @@ async def main():
     accepted = asyncio.Event()
     action = GroundAction(sys.argv[1])
     client.send(Request(uuid4(), action, {"action": "hang"}), lambda report: accepted.set())
-    await asyncio.wait_for(accepted.wait(), 20)
+    await asyncio.wait_for(accepted.wait(), 100)
     if sys.argv[2] == "close":
         client.close()
         assert ros.close()
@@ -324,5 +325,5 @@ asyncio.run(main())
 @pytest.mark.parametrize("how", ["close", "just end"])
 def test_a_process_with_an_open_goal_ends_cleanly(shared, how):
     command = [sys.executable, "-c", CLOSING, shared, how]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=30.0, check=False)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False)
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")

@@ -20,6 +20,7 @@ from pnm.ros.knowledge.goal_ids import may_be_ours, service_prefix
 from pnm.ros.knowledge.knowledge_services import KnowledgeServices
 from pnm.ros.knowledge.knowledge_source import uuid_field
 from pnm.ros.node.service_client import ServiceClient, until_true
+from tests.support.processes import LIMIT
 from tests.support.ros.executive import Executive, executive
 from tests.support.ros.scripts import Script, run
 
@@ -164,7 +165,7 @@ def test_an_executive_is_asked_again_until_it_has_answered_once_but_told_once(ro
             return [ros.node.create_service(kind, names[kind], deaf(heard[kind]), callback_group=group) for kind in heard]
 
         services = await ros.ask(offer)
-        assert await one.said(server, "query", "all", "spam", None, 20.0) == []
+        assert await one.said(server, "query", "all", "spam", None, LIMIT) == []
         assert await one.said(server, "update", "person", "spam", 1, None, 1.5) == f"{one.name}/update did not answer within 1.5 s"
         assert len(heard[QueryKnowledge]) >= 2
         assert len(heard[UpdateKnowledge]) == 1
@@ -215,8 +216,8 @@ def test_a_person_is_asked_while_others_go_on(ros, server):
     async def main():
         person = Person()
         async with executive(ros, person=person) as one:
-            first = one.send(server, "query", "person", "shop", "Which shop?", 30.0)
-            second = one.send(server, "query", "global", "USER", None, 30.0)
+            first = one.send(server, "query", "person", "shop", "Which shop?", LIMIT)
+            second = one.send(server, "query", "global", "USER", None, LIMIT)
             assert {await person.asked.get(), await person.asked.get()} == {"shop", "USER"}
             assert await one.said(server, "update", "local", "spam", 1) == [None], "a question that is open holds up no other request"
             person.answers["USER"].set_result("later")
@@ -259,11 +260,11 @@ def test_a_simple_server_carries_out_one_goal_at_a_time_and_none_that_was_cancel
         person = Person()
         async with executive(ros, person=person) as one:
             await one.meet(name)
-            first = one.send(name, "query", "person", "a", None, 30.0)
+            first = one.send(name, "query", "person", "a", None, LIMIT)
             await person.asked.get()
             goal = one.new_id()
-            second = one.send(name, "query", "person", "b", None, 30.0, id=goal)
-            third = one.send(name, "query", "person", "c", None, 30.0)
+            second = one.send(name, "query", "person", "b", None, LIMIT, id=goal)
+            third = one.send(name, "query", "person", "c", None, LIMIT)
             client = one.client(name)
             client.cancel(goal)
             await until_true(ros, lambda: client._goals[goal][0].cancel_answered)
@@ -322,7 +323,7 @@ def test_a_server_that_ends_while_it_asks_leaves_no_traceback_of_ours(ros, names
         person = Person()
         async with executive(ros, person=person) as one:
             await one.meet(name)
-            ended = one.send(name, "query", "person", "a", None, 30.0)
+            ended = one.send(name, "query", "person", "a", None, LIMIT)
             await person.asked.get()
             assert OURS not in await asyncio.to_thread(server.stop)
             assert (await ended).kind in (OutcomeKind.LOST, OutcomeKind.UNAVAILABLE)
@@ -357,10 +358,10 @@ def test_a_query_that_cannot_be_answered_is_refused(ros, fields, said):
             goal = one.new_id()
             one.goals[goal] = None
             client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{one.name}/query")
-            answer = await client.call({"goal_id": uuid_field(goal), "layer": 0, "name": "spam", **fields}, 20.0)
+            answer = await client.call({"goal_id": uuid_field(goal), "layer": 0, "name": "spam", **fields}, LIMIT)
             assert (answer.success, answer.found, answer.value) == (False, False, "")
             assert said in answer.message
-            answer = await client.call({"goal_id": uuid_field(goal), "layer": 0, "name": "spam"}, 20.0)
+            answer = await client.call({"goal_id": uuid_field(goal), "layer": 0, "name": "spam"}, LIMIT)
             assert (answer.success, answer.found, answer.value, answer.message) == (True, False, "", "")
             await client.close()
 
@@ -376,7 +377,7 @@ def test_who_repeats_a_question_to_a_person_gets_the_same_answer(ros):
             client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{one.name}/query")
 
             def ask(goal, layer, name):
-                return asyncio.ensure_future(client.call({"goal_id": uuid_field(goal), "layer": layer, "name": name}, 20.0))
+                return asyncio.ensure_future(client.call({"goal_id": uuid_field(goal), "layer": layer, "name": name}, LIMIT))
 
             await ask(goals[0], 0, "spam")
             same = [ask(goals[0], 3, "shop") for _ in range(2)]
@@ -412,7 +413,7 @@ def test_an_update_with_what_is_no_json_is_refused(ros, value):
             goal = one.new_id()
             one.goals[goal] = None
             client = ServiceClient(ros, "pnm_interfaces/srv/UpdateKnowledge", f"{one.name}/update")
-            answer = await client.call({"goal_id": uuid_field(goal), "layer": 2, "name": "spam", "value": value}, 20.0)
+            answer = await client.call({"goal_id": uuid_field(goal), "layer": 2, "name": "spam", "value": value}, LIMIT)
             assert not answer.success
             assert "is not JSON" in answer.message
             assert one.local.variables() == {}
@@ -428,7 +429,7 @@ def test_closing_refuses_what_is_still_being_asked(ros):
             goal = one.new_id()
             one.goals[goal] = None
             client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{one.name}/query")
-            asking = asyncio.ensure_future(client.call({"goal_id": uuid_field(goal), "layer": 3, "name": "spam"}, 20.0))
+            asking = asyncio.ensure_future(client.call({"goal_id": uuid_field(goal), "layer": 3, "name": "spam"}, LIMIT))
             await person.asked.get()
         answer = await asking
         assert (answer.success, answer.message) == (False, "the goal is over, or the executive ends")
@@ -447,7 +448,7 @@ def test_an_executive_whose_loop_has_ended_refuses(ros, names):
         services = KnowledgeServices(ros, loop, name, lambda goal: None, Sources())
         await services.open()
         client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{name}/query")
-        answer = await client.call({"name": "spam"}, 20.0)
+        answer = await client.call({"name": "spam"}, LIMIT)
         assert (answer.success, answer.message) == (False, "the executive has ended")
         await services.close()
         await client.close()

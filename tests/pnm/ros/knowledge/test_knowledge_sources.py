@@ -13,6 +13,7 @@ from pnm.knowledge.sources import Asker, SourceChoice, SourceError, Surroundings
 from pnm.ros.knowledge.knowledge_source import Ros2Knowledge
 from pnm.ros.knowledge.person_source import Ros2Person
 from pnm.ros.node.service_client import ServiceClient
+from tests.support.processes import LIMIT
 from tests.support.ros.scripts import Script, run
 
 ME = Asker(UUID(int=7), "tour")
@@ -39,7 +40,7 @@ def test_knowledge_elsewhere(ros, names, begin):
 
     async def main():
         script = await asyncio.to_thread(begin, "somewhere", "knowledge", name)
-        knowledge = Ros2Knowledge(ros, name, limit=20.0)
+        knowledge = Ros2Knowledge(ros, name, limit=LIMIT)
         assert await knowledge.query(about("a", meta={"x": 1}), ME) is MISSING
         assert await heard(script) == ["query", 1, "a", '{"x": 1}', ME.run.hex]
         await knowledge.update(about("a", Layer.ALL), {"b": [None, "ü"]}, ME)
@@ -69,14 +70,14 @@ def test_a_service_is_asked_again_until_it_has_answered_once(ros, names, begin):
 
     async def main():
         script = await asyncio.to_thread(begin, "somewhere", "knowledge", name, "deaf")
-        knowledge = Ros2Knowledge(ros, name, limit=20.0)
+        knowledge = Ros2Knowledge(ros, name, limit=LIMIT)
         await knowledge.update(about("a"), 1, ME)
         assert await asyncio.gather(*[knowledge.query(about("a"), ME) for _ in range(2)]) == [1, 1]
         met = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{name}/query")
-        await met.call({"name": "hello"}, 20.0)
+        await met.call({"name": "hello"}, LIMIT)
         with pytest.raises(SourceError, match=r"did not answer within 2\.5 s"):
             await met.call({"name": "slow"}, 2.5)
-        await met.call({"name": "done"}, 20.0)
+        await met.call({"name": "done"}, LIMIT)
         said = []
         while not said or said[-1][2] != "done":
             said.append(json.loads(await asyncio.to_thread(script.line)))
@@ -95,7 +96,7 @@ def test_a_service_that_is_missing_is_named_with_similar_ones(ros, names, begin)
 
     async def main():
         await asyncio.to_thread(begin, "somewhere", "knowledge", name)
-        there = Ros2Knowledge(ros, name, limit=20.0)
+        there = Ros2Knowledge(ros, name, limit=LIMIT)
         await there.query(about("a"), ME)
         knowledge = Ros2Knowledge(ros, f"{name}x", limit=0.5)
         with pytest.raises(SourceError, match=f"there is no service /{name}x/query; similar are .*/{name}/query"):
@@ -113,7 +114,7 @@ def test_a_service_that_does_not_answer_or_is_killed_is_not_waited_for(ros, name
 
     async def main():
         script = await asyncio.to_thread(begin, "somewhere", "knowledge", name)
-        patient, knowledge = Ros2Knowledge(ros, name, limit=20.0), Ros2Knowledge(ros, name, limit=1.0)
+        patient, knowledge = Ros2Knowledge(ros, name, limit=LIMIT), Ros2Knowledge(ros, name, limit=1.0)
         await patient.query(about("a"), ME)
         await heard(script)
         with pytest.raises(SourceError, match=f"the service {name}/query did not answer within 1 s"):
@@ -131,7 +132,7 @@ def test_knowledge_that_comes_late_is_waited_for(ros, names, begin):
     name = names()
 
     async def main():
-        knowledge = Ros2Knowledge(ros, name, limit=40.0)
+        knowledge = Ros2Knowledge(ros, name, limit=LIMIT)
         asking = asyncio.ensure_future(knowledge.query(about("a"), ME))
         await asyncio.to_thread(begin, "somewhere", "knowledge", name)
         assert await asking is MISSING
@@ -147,7 +148,7 @@ def test_answers_reach_who_asked_in_whatever_order_they_come(ros, names, begin):
     name = names()
 
     async def main():
-        person = Ros2Person(ros, name, limit=40.0)
+        person = Ros2Person(ros, name, limit=LIMIT)
         first = asyncio.ensure_future(person.query(about("shop", Layer.PERSON, "Which shop?"), ME))
         second = asyncio.ensure_future(person.query(about("USER"), Asker(UUID(int=8), "talk\x1b")))
         script = await asyncio.to_thread(begin, "somewhere", "person", name, "reversed")  # hears of them although it comes later
@@ -199,7 +200,7 @@ def test_a_question_that_is_cancelled_is_withdrawn_and_its_late_answer_ignored(r
 
     async def main():
         script = await asyncio.to_thread(begin, "somewhere", "person", name, "late")
-        person = Ros2Person(ros, name, limit=40.0)
+        person = Ros2Person(ros, name, limit=LIMIT)
         asking = asyncio.ensure_future(person.query(about("shop", Layer.PERSON), ME))
         assert (await heard(script))[:2] == ["ask", "shop"]
         asking.cancel()
@@ -217,7 +218,7 @@ def test_answers_that_are_none_leave_the_question_open(ros, names, begin, caplog
 
     async def main():
         await asyncio.to_thread(begin, "somewhere", "person", name, "wrong")
-        person = Ros2Person(ros, name, limit=40.0)
+        person = Ros2Person(ros, name, limit=LIMIT)
         assert await person.query(about("shop", Layer.PERSON), ME) is MISSING, "the first that says something counts"
         await person.close()
 
@@ -242,7 +243,7 @@ def test_closing_ends_open_questions(ros, names, begin):
 
     async def main():
         script = await asyncio.to_thread(begin, "somewhere", "person", name, "never")
-        person = Ros2Person(ros, name, limit=40.0)
+        person = Ros2Person(ros, name, limit=LIMIT)
         asking = asyncio.ensure_future(person.query(about("shop", Layer.PERSON), ME))
         await heard(script)
         await person.close()

@@ -11,6 +11,7 @@ import pytest
 
 from pnm.errors import RosError
 from pnm.ros.node.ros_thread import RosThread
+from tests.support.processes import LIMIT
 
 
 def test_functions_run_on_the_thread_in_order(ros):
@@ -33,7 +34,7 @@ def test_errors_come_back_and_do_not_end_the_thread(ros, caplog):
 
 def test_waiting_has_a_limit(ros):
     release = threading.Event()
-    ros.call(lambda: release.wait(10.0))
+    ros.call(lambda: release.wait(LIMIT))
     with pytest.raises(RosError, match=r"did not answer within 0\.1 s"):
         ros.wait(lambda: None, limit=0.1)
     release.set()
@@ -47,7 +48,7 @@ def test_a_callback_that_fails_does_not_end_the_thread(ros, caplog):
         raise RuntimeError("a bug")
 
     timer = ros.wait(lambda: ros.timer(0.01, fail))
-    assert fired.wait(5.0)
+    assert fired.wait(LIMIT)
     ros.wait(timer.destroy)
     assert "a ROS 2 callback failed" in caplog.text
 
@@ -88,6 +89,6 @@ except RosError as error:
 
 
 def test_without_ros_the_modules_import_and_the_thread_says_what_to_install():
-    ended = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True, timeout=30.0, check=True)
+    ended = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True, timeout=LIMIT, check=True)
     assert "pip install 'petri-net-machines[ros2]'" in ended.stdout
     assert "source a ROS 2 installation" in ended.stdout

@@ -26,6 +26,7 @@ from pnm.ros.node.service_client import until_true
 from pnm.ros.sensors.fields import find_field, fitted, value_at
 from pnm.ros.sensors.sensors import Sensors
 from tests.pnm.knowledge.test_sensor_file import DOMAIN, PROBLEM
+from tests.support.processes import LIMIT
 from tests.support.ros.scripts import run
 
 BASIC = "test_msgs/msg/BasicTypes"
@@ -61,7 +62,7 @@ async def becomes(world: KnowledgeBase, fluent, value) -> None:
     changed = asyncio.Event()
     stop = world.listen(lambda _: changed.set())
     try:
-        async with asyncio.timeout(30.0):
+        async with asyncio.timeout(LIMIT):
             while world.value(fluent) != value:
                 changed.clear()
                 await changed.wait()
@@ -279,7 +280,7 @@ def test_nobody_is_waited_for_who_is_not_there(ros, sensing, caplog):
             assert world.facts() == {}
         gc.collect()
 
-    run(main(), limit=10.0)
+    run(main())
     assert "nothing has been heard on nobody yet" in caplog.text
     assert "never retrieved" not in caplog.text
 

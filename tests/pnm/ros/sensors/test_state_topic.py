@@ -15,6 +15,7 @@ from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
 from pnm.errors import InputError
 from pnm.ros.node.messages import to_message
 from pnm.ros.sensors.state_topic import SensedReports, read_state, write_state
+from tests.support.processes import LIMIT
 
 LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FACTS = {
@@ -38,7 +39,7 @@ def test_a_report_is_handed_on_and_recorded(ros, start):
     async def scenario():
         sensing = SensedReports(ros, asyncio.get_running_loop(), record)
         await asyncio.to_thread(start, "--report", json.dumps(report))
-        async with asyncio.timeout(15.0):
+        async with asyncio.timeout(LIMIT):
             while not await sensing.first(5.0):
                 pass
         sensing.close()
@@ -53,11 +54,11 @@ def test_nobody_who_reports_is_not_waited_for(ros):
         sensing = SensedReports(ros, asyncio.get_running_loop(), lambda *_: None, topic="nobody/reports")
         await ros.settled()
         since = monotonic()
-        assert not await sensing.first(20.0)
+        assert not await sensing.first(LIMIT)
         sensing.close()
         return monotonic() - since
 
-    assert asyncio.run(scenario()) < 1.5
+    assert asyncio.run(scenario()) < LIMIT / 2
 
 
 def test_a_malformed_report_is_ignored_and_logged(ros, caplog):
@@ -68,7 +69,7 @@ def test_a_malformed_report_is_ignored_and_logged(ros, caplog):
         publisher = await ros.ask(lambda: ros.node.create_publisher(State, "knowledge/malformed", LATCHED))
         await ros.ask(lambda: publisher.publish(State(names=["at"], facts=["at r1 hall"])))
         await ros.ask(lambda: publisher.publish(State(names=["at"], sequence=2)))
-        await sensing.first(10.0)
+        await sensing.first(LIMIT)
         sensing.close()
         await ros.ask(lambda: ros.node.destroy_publisher(publisher))
 

@@ -17,6 +17,7 @@ from pnm.ros.node import service_server as request_services
 from pnm.ros.node.lifecycle import Lifecycle
 from pnm.ros.node.parameters import NodeParameter, declare
 from pnm.ros.node.ros_thread import RosThread
+from tests.support.processes import LIMIT
 from tests.support.ros.scripts import run
 from tests.support.ros.task_client import TaskClient
 
@@ -101,7 +102,7 @@ def test_a_node_goes_through_its_states_and_ends():
             assert states == [
                 "unconfigured", "inactive", "active", "inactive", "active", "inactive", "unconfigured", "inactive", "finalized",
             ]  # fmt: skip
-            await asyncio.wait_for(one.lifecycle.finalized.wait(), 5.0)
+            await asyncio.wait_for(one.lifecycle.finalized.wait(), LIMIT)
             assert one.work.done[-3:] == ["cleanup", "configure", "cleanup"]
 
     run(main())

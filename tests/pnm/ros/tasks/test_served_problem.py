@@ -9,6 +9,7 @@ import pytest
 from planner_bridge.loading import load
 from pnm.ros.node.service_client import ServiceClient
 from tests.support.e2e.processes import ROOT, Program
+from tests.support.processes import LIMIT
 from tests.support.ros.scripts import run
 from tests.support.ros.task_client import ABORTED, CANCELED, SERVICES, TaskClient, uuid_data
 
@@ -23,7 +24,7 @@ def test_a_node_tells_and_is_told_what_is_so(ros, tmp_path):
     async def call(type_name, name, **fields):
         client = ServiceClient(ros, f"pnm_interfaces/srv/{type_name}", f"/told/{name}")
         try:
-            return await client.call(fields, 30.0)
+            return await client.call(fields, LIMIT)
         finally:
             await client.close()
 

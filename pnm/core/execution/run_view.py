@@ -1,0 +1,129 @@
+"""What can be asked of a run from outside. Nothing here changes it."""
+
+from __future__ import annotations
+
+from uuid import UUID
+
+from pnm.core.execution.call_requests import Calls
+from pnm.core.execution.call_results import CallResults, RunResult
+from pnm.core.execution.events import Pause
+from pnm.core.execution.guards import Guards
+from pnm.core.execution.handover import Handover, UnderWay
+from pnm.core.execution.questions import Questions
+from pnm.core.execution.resources import RunClaims
+from pnm.core.execution.run_state import MachineIndex, RunState
+from pnm.core.machine.machine import PetriNetMachine
+from pnm.core.machine.plan_graph import ActionCall
+from pnm.core.net.firing_engine import Engine
+from pnm.core.net.net import Marking
+from pnm.errors import RunError
+
+
+class RunView:
+    """A run as its caller sees it: its marking, what is under way, and how it ended."""
+
+    id: UUID
+    machine: PetriNetMachine
+    _engine: Engine
+    _index: MachineIndex
+    _state: RunState
+    _calls: Calls
+    _results: CallResults
+    _claims: RunClaims
+    _questions: Questions
+    _guards: Guards
+
+    @property
+    def marking(self) -> Marking:
+        """The current marking."""
+        return self._engine.marking()
+
+    @property
+    def over(self) -> bool:
+        """Whether the goal place or the failed place is marked."""
+        return self._state.over
+
+    @property
+    def begun(self) -> bool:
+        """Whether the run has begun."""
+        return self._state.has_begun
+
+    @property
+    def ending(self) -> bool:
+        """Whether nothing more is started: a failure or restart place is marked, or the run was told to stop."""
+        return self._state.ending
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the run was told to stop."""
+        return self._state.stop is not None
+
+    @property
+    def pausing(self) -> Pause | None:
+        """What the run was told about a pause that has not ended."""
+        return self._state.pause
+
+    @property
+    def paused(self) -> bool:
+        """Whether the run was told to pause, and nothing is under way any more."""
+        return self._state.pause is not None and self._state.idle
+
+    @property
+    def awaits_answers(self) -> bool:
+        """Whether nothing goes on before a person has answered."""
+        return self._questions.wait_for_people and self._state.idle and not self._claims.is_waiting
+
+    @property
+    def open_requests(self) -> tuple[UUID, ...]:
+        """The requests that are not over, as far as is known."""
+        return tuple(self._calls.open)
+
+    @property
+    def open_calls(self) -> dict[UUID, ActionCall]:
+        """The calls whose requests are not over, as far as is known, as they were sent."""
+        return {request: self._calls.as_sent(call) for request, call in self._calls.open.items()}
+
+    def arguments(self, call: ActionCall) -> tuple[str, ...]:
+        """Return the arguments that a call would be sent with now; parameters without a value by their names."""
+        return self._calls.arguments(call.index)
+
+    def result(self) -> RunResult:
+        """Return how the run ended."""
+        if not self.over:
+            raise RunError(f"the run is not over: {self.marking}")
+        goal = bool(self._engine.tokens[self._index.goal])
+        return RunResult(goal, self._reason(goal), self._results.calls(), tuple(self._results.failures), self.stopped)
+
+    def under_way(self) -> tuple[UnderWay, ...]:
+        """Return the requests that were accepted and are not being cancelled: a successor can take them over."""
+        return self._calls.under_way(self._results.current)
+
+    @property
+    def settling(self) -> tuple[ActionCall, ...]:
+        """The calls that have succeeded, and whose effects are still to be looked for: no other run can take them over."""
+        return tuple(self._calls.as_sent(call) for place, call in self._index.settling.items() if self._engine.tokens[place])
+
+    @property
+    def handover(self) -> Handover:
+        """Its state as far as it matters when one run succeeds another."""
+        return Handover(self.id, self.over or self.stopped, self.settling, self.open_calls, self.under_way())
+
+    def interim_result(self) -> RunResult:
+        """Return how far the run has come, for one that may be succeeded by another."""
+        handed = {one.call.index for one in self.under_way()}
+        calls, failures = self._results.calls(handed), tuple(self._results.failures)
+        return RunResult(False, "another run goes on", calls, failures, self.stopped)
+
+    def _reason(self, goal: bool) -> str:
+        if goal:
+            return "the goal holds"
+        if self._state.stop:
+            return self._state.stop.reason
+        if self._results.failures:
+            return str(self._results.failures[0])
+        expected, seen = self._guards.explain(self.machine.plan.goal, None, None)
+        return f"every call is done but the goal does not hold: expected {expected}; observed {seen}"
+
+    def __repr__(self) -> str:
+        state = "over" if self.over else "ending" if self.ending else "going on"
+        return f"<Run {self.machine!r}, {len(self._calls.open)} requests open, {state}>"

@@ -1,0 +1,25 @@
+;;; What we cannot plan for or execute, added to a small domain.
+
+(:process p)
+;! 2:2: processes (:process) are not supported yet; a simulation of change over time would be needed
+
+(:event e)
+;! 2:2: events (:event) are not supported yet; changes that happen without an action would be needed
+
+(:action a :observe (idle))
+;! 2:12: sensing actions (:observe) are not supported yet; a contingent planner, of which unified-planning brings none, would be needed
+
+(:action a :effect (oneof (idle) (and)))
+;! 2:20: uncertain facts (oneof) are not supported yet; a contingent planner, of which unified-planning brings none, would be needed
+
+(:action a :effect (probabilistic 0.5 (idle)))
+;! 2:20: probabilistic effects are not supported yet; a probabilistic planner would be needed
+
+(:durative-action a :parameters (?r - robot) :duration () :effect (increase (charge ?r) (* #t 2)))
+;! 2:92: continuous effects (#t) are not supported yet; a simulation of change over time would be needed
+
+(:durative-action a :duration () :effect (when (over all (idle)) (at end (idle))))
+;! 2:48: conditional effects on a condition 'over all' are not supported yet; a watch over what is not required would be needed
+
+(:durative-action a :duration (at end (= ?duration 3)))
+;! 2:31: durations that are decided at the end are not supported yet; a bound that is only known when the action ends would be needed
