@@ -154,7 +154,13 @@ class PlanGraphBuilder:
             self._link([last for earlier in plain for last in earlier.last], part.first, region)
             for wait in before:
                 if not wait.is_plain:
-                    region.orderings += _special(wait, parts[wait.step], part)
+                    earlier = parts[wait.step].last if wait.moment is Moment.END else parts[wait.step].first
+                    own = part.first if wait.own is Moment.START else part.last
+                    region.orderings += [
+                        Ordering(PlanEvent(first, wait.moment), PlanEvent(second, wait.own), delay=wait.delay)
+                        for first in earlier
+                        for second in own
+                    ]
         waited = {wait.step for before in waits for wait in before if wait.moment is Moment.END}
         return PartEnds(
             tuple(
@@ -240,12 +246,6 @@ class _After:
     def is_plain(self) -> bool:
         """Whether its start waits for the end of the other, and for nothing more."""
         return self == _After(self.step)
-
-
-def _special(after: _After, earlier: PartEnds, part: PartEnds) -> list[Ordering]:
-    before = earlier.last if after.moment is Moment.END else earlier.first
-    own = part.first if after.own is Moment.START else part.last
-    return [Ordering(PlanEvent(first, after.moment), PlanEvent(second, after.own), delay=after.delay) for first in before for second in own]
 
 
 def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[_After, ...]]:

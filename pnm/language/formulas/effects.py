@@ -57,10 +57,12 @@ def _parts(node: Node, scope: FormulaScope) -> tuple[Effect | Condition, ...]:
             return tuple(part for item in found.operands() for part in _parts(item, scope))
         case "holds":
             return (_becomes(found.items(1)[0], True, scope),)
-        case "not" if _is_fact(found.items(1)[0]):
-            (fact,) = found.items(1)
-            inner = form(fact, ("holds",))
-            return (_becomes(inner.items(1)[0] if inner else fact, False, scope),)
+        case "not":
+            (negated,) = found.items(1)
+            inner = form(negated, ("holds",))
+            fact = inner.items(1)[0] if inner else negated
+            if inner or (fact.text is not None and fluent_in(fact.text) is not None):
+                return (_becomes(fact, False, scope),)
         case "when":
             return (_when(found, scope),)
         case "forall" if "effects" in found.argument.mapped().nodes:
@@ -68,10 +70,11 @@ def _parts(node: Node, scope: FormulaScope) -> tuple[Effect | Condition, ...]:
             return (ForEach(variables, _only_effects(body, scope.inside(variables))),)
         case word if word in _CHANGES:
             return (_change(found, scope),)
-        case _ if scope.strict:
-            raise node.wrong("expected an effect, such as (at ?r kitchen), or not of a fact")
         case _:
-            return (read_condition(node, scope),)
+            pass
+    if scope.strict:
+        raise node.wrong("expected an effect, such as (at ?r kitchen), or not of a fact")
+    return (read_condition(node, scope),)
 
 
 def _becomes(node: Node, truth: bool, scope: FormulaScope) -> Set:
@@ -81,10 +84,6 @@ def _becomes(node: Node, truth: bool, scope: FormulaScope) -> Set:
     effect = Set(read_fluent(node), Constant(truth))
     scope.check_change(effect.fluent, node, effect.value)
     return effect
-
-
-def _is_fact(node: Node) -> bool:
-    return form(node, ("holds",)) is not None or (node.text is not None and fluent_in(node.text) is not None)
 
 
 def _change(found: Form, scope: FormulaScope) -> Set:
