@@ -17,7 +17,7 @@ from pnm.core.knowledge_base import parse_statement
 from pnm.core.logic.domain import Declaration, DomainModel, ProblemModel, Types
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Constant, Fluent, Value, Variable, fluent_text
-from pnm.core.logic.rules import Rule, Rules, UnstratifiedError
+from pnm.core.logic.rules import DerivationRule, Rules, UnstratifiedError
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Mapped, Node
 from pnm.language.formulas.conditions import read_condition
@@ -88,7 +88,7 @@ def read_derived(top: Mapped, scope: FormulaScope) -> Rules:
         raise InputError(str(error), top.position("derived")) from error
 
 
-def read_rule(node: Node, scope: FormulaScope) -> Rule:
+def read_rule(node: Node, scope: FormulaScope) -> DerivationRule:
     """Read one rule; variables of its head that have no type have that of the declaration."""
     entry = node.mapped()
     entry.only("fact", "condition")
@@ -101,7 +101,7 @@ def read_rule(node: Node, scope: FormulaScope) -> Rule:
         raise unknown("predicate", name, domain.predicates.keys(), fact.position_of(name))
     if declared is not None:
         variables = _narrowed(variables, declared, fact, scope)
-    return Rule(name, variables, read_condition(condition, replace(scope, variables={}).inside(variables)))
+    return DerivationRule(name, variables, read_condition(condition, replace(scope, variables={}).inside(variables)))
 
 
 def _narrowed(variables: tuple[Variable, ...], declared: Declaration, node: Node, scope: FormulaScope) -> tuple[Variable, ...]:

@@ -15,23 +15,23 @@ from planner_bridge.pddl.syntax.words import CONNECTIVES, counted, new_name, ope
 from pnm.core.logic.conditions import polarities
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Variable
-from pnm.core.logic.rules import Rule
+from pnm.core.logic.rules import DerivationRule
 
 DERIVED: Final = ":derived"
 
 
-def rules(sections: Iterable[Group], symbols: SymbolTable) -> tuple[Rule, ...]:
+def rules(sections: Iterable[Group], symbols: SymbolTable) -> tuple[DerivationRule, ...]:
     """Read the rules, in the order of the file.
 
     Raises:
         InputError: a head is no declared predicate with variables, or the rules are not stratified.
     """
-    found: list[tuple[Rule, Group]] = []
+    found: list[tuple[DerivationRule, Group]] = []
     for section in sections:
         symbols.requirements.need(section, ":derived-predicates")
         head, body = operands(section, 2)
         declared, variables = _rule_head(head, symbols)
-        found.append((Rule(declared.name, variables, condition(body, TermScope(symbols).inside(variables))), section))
+        found.append((DerivationRule(declared.name, variables, condition(body, TermScope(symbols).inside(variables))), section))
     _check_stratification(found)
     return tuple(rule for rule, _ in found)
 
@@ -77,7 +77,7 @@ def _narrowed(given: Variable, needed: Variable, node: Node, symbols: SymbolTabl
 # --- stratification ------------------------------------------------------------------------
 
 
-def _check_stratification(rules: list[tuple[Rule, Group]]) -> None:
+def _check_stratification(rules: list[tuple[DerivationRule, Group]]) -> None:
     """Refuse rules that are not stratified: a fact that follows from its own absence has no meaning (PDDL 2.2)."""
     derived = {rule.name for rule, _ in rules}
     needs: dict[str, dict[str, None]] = {}

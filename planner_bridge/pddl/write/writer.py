@@ -18,7 +18,7 @@ from pnm.core.logic.conditions import TRUE, Condition, conjuncts
 from pnm.core.logic.domain import ActionSchema, Declaration, Preference
 from pnm.core.logic.effects import Effect, Effects, ForEach, When, is_early
 from pnm.core.logic.expressions import Constant, Fluent, Value, Variable
-from pnm.core.logic.rules import Rule
+from pnm.core.logic.rules import DerivationRule
 from pnm.core.logic.trajectory import Constraint
 
 _NUMBER: Final = "number"
@@ -149,7 +149,7 @@ def change_form(fluent: Fluent, value: Value) -> Form:
 # --- rules, preferences, constraints -------------------------------------------------------
 
 
-def rule_form(rule: Rule) -> list[Form]:
+def rule_form(rule: DerivationRule) -> list[Form]:
     """Return a rule as its section."""
     # each variable with its type: one without has the type of the declaration, not ``object``
     typed: list[Form] = [form for variable in rule.variables for form in (variable.name, "-", types_form(variable.types))]

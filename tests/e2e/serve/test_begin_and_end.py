@@ -10,13 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.e2e.serve.test_plans import DOMAIN, PLANS, shared
+from tests.support.e2e.plan_files import DOMAIN, FILES, PLANS, shared
 from tests.support.e2e.plans import ABORTED
 from tests.support.e2e.processes import ROOT
 from tests.support.e2e.scene import Run
-
-WORLD = "domain: domain.yaml\nplans: [plans.yaml]\n"
-FILES = {"domain.yaml": DOMAIN, "plans.yaml": PLANS, "world.yaml": WORLD}
 
 
 def refused(scene, *options: str) -> tuple[int, str]:

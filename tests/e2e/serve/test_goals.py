@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.e2e.serve.test_tasks import DOMAIN, PAGE, PROBLEM, goals
 from tests.support.e2e.plans import ABORTED, CANCELED, SUCCEEDED, Client, PlanScene, Serving
 from tests.support.e2e.processes import Program
 from tests.support.e2e.scene import Simulation
+from tests.support.e2e.task_node import DOMAIN, PAGE, PROBLEM, goals
 
 
 @pytest.fixture(scope="module")

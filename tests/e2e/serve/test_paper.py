@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tests.support.e2e.plans import SUCCEEDED
-from tests.support.runs.paper import PAPER_DOMAIN, PAPER_PLAN
+from tests.support.runs.yaml_examples import PAPER_DOMAIN, PAPER_PLAN
 
 
 def test_one_action_and_then_four_at_once_two_with_the_time_it_returned(plan_scene):

@@ -2,103 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
-from pathlib import Path
-from uuid import UUID
-
 import pytest
 
-from pnm.core.logic.computed_values import Layer, Question
-from pnm.knowledge.sources import Asker
-from pnm.knowledge.sources.sqlite import SqliteKnowledge
+from tests.support.e2e.plan_files import DOMAIN, PLANS, shared
 from tests.support.e2e.plans import ABORTED, CANCELED, SUCCEEDED, PlanScene, Workers
-
-DOMAIN = """
-actions:
-  wait: {params: [time], timeout: 600}
-  broken: {params: [value]}
-  fragile: {params: [time], server: fragile/wait, timeout: 600}
-  nobody: {params: [value], ros_type: pnm_interfaces/action/EstimateTime}
-  dummy_server: {type: rpn_action, params: [value], store: {time: result}, effects: {and: {Exists: [LocalQuery: result]}}}
-  add_one: {params: [value], store: {time: result}, preconditions: {and: [Exists: [LocalQuery: value]]}}
-  remember: {type: rpn_action, params: [value]}
-  alarm: {type: rpn_action, params: [value]}
-  watched_wait: {params: [time], server: wait, preconditions: {over_all: {not: {Exists: [LocalQuery: alarm]}}}, timeout: 600}
-  know: {type: kb_action, params: [operation]}
-"""
-PLANS = """
-count:
-  initial_knowledge: {value: 5}
-  results: [value, result]
-  plan:
-    - dummy_server: {}
-    - while:
-        condition: {Comparison: [ne, [LocalQuery: value, 10]]}
-        actions:
-          - add_one: {}
-          - know: {operation: {LocalUpdate: [value, {LocalQuery: result}]}}
-empty:
-  plan: []
-fails:
-  plan:
-    - broken: {value: 1}
-    - wait: {time: 77}
-forks:
-  plan:
-    - concurrent_actions:
-        - broken: {value: 2}
-        - wait: {time: 0.25}
-        - [wait: {time: 0.5}, wait: {time: 78}]
-waits:
-  params: [time]
-  initial_knowledge: {time: 59}
-  plan:
-    - wait: {}
-goes_on:
-  plan:
-    - wait: {time: 3001}
-    - add_one: {value: 41}
-  initial_knowledge: {value: 0}
-  results: [result]
-knows:
-  params: [value]
-  results: [spam, eggs, time]
-  plan:
-    - remember: {}
-    - know: {operation: {LocalUpdate: [eggs, {RemoteQuery: eggs}]}}
-    - wait: {time: {LocalQuery: spam}}
-asks_what_is_shared:
-  results: [eggs]
-  plan:
-    - know: {operation: {LocalUpdate: [eggs, {RemoteQuery: eggs}]}}
-alarmed:
-  on_failure: cancel
-  plan:
-    - concurrent_actions:
-        - watched_wait: {time: 3002}
-        - alarm: {value: 1}
-misses:
-  plan:
-    - nobody: {value: 1}
-calls:
-  params: [shop]
-  results: [told]
-  plan:
-    - called: {place: {LocalQuery: shop}, time: 3003}
-called:
-  params: [place, time]
-  results: [told]
-  plan:
-    - know: {operation: {LocalUpdate: [told, {LocalQuery: place}]}}
-    - wait: {}
-breaks:
-  plan:
-    - fragile: {time: 3004}
-limited:
-  timeout: 0.5
-  plan:
-    - wait: {time: 3005}
-"""
 
 
 @pytest.fixture(scope="module")
@@ -256,15 +163,3 @@ def test_a_condition_hears_of_what_an_action_server_stores_while_it_runs(served,
     assert (result["status"], result["reason"]) == (ABORTED, "invariant_false")
     workers.happens("cancelled", "wait", 3002)
     knowing.happens("cancelled", "alarm", 1)
-
-
-def shared(file: Path, name: str) -> object:
-    """Return a variable of the global knowledge in a file."""
-
-    async def look() -> object:
-        source = SqliteKnowledge(file)
-        found = await source.query(Question(name, Layer.GLOBAL, "null"), Asker(UUID(int=0)))
-        await source.close()
-        return found
-
-    return asyncio.run(look())

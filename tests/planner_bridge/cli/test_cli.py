@@ -10,20 +10,11 @@ from pathlib import Path
 import pytest
 
 from pnm.core.machine.verification.explore import Unsound
+from tests.support.command_line import pnm, result
 from tests.support.files import ROOT
 
 DELIVERY = (str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl"))
 FAULTS = str(ROOT / "problems/delivery/faults.yaml")
-
-
-def pnm(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run([sys.executable, "-m", "planner_bridge", *arguments], capture_output=True, text=True, cwd=cwd, timeout=120)
-    assert "Traceback" not in done.stdout + done.stderr
-    return done
-
-
-def result(done: subprocess.CompletedProcess[str]) -> dict[str, object]:
-    return json.loads(done.stdout.splitlines()[-1])
 
 
 def test_a_plan_is_printed() -> None:

@@ -29,8 +29,8 @@ from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
-from tests.planner_bridge.tasks.test_replanning import LateBackend
 from tests.support.problems import rooms
+from tests.support.runs.simulated import LateBackend
 
 TO_C = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc")
 """Two moves of a second each, from a over b to c."""

@@ -25,12 +25,13 @@ from pnm.core.logic.conditions import All, Compare, Holds
 from pnm.core.logic.domain import ActionSchema, Preference
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Constant, Fluent, ValueOf
-from pnm.core.logic.rules import Rule
+from pnm.core.logic.rules import DerivationRule
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError
-from tests.planner_bridge.pddl import test_pddl
+from tests.support import pddl_strategies as pddl
 from tests.support import strategies as generated
 from tests.support.files import ROOT, SHARED
+from tests.support.pddl_files import REFUSED
 from tests.support.refusals import refused
 
 PAIRS = SHARED / "pddl"
@@ -40,7 +41,7 @@ OWN = [(path.parents[2] / "domains" / path.parent.name / "domain.pddl", path) fo
 OTHERS = [
     (folder / "domain.pddl", folder / "problem.pddl")
     for folder in sorted(path.parent for path in PAIRS.glob("*/*/domain.pddl"))
-    if folder.name not in test_pddl.REFUSED
+    if folder.name not in REFUSED
 ]
 
 
@@ -113,18 +114,18 @@ def whole(domain: Domain) -> Domain:
 
 @settings(max_examples=8, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(
-    st.tuples(test_pddl.INSTANTANEOUS, test_pddl.DURATIVE),
-    st.lists(test_pddl.RULES, max_size=2),
-    st.lists(test_pddl.constraints(), max_size=2),
-    st.lists(test_pddl.WISHES, max_size=2),
+    st.tuples(pddl.INSTANTANEOUS, pddl.DURATIVE),
+    st.lists(pddl.RULES, max_size=2),
+    st.lists(pddl.constraints(), max_size=2),
+    st.lists(pddl.WISHES, max_size=2),
 )
 def test_a_domain_comes_back(
-    actions: tuple[ActionSchema, ActionSchema], rules: list[Rule], kept: list[Constraint], wished: list[Preference]
+    actions: tuple[ActionSchema, ActionSchema], rules: list[DerivationRule], kept: list[Constraint], wished: list[Preference]
 ) -> None:
     domain = replace(
-        test_pddl.domain_of(list(actions)),
+        pddl.domain_of(list(actions)),
         rules=tuple(rules),
-        constraints=tuple(map(test_pddl.over, kept)),
+        constraints=tuple(map(pddl.over, kept)),
         preferences=tuple(wished),
         hierarchy=("(:task t)", "(:method m\n    :parameters () ; why\n\t:task (t))"),
     )
@@ -135,12 +136,12 @@ def test_a_domain_comes_back(
 
 @settings(max_examples=8, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(
-    test_pddl.values(st.just(True)),
-    test_pddl.TIMED,
-    test_pddl.NUMBERS,
-    st.lists(test_pddl.PREFERENCES, max_size=2),
-    st.lists(test_pddl.constraints(), max_size=2),
-    st.lists(test_pddl.WISHES, max_size=2),
+    pddl.values(st.just(True)),
+    pddl.TIMED,
+    pddl.NUMBERS,
+    st.lists(pddl.PREFERENCES, max_size=2),
+    st.lists(pddl.constraints(), max_size=2),
+    st.lists(pddl.WISHES, max_size=2),
 )
 def test_a_problem_comes_back(
     init: dict[Fluent, bool | float | str],
@@ -151,16 +152,16 @@ def test_a_problem_comes_back(
     wished: list[Preference],
 ) -> None:
     goal = All((Holds(("idle",)), Compare(">", ValueOf(("charge", "r2")), Constant(number))))
-    soft = (*(replace(one, variables=(*test_pddl.OWN, *one.variables)) for one in goals), *wished)
+    soft = (*(replace(one, variables=(*pddl.OWN, *one.variables)) for one in goals), *wished)
     problem = Problem(
         "p",
-        test_pddl.domain_of([]),
+        pddl.domain_of([]),
         {"r2": ("robot",), "x": ("object",), "y": ("robot", "place")},
         init,
         timed,
         goal,
         None,
-        tuple(map(test_pddl.over, kept)),
+        tuple(map(pddl.over, kept)),
         tuple(sorted(soft, key=lambda one: isinstance(one.wanted, tuple))),
         network="(:htn :subtasks (and))\n(:tasks)",
         requirements=(":typing",),
@@ -405,36 +406,7 @@ derived: [{fact: (tidy), condition: {forall: {variables: "?p - place", condition
 """
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("problem: {goal: (at hall hall)}", "7:21: 'hall' is of type place; expected robot"),
-        ("actions: {a: {params: '?p - place', effects: '(at ?p hall)'}}", "7:51: '?p' is of type place; expected robot"),
-        ("problem: {goal: (charge r1)}", "7:18: charge is a function; expected a predicate"),
-        ("problem: {goal: {Comparison: ['<', [(tidy), 3]]}}", "7:38: tidy is a predicate; expected a function"),
-        ("problem: {goal: {Comparison: ['<', ['(home r1)', hall]]}}", "7:31: objects are equal or they are not; expected = or !="),
-        ("problem: {goal: {Comparison: ['=', ['(charge r1)', hall]]}}", "7:52: a number and an object cannot be compared"),
-        ("actions: {a: {effects: (tidy)}}", "7:25: 'tidy' is a derived predicate; it follows from others"),
-        ("actions: {a: {effects: {assign: ['(charge r1)', hall]}}}", "7:49: expected a number, found hall"),
-        ("actions: {a: {effects: {assign: ['(home r1)', r1]}}}", "7:47: 'r1' is of type robot; expected place"),
-        (
-            "actions: {a: {effects: {increase: ['(home r1)', hall]}}}",
-            "7:36: the values of 'home' are objects; expected assign, found increase",
-        ),
-        ("actions: {a: {effects: {at_start: (clean hall)}}}", "7:24: only an action with a duration has moments"),
-        ("actions: {a: {effects: {increase: ['(charge r1)', '?duration']}}}", "7:51: there is no parameter '?duration' here"),
-        ("actions: {a: {preferences: {constraints: {always: (tidy)}}}}", "7:28: the key 'condition' is missing"),
-        ("actions: {a: {duration: 1, preferences: {condition: (tidy)}}}", "7:41: a preference in an action with a duration needs a moment"),
-        ("actions: {go there: {}}", "7:11: 'go there' cannot name an action in PDDL; expected letters, digits"),
-        ("actions: {go: {}, Go: {}}", "7:19: PDDL does not tell 'Go' from 'go'"),
-        ("problem: {init: [(clean hall), (not (clean hall))]}", "7:32: (clean hall) has another value before; expected one value"),
-        ("problem: {init: [(tidy)]}", "7:19: 'tidy' is a derived predicate; it follows from others"),
-        ("problem: {init: ['(= (charge r1) full)']}", "7:18: expected a number, found full"),
-        ("problem: {metric: {minimize: '(is-violated p)'}}", "7:44: there is no preference 'p' here; expected one of none at all"),
-        ("problem: {metric: {minimize: '(home r1)'}}", "7:30: expected a number, found (home r1)"),
-        ("constraints: [{within: [soon, (tidy)]}]", "7:25: expected a time of at least 0, found soon"),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), refused(Path(__file__).parent / "refused" / "checked_by_types.yaml"))
 def test_names_are_checked_as_planners_do(text: str, message: str) -> None:
     with pytest.raises(InputError) as refusal:
         parse(f"{TYPED}{text}\n", "x.yaml")

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from planner_bridge.loading import load
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.pddl import parse_domain, parse_problem
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
@@ -26,22 +25,13 @@ from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import ByService, ByTopic, Instance, instances, read, unknown
 from pnm.knowledge.state_reports import StateReports, Watchdog
 from pnm.ros.backend import Ros2Backend
-from tests.pnm.language.test_damage import damaged
 from tests.support.files import ROOT
 from tests.support.refusals import refused
+from tests.support.sensed_world import KNOWN, PROBLEM
+from tests.support.yaml_damage import damaged
 
 BAD_INPUT = Path(__file__).with_name("refused")
 
-DOMAIN = parse_domain(
-    """(define (domain d) (:requirements :adl :fluents :derived-predicates)
-    (:types robot place - object arm - robot)
-    (:predicates (charged ?r - robot) (at ?r - robot ?p - place) (ready ?r - robot) (dark))
-    (:functions (battery ?r - robot) - number (location ?r - robot) - place)
-    (:derived (ready ?r - robot) (charged ?r))
-    (:action wait :parameters (?r - robot)))"""
-)
-PROBLEM = parse_problem("(define (problem p) (:domain d) (:objects r1 r-2 - robot a1 - arm kitchen hall - place) (:goal (dark)))", DOMAIN)
-KNOWN = PROBLEM.vocabulary
 EVERYTHING = """\
 stale: 30
 sensors:

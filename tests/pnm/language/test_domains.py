@@ -12,11 +12,12 @@ from pnm.core.logic.computed_values import Layer, Literal, Operation, Query
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Holds, Not
 from pnm.core.logic.effects import Set, TimedChange
 from pnm.core.logic.expressions import DURATION, Constant, ValueOf, Variable
-from pnm.core.logic.rules import Rule
+from pnm.core.logic.rules import DerivationRule
 from pnm.errors import InputError
 from pnm.language import LanguageDomain, read_domain
 from pnm.language.actions import ActionKind
 from tests.support.refusals import refused
+from tests.support.runs.yaml_examples import ORIGINAL, PDDL
 
 BAD_INPUT = Path(__file__).with_name("refused")
 
@@ -35,52 +36,6 @@ def read(tmp_path: Path) -> Read:
 
 def exists(name: str, layer: Layer = Layer.LOCAL) -> Computed:
     return Computed(Operation("exists", (Query(Literal.of(name), layer),)))
-
-
-ORIGINAL = """\
-instances: &instances
-  -
-external_knowledge_base: {module: "somewhere.some_knowledge_base", class: "RPKnowledgeBase"}
-action_types:
-  BaseAction: &base
-    instances: *instances
-  Server: &server
-    <<: *base
-    type: {module: "rpn_ros_interface.action", class: "ROSAtomicAction"}
-  Talking: &talking
-    <<: *base
-    type: {module: "rpn_ros_interface.rpn_action", class: "RPNAtomicAction"}
-  Knowledge: &knowledge
-    <<: *base
-    type: {module: "pnp_actions.kb_action", class: "KBAction"}
-actions:
-  count:
-    <<: *server
-    params:
-      - "value"
-    preconditions:
-      and:
-        - Exists: [LocalQuery: "value"]
-  count_and_talk:
-    <<: *talking
-    params:
-      - "value"
-    effects:
-      and:
-        Exists: [LocalQuery: "result"]
-  load:
-    <<: *server
-    params:
-      -
-  store:
-    <<: *knowledge
-    params: ["operation", "result"]
-  store_if_running:
-    <<: *knowledge
-    params: ["operation"]
-    preconditions:
-      - Comparison: ["eq", [LocalQuery: "running", true]]
-"""
 
 
 def test_the_shapes_of_the_original(read: Read) -> None:
@@ -111,58 +66,6 @@ def test_kinds_may_be_named_or_left_out(read: Read) -> None:
     assert domain.actions["a"].binding.retries == 0
 
 
-PDDL = """\
-name: homes
-requirements: [typing, durative-actions]
-types: [kitchen hall - place, robot drone - thing]
-constants: base - hall
-predicates:
-  - (at ?t - thing ?p - place)
-  - (free ?t - thing)
-  - (home ?t - thing)
-functions:
-  - (battery ?t - thing)
-  - (owner ?t - thing) - thing
-derived:
-  - fact: (home ?t - thing)
-    condition: (at ?t base)
-constraints: [whatever planners read]
-preferences: [whatever planners read]
-hierarchy: [whatever planners read]
-actions:
-  move:
-    params: "?t - thing ?from ?to - place"
-    duration: {Operation: ["/", [10, "(battery ?t)"]]}
-    preconditions:
-      at_start: [(at ?t ?from), {not: (home ?t)}]
-      over_all: {Comparison: [">", [(battery ?t), 0]]}
-      at_end: (free ?t)
-    effects:
-      at_start: {not: (at ?t ?from)}
-      at_end: [(at ?t ?to), {decrease: [(battery ?t), "?duration"]}, {Exists: [Query: distance]}]
-    resources: [floor]
-    retries: 2
-    timeout: 30
-    server: "/{t}/move"
-    ros_type: nav2_msgs/action/NavigateToPose
-    goal: {to: "?to", speed: 0.5}
-    store: {distance: driven}
-    ask: {speed: How fast?}
-problem:
-  name: home
-  objects: [r1 - robot, k1 k2 - kitchen]
-  init:
-    - (at r1 k1)
-    - (= (battery r1) 80)
-    - (= (owner r1) r1)
-    - (not (free r1))
-    - {at: 7.5, facts: [(free r1), (= (battery r1) 3)]}
-    - {at: 5, facts: (not (at r1 k1))}
-  goal: (home r1)
-  metric: whatever planners read
-"""
-
-
 def test_what_pddl_has(read: Read) -> None:
     text = PDDL.replace("[(at ?t ?from), {not: (home ?t)}]", '["(at ?t ?from)", {not: "(home ?t)"}]')
     text = (
@@ -186,7 +89,7 @@ def test_what_pddl_has(read: Read) -> None:
     assert move.binding.goal == {"to": "?to", "speed": 0.5}
     assert (move.binding.store, move.binding.ask) == ({"distance": "driven"}, {"speed": "How fast?"})
     assert move.objects == {"?t", "?from", "?to"}
-    assert domain.rules.rules == (Rule("home", (Variable("?t", ("thing",)),), Holds(("at", "?t", "base"))),)
+    assert domain.rules.rules == (DerivationRule("home", (Variable("?t", ("thing",)),), Holds(("at", "?t", "base"))),)
     assert domain.model.init == {("at", "r1", "k1"): True, ("battery", "r1"): 80.0, ("owner", "r1"): "r1", ("free", "r1"): False}
     assert domain.model.timed == (
         TimedChange(5.0, {("at", "r1", "k1"): False}),

@@ -13,7 +13,7 @@ from pnm.core.logic.computed_values import Layer
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.language.plan import HandWrittenPlan, parse_plans
 from tests.support.runs.direct import Answer, Story, outcomes, play, succeed
-from tests.support.runs.paper import PAPER_DOMAIN, PAPER_PLAN
+from tests.support.runs.yaml_examples import COUNTING, NESTED, PAPER_DOMAIN, PAPER_PLAN
 
 
 def plan_of(text: str) -> HandWrittenPlan:
@@ -50,27 +50,6 @@ def test_the_listings_of_the_paper() -> None:
         ("wait", 5),
         ("wait", 6),
     ]
-
-
-COUNTING = """\
-actions:
-  echo:
-    <<: *rpn_action
-    params: [value]
-    preconditions: {and: [{Exists: [LocalQuery: value]}]}
-    effects: {and: {Exists: [LocalQuery: result]}}
-  add_one: {<<: *ros_action, params: [value], preconditions: {and: [{Exists: [LocalQuery: value]}]}}
-  keep: {<<: *kb_action, params: [operation]}
-counting:
-  initial_knowledge: {value: 5}
-  plan:
-    - echo: {}
-    - while:
-        condition: {Comparison: ["ne", [LocalQuery: "value", 10]]}
-        actions:
-          - add_one: {}
-          - keep: {operation: {LocalUpdate: ["value", {LocalQuery: "result"}, ""]}}
-"""
 
 
 def test_a_loop_counts_from_5_to_10() -> None:
@@ -178,25 +157,6 @@ plan:
 
 
 # --- what the paper promises ---------------------------------------------------------------
-
-NESTED = """\
-actions:
-  a:
-  b:
-  c:
-  k: {type: kb_action}
-initial_knowledge: {n: 0}
-plan:
-  - concurrent_actions:
-      - - a: {i: 1}
-        - while:
-            condition: {Comparison: ["<", [LocalQuery: n, 2]]}
-            actions:
-              - concurrent_actions: [b: , {if: {Comparison: [eq, [{LocalQuery: n}, 0]]}, then: [c: ]}]
-              - k: {operation: {LocalUpdate: [n, {Operation: ["+", [{LocalQuery: n}, 1]]}]}}
-      - sequence: [a: {i: 2}, a: {i: 3}]
-  - a: {i: 4}
-"""
 
 
 def test_blocks_in_blocks() -> None:

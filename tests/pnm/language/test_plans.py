@@ -21,7 +21,7 @@ from pnm.errors import InputError
 from pnm.language import HandWrittenPlan, read_plans
 from pnm.language.to_plan_graph import MAX_NESTING, MAX_STEPS
 from tests.support.refusals import refused
-from tests.support.runs.paper import PAPER_DOMAIN, PAPER_PLAN
+from tests.support.runs.yaml_examples import PAPER_DOMAIN, PAPER_PLAN, RECIPES, RECOVERING
 
 BAD_INPUT = Path(__file__).with_name("refused")
 
@@ -89,23 +89,6 @@ actions: {a: }
 plan: [a: ]
 """
 TWO_DOCUMENTS = "actions: {a: }\n---\ninitial_knowledge: {x: 1}\nplan: [a: {}]\n"
-RECIPES = """\
-actions: {a: , b: {type: kb_action}}
-first:
-  server: {module: actionlib, class: ActionServer}
-  action: {module: rpn_recipe_planner_msgs.msg, class: RosServerAction}
-  initial_knowledge: {value: 5}
-  plan:
-    - a: {}
-    - while:
-        condition: {Comparison: ["ne", [LocalQuery: "value", 10]]}
-        actions:
-          - a:
-          - b: {operation: {LocalUpdate: ["value", {LocalQuery: "result"}, ""]}}
-second:
-  server: {module: any_plugin_server, class: DAPluginServer}
-  plan: []
-"""
 
 
 def test_a_file_has_a_plan_and_a_domain_or_both_as_documents(read: Read) -> None:
@@ -388,33 +371,6 @@ def test_what_is_done_when_nobody_says(read: Read) -> None:
     plan = read(f"{ACTIONS}plan: [go: , say: , set: {{operation: {{Query: a}}}}]\n")
     assert [one.recoveries for one in plan.graph.calls] == [USUAL[1:], USUAL[:1], ()]
     assert [one.retries for one in plan.graph.calls] == [0, 0, 0]
-
-
-RECOVERING = """\
-actions:
-  move:
-    params: "?r"
-    recoveries:
-      during:
-        aborted: [{say: {text: [stuck, "?r"]}}, retry]
-        preempted: fail
-  say: {params: [text]}
-  beep:
-restarts: 4
-plan:
-  - move: {r: r1}
-  - move: {r: {Query: robot}}
-  - move:
-  - move:
-    recoveries:
-      before:
-        - {when: {Query: tired}, do: [beep: , skip_action], times: 2}
-        - {do: [restart_plan]}
-      during: {lost: {do: [beep: , say: {text: "?r"}, replan], times: 5}, timed_out: continue}
-      after: [restart_action]
-  - move:
-    recoveries: {}
-"""
 
 
 def test_recoveries(read: Read) -> None:

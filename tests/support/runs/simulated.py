@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import dataclass, field
 from uuid import UUID
 
+from planner_bridge.model.problem import Problem
+from planner_bridge.simulation import robots_of
+from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.actions.simulated_robots import SimulatedRobots
 from pnm.actions.simulated_world import SimulatedWorld, report_changes
@@ -120,3 +124,19 @@ def simulate(
         return await executor.execute()
 
     return Simulation(run_async(main(), virtual=True), truth, beliefs, run, log)
+
+
+class LateBackend(SimulatedBackend):
+    """Simulated robots whose sensors are late."""
+
+    def __init__(self, problem: Problem, faults: Faults, delay: float, lag: float) -> None:
+        super().__init__(robots_of(problem, Bindings(), faults))
+        self.delay, self.lag = delay, lag
+
+    async def open(self, knowledge: KnowledgeBase) -> None:
+        loop = asyncio.get_running_loop()
+        world = self.robots.world
+        names = world.reported()
+        knowledge.sense(names, lag=self.lag)
+        world.truth.listen(lambda _: loop.call_later(self.delay, lambda: knowledge.replace(names, world.report(names))) and None)
+        self.robots.begin()

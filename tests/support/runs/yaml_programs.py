@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from random import Random
+from tempfile import TemporaryDirectory
 from typing import Any
 from uuid import UUID
 
@@ -31,6 +33,7 @@ from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Request
+from pnm.language import HandWrittenPlan, read_plans
 
 Json = Any
 """What YAML is written from."""
@@ -303,3 +306,11 @@ class Chaos:
 def in_use(requests: Mapping[UUID, Request]) -> Counter[str]:
     """Return how many requests that are not known to be over have each resource."""
     return Counter(name for request in requests.values() for name in request.action.resources)
+
+
+def read(text: str) -> HandWrittenPlan:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "plan.yaml"
+        path.write_text(text, encoding="utf-8")
+        (plan,) = read_plans(path).values()
+    return plan

@@ -29,7 +29,7 @@ from pnm.errors import RunError
 from pnm.executor import Executor
 from pnm.knowledge.sources.person_text import question_text
 from pnm.knowledge.sources.source import Asker, Source
-from tests.pnm.core.machine.test_machine import check_proof_of_mutants
+from tests.support.runs.mutants import check_proof_of_mutants
 from tests.support.runs.plan_graphs import ordering
 from tests.support.runs.simulated import Log, move
 

@@ -28,10 +28,9 @@ from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.explore import Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.executor import Executor
-from tests.pnm.core.machine.test_generated_programs import read
 from tests.support.runs.plan_graphs import ordering, plan
 from tests.support.runs.simulated import Log, move
-from tests.support.runs.yaml_programs import Chaos, in_use, programs
+from tests.support.runs.yaml_programs import Chaos, in_use, programs, read
 
 RUN = UUID(int=1)
 CANCELED, SUCCEEDED = Outcome(OutcomeKind.CANCELED), Outcome(OutcomeKind.SUCCEEDED)

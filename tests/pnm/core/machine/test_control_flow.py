@@ -31,8 +31,8 @@ from pnm.core.machine.plan_graph import (
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.explore import Unsound
 from pnm.core.machine.verification.verify import explore, verify
-from tests.pnm.core.machine.test_machine import _less_output, check_proof_of_mutants
 from tests.support.runs.direct import RUN, outcomes, play
+from tests.support.runs.mutants import _less_output, check_proof_of_mutants
 from tests.support.runs.plan_graphs import ordering
 
 OK: Condition = Holds(("ok",))

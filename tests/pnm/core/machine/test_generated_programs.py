@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from random import Random
-from tempfile import TemporaryDirectory
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -18,17 +16,8 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.verification.verify import verify
 from pnm.core.net.net import Marking
-from pnm.language import HandWrittenPlan, read_plans
 from tests.support.runs.direct import RUN, play
-from tests.support.runs.yaml_programs import DOMAIN, Chaos, Json, in_use, programs, written
-
-
-def read(text: str) -> HandWrittenPlan:
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "plan.yaml"
-        path.write_text(text, encoding="utf-8")
-        (plan,) = read_plans(path).values()
-    return plan
+from tests.support.runs.yaml_programs import DOMAIN, Chaos, Json, in_use, programs, read, written
 
 
 def check_marking(machine: PetriNetMachine, marking: Marking, budgets: Mapping[tuple[str, str], int]) -> None:

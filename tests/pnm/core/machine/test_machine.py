@@ -23,7 +23,6 @@ from pnm.core.machine.machine import (
     OnFailure,
     PauseAsked,
     PetriNetMachine,
-    Rule,
     TransitionAction,
     Withheld,
 )
@@ -32,6 +31,7 @@ from pnm.core.machine.verification.block_shape import shape_of
 from pnm.core.machine.verification.explore import Part, Step, Unsound, explore_part
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.core.net.net import PetriNet
+from tests.support.runs.mutants import _with_input, _without, check_proof_of_mutants
 from tests.support.runs.plan_graphs import ordering, plan, plans
 
 SHAPES = {
@@ -74,55 +74,6 @@ def test_any_partial_order_of_events_is_sound(graph: PlanGraph, retries: int, on
     machine = generate(graph, bindings(retries if len(graph.calls) < 3 else 0), on_failure=on_failure)
     explore(machine)
     verify(machine)
-
-
-def _without(net: PetriNet, transition: str) -> PetriNet:
-    inputs = {name: weights for name, weights in net.inputs.items() if name != transition}
-    return PetriNet(net.places, inputs, {name: net.outputs[name] for name in inputs})
-
-
-def _with_output(net: PetriNet, transition: str, place: str) -> PetriNet:
-    outputs = {**net.outputs, transition: {**net.outputs[transition], place: net.outputs[transition].get(place, 0) + 1}}
-    return PetriNet(net.places, net.inputs, outputs)
-
-
-def _with_input(net: PetriNet, transition: str, place: str) -> PetriNet:
-    return PetriNet(net.places, {**net.inputs, transition: {**net.inputs[transition], place: 1}}, net.outputs)
-
-
-def _less_output(net: PetriNet, transition: str, place: str) -> PetriNet:
-    kept = {name: weight for name, weight in net.outputs[transition].items() if name != place}
-    return PetriNet(net.places, net.inputs, {**net.outputs, transition: kept})
-
-
-def mutants(machine: PetriNetMachine) -> list[PetriNetMachine]:
-    """The machine with one transition lost, one arc more, one arc less, or one guard always open."""
-    found = []
-    for name in machine.rules:
-        rules = {other: rule for other, rule in machine.rules.items() if other != name}
-        found.append(replace(machine, net=_without(machine.net, name), rules=rules))
-        found += [replace(machine, net=_less_output(machine.net, name, place)) for place in machine.net.outputs[name]]
-        found += [
-            replace(machine, net=_with_output(machine.net, name, place))
-            for place in machine.net.places[:: max(1, len(machine.net.places) // 5)]
-        ]
-        found.append(replace(machine, rules={**machine.rules, name: Rule(name, Always(), machine.rules[name].call)}))
-    return found
-
-
-def check_proof_of_mutants(machine: PetriNetMachine) -> None:
-    """Whatever mutant the state space refutes, the proof block by block refutes."""
-    refuted = accepted = 0
-    for mutant in mutants(machine):
-        try:
-            explore(mutant)
-        except Unsound:
-            refuted += 1
-            with pytest.raises(Unsound):
-                verify(mutant)
-        else:
-            accepted += 1
-    assert refuted > accepted
 
 
 @pytest.mark.parametrize("name", ["one call with an over-all condition", "chain", "inside"])

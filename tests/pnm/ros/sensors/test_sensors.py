@@ -25,9 +25,9 @@ from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.service_client import until_true
 from pnm.ros.sensors.fields import find_field, fitted, value_at
 from pnm.ros.sensors.sensors import Sensors
-from tests.pnm.knowledge.test_sensor_file import DOMAIN, PROBLEM
 from tests.support.processes import LIMIT
 from tests.support.ros.scripts import run
+from tests.support.sensed_world import DOMAIN, PROBLEM
 
 BASIC = "test_msgs/msg/BasicTypes"
 

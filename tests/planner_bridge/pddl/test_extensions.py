@@ -1,4 +1,4 @@
-"""What PDDL has beyond facts and numbers: refused where it makes no sense, kept as it is, and written so that it means the same."""
+"""Derived predicates, object fluents and effects across moments: kept as they are, and written so that they mean the same."""
 
 from __future__ import annotations
 
@@ -7,30 +7,18 @@ from pathlib import Path
 import kairos
 import pytest
 
-from planner_bridge.model.problem import Domain, Metric, Problem
 from planner_bridge.pddl import parse_domain, parse_problem, write_domain, write_problem
-from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not
-from pnm.core.logic.domain import ActionSchema, Declaration, Preference
+from pnm.core.logic.conditions import All, Compare, Condition, Exists, Holds, Not
+from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Effect, ForEach, Set, TimedChange, When
 from pnm.core.logic.expressions import UNDEFINED, Arithmetic, Constant, ValueOf, Variable
-from pnm.core.logic.rules import Rule
-from pnm.core.logic.trajectory import Constraint
+from pnm.core.logic.rules import DerivationRule
 from pnm.errors import InputError
+from tests.support.pddl_text import EXTENDED
 from tests.support.refusals import refused
 
+domain_with, problem_with, action, durative = EXTENDED.domain_with, EXTENDED.problem_with, EXTENDED.action, EXTENDED.durative
 BAD_INPUT = Path(__file__).with_name("refused")
-
-DECLARED = (
-    "(define (domain d)"
-    " (:requirements :adl :fluents :durative-actions :duration-inequalities :derived-predicates :preferences :constraints"
-    " :timed-initial-literals :hierarchy)"
-    " (:types robot room - thing closet - room) (:constants hall - room)"
-    " (:predicates (at ?r - robot ?l - room) (dirty ?l - room) (linked ?a ?b - room) (near ?a ?b - room) (idle) (busy))"
-    " (:functions (charge ?r - robot) (area ?l - room) (total-cost) - number"
-    " (home ?r - robot) (place ?r - robot) - room (owner ?l - room) - robot)"
-)
-"""One line, so that what a test adds stands in line 2."""
-PROBLEM = "(define (problem p) (:domain d) (:objects r2 - robot kitchen - room)"
 HALL, ROOM, ROBOT = Constant("hall"), ("room",), ("robot",)
 R, L = Variable("?r", ROBOT), Variable("?l", ROOM)
 IDLE, BUSY = Holds(("idle",)), Holds(("busy",))
@@ -38,52 +26,30 @@ SET_IDLE, SET_BUSY = Set(("idle",), Constant(True)), Set(("busy",), Constant(Tru
 DIRTY = Holds(("dirty", "?l"))
 
 
-def domain_with(text: str) -> Domain:
-    domain = parse_domain(f"{DECLARED}\n{text})")
-    assert domain.warnings == ()
-    assert parse_domain(write_domain(domain)) == domain
-    return domain
-
-
-def problem_with(text: str, domain: str = "") -> Problem:
-    problem = parse_problem(f"{PROBLEM}\n{text})", domain_with(domain))
-    assert problem.warnings == ()
-    assert parse_problem(write_problem(problem), problem.domain) == problem
-    return problem
-
-
-def action(parts: str) -> ActionSchema:
-    return domain_with(f"(:action a :parameters (?r - robot ?l - room) {parts})").actions["a"]
-
-
-def durative(parts: str) -> ActionSchema:
-    return domain_with(f"(:durative-action a :parameters (?r - robot ?l - room) :duration () {parts})").actions["a"]
-
-
-# --- refusals ------------------------------------------------------------------------------
+# --- refusals ---
 
 
 @pytest.mark.parametrize(("text", "message"), refused(BAD_INPUT / "extensions.pddl"))
 def test_a_bad_domain_is_refused(text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
-        parse_domain(f"{DECLARED}\n{text})")
+        parse_domain(f"{EXTENDED.domain}\n{text})")
     assert str(caught.value) == f"domain.pddl:{message}"
 
 
 @pytest.mark.parametrize(("text", "message"), refused(BAD_INPUT / "extensions_in_problems.pddl"))
 def test_a_bad_problem_is_refused(text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
-        parse_problem(f"{PROBLEM}\n{text})", parse_domain(f"{DECLARED})"))
+        parse_problem(f"{EXTENDED.problem}\n{text})", parse_domain(f"{EXTENDED.domain})"))
     assert str(caught.value) == f"problem.pddl:{message}"
 
 
 @pytest.mark.parametrize("init", ["(busy)", "(not (busy))", "(at 5 (busy))"])
 def test_a_derived_fact_cannot_be_given(init: str) -> None:
     with pytest.raises(InputError, match="'busy' is a derived predicate; it follows from others and cannot be given"):
-        parse_problem(f"{PROBLEM} (:init {init}) (:goal ()))", domain_with("(:derived (busy) (idle))"))
+        parse_problem(f"{EXTENDED.problem} (:init {init}) (:goal ()))", domain_with("(:derived (busy) (idle))"))
 
 
-# --- derived predicates --------------------------------------------------------------------
+# --- derived predicates ---
 
 
 def test_rules_are_read_in_their_order() -> None:
@@ -94,9 +60,9 @@ def test_rules_are_read_in_their_order() -> None:
     x, y, z = (Variable(name, ROOM) for name in ("?x", "?y", "?z"))
     narrow = Variable("?x", ("closet",)), Variable("?y", ("closet",))
     assert domain.rules == (
-        Rule("near", (x, y), Holds(("linked", "?x", "?y"))),
-        Rule("busy", (), Not(IDLE)),
-        Rule("near", narrow, Exists((z,), All((Holds(("linked", "?x", "?z")), Holds(("near", "?z", "?y")))))),
+        DerivationRule("near", (x, y), Holds(("linked", "?x", "?y"))),
+        DerivationRule("busy", (), Not(IDLE)),
+        DerivationRule("near", narrow, Exists((z,), All((Holds(("linked", "?x", "?z")), Holds(("near", "?z", "?y")))))),
     )
 
 
@@ -121,7 +87,7 @@ def test_rules_may_rest_on_themselves_and_on_the_absence_of_others(rules: str) -
     assert len(domain_with(rules).rules) == rules.count(":derived")
 
 
-# --- object fluents ------------------------------------------------------------------------
+# --- object fluents ---
 
 
 def test_functions_may_have_objects_for_values() -> None:
@@ -215,119 +181,7 @@ def test_objects_are_initial_and_timed_values() -> None:
     assert problem.goal == Compare("=", ValueOf(("home", "r2")), Constant("kitchen"))
 
 
-# --- preferences ---------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("text", "hard", "soft"),
-    [
-        ("(preference p (idle))", TRUE, (Preference("p", IDLE),)),
-        ("(preference (idle))", TRUE, (Preference("", IDLE),)),
-        ("(and (busy) (and (preference p (idle)) (preference P (busy))))", BUSY, (Preference("p", IDLE), Preference("p", BUSY))),
-        ("(forall (?l - room) (preference p (dirty ?l)))", TRUE, (Preference("p", DIRTY, (L,)),)),
-        (
-            "(and (idle) (forall (?l - room) (and (dirty ?l) (forall (?r - robot) (preference p (at ?r ?l))))))",
-            All((IDLE, ForAll((L,), DIRTY))),
-            (Preference("p", Holds(("at", "?r", "?l")), (L, R)),),
-        ),
-        (
-            "(forall (?l - room) (forall (?l - closet) (preference p (dirty ?l))))",
-            TRUE,
-            (Preference("p", DIRTY, (L, Variable("?l", ("closet",)))),),
-        ),
-        ("(forall (?l - room) (and))", ForAll((L,), TRUE), ()),
-        ("(and (or (idle) (busy)) (preference p (imply (idle) (busy))))", Any((IDLE, BUSY)), (Preference("p", Implies(IDLE, BUSY)),)),
-    ],
-)
-def test_preferences_are_told_apart_from_what_must_hold(text: str, hard: Condition, soft: tuple[Preference, ...]) -> None:
-    problem = problem_with(f"(:goal {text})")
-    assert (problem.goal, problem.preferences) == (hard, soft)
-    schema = action(f":precondition {text}")
-    assert (schema.precondition, schema.preferences) == (hard, soft)
-
-
-def test_preferences_of_durative_actions_have_a_moment() -> None:
-    schema = durative(
-        ":condition (and (at start (idle)) (preference p (at start (busy))) (at end (preference q (idle)))"
-        " (over all (and (busy) (preference r (idle)))) (forall (?x - room) (and (at end (dirty ?x)) (preference (over all (dirty ?x))))))"
-    )
-    x = Variable("?x", ROOM)
-    assert (schema.precondition, schema.invariant, schema.end_condition) == (IDLE, BUSY, ForAll((x,), Holds(("dirty", "?x"))))
-    assert schema.preferences == (
-        Preference("p", BUSY, moment="at start"),
-        Preference("q", IDLE, moment="at end"),
-        Preference("r", IDLE, moment="over all"),
-        Preference("", Holds(("dirty", "?x")), (x,), "over all"),
-    )
-
-
-def test_a_metric_counts_preferences_wherever_they_are() -> None:
-    problem = problem_with(
-        "(:goal (preference Wish (idle))) (:constraints (preference c (always (idle))))"
-        " (:metric minimize (+ (is-violated wish) (is-violated C) (is-violated care) (is-violated law) (total-time)))",
-        "(:action a :precondition (preference care (idle))) (:constraints (preference law (sometime (busy))))",
-    )
-    counted = tuple(ValueOf(("is-violated", name)) for name in ("Wish", "c", "care", "law"))
-    assert problem.metric == Metric("minimize", Arithmetic("+", (*counted, ValueOf(("total-time",)))))
-
-
-def test_a_predicate_may_be_called_preference() -> None:
-    domain = parse_domain("(define (domain d) (:predicates (preference ?x)) (:action a :parameters (?x) :precondition (preference ?x)))")
-    assert domain.actions["a"].precondition == Holds(("preference", "?x"))
-
-
-# --- trajectory constraints ----------------------------------------------------------------
-
-ONE_OF_EACH = (
-    "(always (idle)) (sometime (busy)) (within 5 (idle)) (at-most-once (busy)) (sometime-after (idle) (busy))"
-    " (sometime-before (busy) (idle)) (always-within 2.5 (idle) (busy)) (hold-during 3 5 (idle)) (hold-after 4 (busy)) (AT end (idle))"
-)
-EACH = (
-    Constraint("always", (IDLE,)),
-    Constraint("sometime", (BUSY,)),
-    Constraint("within", (IDLE,), (5.0,)),
-    Constraint("at-most-once", (BUSY,)),
-    Constraint("sometime-after", (IDLE, BUSY)),
-    Constraint("sometime-before", (BUSY, IDLE)),
-    Constraint("always-within", (IDLE, BUSY), (2.5,)),
-    Constraint("hold-during", (IDLE,), (3.0, 5.0)),
-    Constraint("hold-after", (BUSY,), (4.0,)),
-    Constraint("at end", (IDLE,)),
-)
-
-
-def test_constraints_of_every_kind() -> None:
-    assert domain_with(f"(:constraints (and {ONE_OF_EACH}))").constraints == EACH
-    problem = problem_with(f"(:goal ()) (:constraints (and {ONE_OF_EACH}))")
-    assert (problem.constraints, problem.preferences) == (EACH, ())
-
-
-@pytest.mark.parametrize("text", ["", "(:constraints)", "(:constraints ())", "(:constraints (and))"])
-def test_there_may_be_no_constraints(text: str) -> None:
-    assert problem_with(f"(:goal ()) {text}").constraints == ()
-
-
-def test_constraints_hold_for_every_choice_and_may_be_wishes() -> None:
-    domain = domain_with(
-        "(:constraints (and (forall (?l - room) (and (always (dirty ?l)) (forall (?r - robot) (sometime (at ?r ?l)))))"
-        " (forall (?l - room) (preference p (forall (?r - robot) (sometime (at ?r ?l)))))"
-        " (preference q (and (always (idle)) (sometime (busy)))) (preference (within 3 (forall (?l - room) (dirty ?l))))))"
-    )
-    at = (Holds(("at", "?r", "?l")),)
-    assert domain.constraints == (Constraint("always", (DIRTY,), variables=(L,)), Constraint("sometime", at, variables=(L, R)))
-    assert domain.preferences == (
-        Preference("p", (Constraint("sometime", at, variables=(R,)),), (L,)),
-        Preference("q", (Constraint("always", (IDLE,)), Constraint("sometime", (BUSY,)))),
-        Preference("", (Constraint("within", (ForAll((L,), DIRTY),), (3.0,)),)),
-    )
-
-
-def test_wishes_of_a_problem_are_goals_first() -> None:
-    problem = problem_with("(:constraints (preference c (always (idle)))) (:goal (preference g (idle)))")
-    assert [one.name for one in problem.preferences] == ["g", "c"]
-
-
-# --- effects across moments ----------------------------------------------------------------
+# --- effects across moments ---
 
 
 @pytest.mark.parametrize(
@@ -365,23 +219,6 @@ def test_what_was_so_at_the_start_decides_what_happens_at_the_end(text: str, sta
     schema = durative(f":effect {text}")
     assert (schema.start_effects, schema.end_effects) == (start, end)
 
-
-# --- task networks -------------------------------------------------------------------------
-
-TASK = "(:task deliver :parameters (?r - robot ?l - room))"
-METHOD = "(:method m ; how (\n  :parameters (?r - robot ?l - room)\n  :task (deliver ?r ?l)\n  :ordered-subtasks (and (a ?r ?l)))"
-NETWORK = "(:htn :parameters () :subtasks (and (t1 (deliver r2 hall))) :ordering ())"
-
-
-def test_task_networks_are_kept_as_they_stand() -> None:
-    domain = domain_with(f"{TASK} {METHOD} (:action a :parameters (?r - robot ?l - room) :effect (at ?r ?l))")
-    assert domain.hierarchy == (TASK, METHOD)
-    assert domain.actions["a"].end_effects == (Set(("at", "?r", "?l"), Constant(True)),)
-    problem = problem_with(f"{NETWORK} (:init (idle))")
-    assert (problem.network, problem.goal) == (NETWORK, TRUE)
-
-
-# --- the same meaning ----------------------------------------------------------------------
 
 CLEANING = (
     "(:action go :parameters (?r - robot ?l - room) :precondition (and (linked (place ?r) ?l) {go})"
@@ -432,11 +269,14 @@ def outcome(domain: str, problem: str) -> tuple[object, object]:
     return result.status, result.plan.cost if result.plan else None
 
 
+# --- the same meaning ---
+
+
 @pytest.mark.parametrize("name", SAME)
 def test_what_is_written_means_the_same_to_the_planner(name: str) -> None:
     more, go, sweep, rest = SAME[name]
     texts = (
-        f"{DECLARED} {more} {CLEANING.format(go=go, sweep=sweep)})",
+        f"{EXTENDED.domain} {more} {CLEANING.format(go=go, sweep=sweep)})",
         f"(define (problem p) (:domain d) {ROOMS} {rest})",
     )
     domain = parse_domain(texts[0])
@@ -455,7 +295,7 @@ def test_an_effect_decided_at_the_start_means_the_same_to_the_planner() -> None:
         " :effect (and (at start (busy)) (at end (not (busy))) (when (at start (idle)) (at end (dirty hall)))"
         " (when (and (at start (idle)) (at end (busy))) (at end (not (idle))))))"
     )
-    texts = f"{DECLARED} {more})", "(define (problem p) (:domain d) (:init (idle)) (:goal (and (dirty hall) (not (idle)))))"
+    texts = f"{EXTENDED.domain} {more})", "(define (problem p) (:domain d) (:init (idle)) (:goal (and (dirty hall) (not (idle)))))"
     problem = parse_problem(texts[1], parse_domain(texts[0]))
     written = write_domain(problem.domain), write_problem(problem)
     assert parse_problem(written[1], parse_domain(written[0])) == problem

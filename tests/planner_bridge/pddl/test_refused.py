@@ -1,0 +1,71 @@
+"""PDDL that is refused, with its position."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from planner_bridge.pddl import parse_domain, parse_problem, read_domain
+from planner_bridge.pddl.syntax.expressions import MAX_DEPTH
+from pnm.errors import InputError
+from tests.support.pddl_text import SMALL
+from tests.support.refusals import refused
+
+domain_with, problem_with = SMALL.domain_with, SMALL.problem_with
+
+BAD_INPUT = Path(__file__).with_name("refused")
+WHOLE = [
+    *refused(BAD_INPUT / "whole.pddl"),
+    ("", "1:1: the file is empty; expected (define (domain NAME) ...)"),
+    ("(" * 20_000, f"1:{MAX_DEPTH + 1}: nested deeper than {MAX_DEPTH} lists"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), WHOLE)
+def test_a_text_that_is_no_domain_is_refused(text: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse_domain(text)
+    assert str(caught.value) == f"domain.pddl:{message}"
+
+
+BAD_DOMAINS = refused(*(BAD_INPUT / name for name in ("not_supported.pddl", "declarations.pddl", "actions.pddl")))
+
+
+@pytest.mark.parametrize(("text", "message"), BAD_DOMAINS)
+def test_a_bad_domain_is_refused(text: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        domain_with(text)
+    assert str(caught.value) == f"domain.pddl:{message}"
+
+
+@pytest.mark.parametrize(("text", "message"), refused(BAD_INPUT / "problems.pddl"))
+def test_a_bad_problem_is_refused(text: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        problem_with(text)
+    assert str(caught.value) == f"problem.pddl:{message}"
+
+
+def test_a_domain_is_no_problem() -> None:
+    with pytest.raises(InputError, match=r"1:9: expected \(problem NAME\), found \(domain \.\.\.\); this file is not a problem"):
+        parse_problem("(define (domain d))", domain_with(""))
+
+
+def test_files_that_cannot_be_read_are_refused_at_their_beginning(tmp_path: Path) -> None:
+    (tmp_path / "empty").write_text("")
+    (tmp_path / "zeros").write_bytes(b"(define\0)")
+    (tmp_path / "bytes").write_bytes(b"(define (domain d) (:types \xff))")
+    (tmp_path / "sixteen").write_bytes(b"\xff\xfe(")
+    (tmp_path / "zeros16").write_bytes("(define\0)".encode("utf-16"))
+    for name, message in {
+        "missing": "1:1: cannot be read: No such file or directory",
+        "": "1:1: cannot be read: it is not a regular file",
+        "empty": "1:1: the file is empty; expected (define (domain NAME) ...)",
+        "zeros": "1:1: not a text file: it contains zero bytes",
+        "bytes": "1:28: '\u00ff' cannot name a type; expected letters, digits and _ - . @",
+        "sixteen": "1:1: not a text file: it begins as UTF-16 does and is none",
+        "zeros16": "1:1: not a text file: it contains zero characters",
+    }.items():
+        with pytest.raises(InputError) as caught:
+            read_domain(tmp_path / name)
+        assert str(caught.value) == f"{tmp_path / name}:{message}"

@@ -1,0 +1,24 @@
+"""TODO."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from tests.support.files import SHARED
+
+PAIRS = SHARED / "pddl"
+
+
+REFUSED = {
+    "blocks_observe": "domain.pddl:11:4: sensing actions (:observe) are not supported yet;"
+    " a contingent planner, of which unified-planning brings none, would be needed",
+    "rosplan_test_invalid": "problem.pddl:1:2: expected 'define', found 'defie'",
+    "simple_3": "problem.pddl:1:1: this '(' is never closed; expected ')' before the end of the file",
+}
+"""Pairs that are not read, and why; none of `ipc` is among them."""
+
+
+def pairs() -> list[Path]:
+    manifests = sorted(PAIRS.glob("*/manifest.json"))
+    return [manifest.parent / pair["name"] for manifest in manifests for pair in json.loads(manifest.read_text())]
