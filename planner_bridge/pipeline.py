@@ -73,9 +73,6 @@ async def achieve_at(
     """Pursue the goal of a problem at a site; `achieve` does this with an event loop of its own.
 
     Cancelling this stops the task: what is under way is cancelled and waited for; cancelling it again leaves it alone.
-
-    Raises:
-        InputError: the planner refuses the problem; nothing was started.
     """
     stopwatch, knowledge = stopwatch or Stopwatch(), initial_knowledge(problem)
     try:

@@ -39,11 +39,7 @@ class Maker:
     began: float
 
     async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:
-        """Search for a plan; cancelling this ends the planner.
-
-        Raises:
-            InputError: the goal is none, or there is no such planner.
-        """
+        """Search for a plan; cancelling this ends the planner."""
         elapsed = asyncio.get_running_loop().time() - self.began
         problem = replace(problem_now(self.problem, self.knowledge, elapsed), goal=self.read_goal(goal))
         stop = threading.Event()

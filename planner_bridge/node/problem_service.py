@@ -159,11 +159,7 @@ class LoadedProblem:
         return SharedWorld(with_names_of(self.world.problem, self._plans, texts), self.knowledge)
 
     def read_goal(self, text: str) -> Condition:
-        """Return the goal that a text or a name stands for.
-
-        Raises:
-            InputError: it is no goal of this problem.
-        """
+        """Return the goal that a text or a name stands for."""
         return self.problem_world.read_goal(text)
 
     async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:

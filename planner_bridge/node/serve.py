@@ -219,7 +219,11 @@ class ServingNode:
 
     async def _open_context(self, stack: AsyncExitStack) -> NodeContext:
         options = self._options
-        await _check_planner(options.planner)
+        cancel = threading.Event()
+        try:
+            await asyncio.to_thread(check_planner, options.planner, cancel)
+        finally:
+            cancel.set()
         world = read_world(options.world, options.world_name) if options.world else None
         plans = tuple(world.plans.values()) if world else ()
         problem = load(options.domain, options.problem) if options.domain and options.problem else None
@@ -253,7 +257,12 @@ class ServingNode:
             return performer.knowledge_of(request) or api.knowledge_of(request)
 
         await context.site.share(performer.prefix, knowledge_of, context.sources)
-        await self._prepare(performer, stack)
+        preparing = asyncio.ensure_future(performer.prepare())
+        stack.callback(preparing.cancel)
+        await asyncio.wait((preparing,), timeout=_PREPARED)
+        if preparing.done():
+            preparing.result()  # raises what is wrong
+        preparing.add_done_callback(self._prepared)
         self._node = TaskNode(self._ros, api.tasks, api.make, api.world, plan_actions)
         # The stack closes in reverse: first the node, which gives tasks their time to end and answers all goals;
         # then what prints, so that it has seen every task end; then the task manager.
@@ -261,15 +270,6 @@ class ServingNode:
         stack.callback(api.tasks.listen(self._observer.listener(api.tasks)))
         stack.push_async_callback(self._node.close, context.options.cancel)
         await self._node.open()
-
-    async def _prepare(self, performer: Performer, stack: AsyncExitStack) -> None:
-        """Look for the action servers that the plans need; report later which are missing."""
-        preparing = asyncio.ensure_future(performer.prepare())
-        stack.callback(preparing.cancel)
-        await asyncio.wait((preparing,), timeout=_PREPARED)
-        if preparing.done():
-            preparing.result()  # raises what is wrong
-        preparing.add_done_callback(self._prepared)
 
     def _prepared(self, preparing: asyncio.Future[tuple[str, ...]]) -> None:
         if preparing.cancelled():
@@ -279,14 +279,6 @@ class ServingNode:
             return
         for name in preparing.result():
             self._observer.missing(name)
-
-
-async def _check_planner(planner: str) -> None:
-    cancel = threading.Event()
-    try:
-        await asyncio.to_thread(check_planner, planner, cancel)
-    finally:
-        cancel.set()
 
 
 async def _close_in_time(close: Callable[[], Awaitable[None]]) -> None:

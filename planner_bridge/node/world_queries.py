@@ -44,9 +44,6 @@ class SharedWorld:
         knowledge: the facts.
         goals: texts of goals by name.
         elapsed: returns the seconds since the problem's initial state, by which timed facts of `problem_text` are earlier.
-
-    Raises:
-        InputError: a goal cannot be read.
     """
 
     def __init__(
@@ -75,9 +72,6 @@ class SharedWorld:
 
         A question is a condition or a function; ``undefined`` is the value of a function that has no object. Without
         questions, all recorded facts are returned.
-
-        Raises:
-            InputError: a question cannot be read, or there are too many.
         """
         _bounded(questions, "questions")
         if not questions:

@@ -61,11 +61,7 @@ class Ros2Backend:
         return self._client  # type: ignore[no-any-return]
 
     async def open(self, knowledge: KnowledgeBase) -> None:
-        """Join the ROS 2 graph and wait for the first report about the world, if anybody publishes one.
-
-        Raises:
-            InputError: a sensor cannot be used.
-        """
+        """Join the ROS 2 graph and wait for the first report about the world, if anybody publishes one."""
 
         loop = asyncio.get_running_loop()
         self.ros = self._shared or RosThread("pnm_run")  # `pnm` is the one that serves

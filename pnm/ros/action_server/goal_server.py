@@ -84,9 +84,6 @@ class GoalServer:
     Args:
         type_name: such as ``pnm_interfaces/action/RunPlan``.
         name: relative to the node's namespace.
-
-    Raises:
-        InputError: the type is not installed.
     """
 
     def __init__(self, ros: RosThread, type_name: str, name: str, callbacks: GoalCallbacks) -> None:
@@ -206,11 +203,7 @@ class GoalServer:
 
 
 async def check_alone(ros: RosThread, servers: tuple[str, ...]) -> None:
-    """Check that no other process has the name of the node, or of one of these action servers.
-
-    Raises:
-        RosError: another process has it.
-    """
+    """Check that no other process has the name of the node, or of one of these action servers."""
     await ros.settled()
     await ros.ask(partial(_check_alone, ros.node, servers))
 

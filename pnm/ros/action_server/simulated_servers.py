@@ -81,11 +81,7 @@ class SimulatedServers:
         self._is_feeding = False
 
     async def open(self, offers: Iterable[Offer]) -> None:
-        """Bring the servers up.
-
-        Raises:
-            InputError: a type is not installed; no server was brought up.
-        """
+        """Bring the servers up."""
         for offer in offers:
             callbacks = GoalCallbacks(partial(self._accept, offer), self._cancel)
             self._servers[offer.server] = GoalServer(self._ros, offer.type, offer.server, callbacks)

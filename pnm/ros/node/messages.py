@@ -73,9 +73,6 @@ def to_message(message_type: Any, data: Mapping[str, object]) -> Any:
 
     Whole numbers are accepted for float fields and the other way round (80.0 for an int32), a number of seconds for a Time
     or a Duration. Nothing else is converted: text is never read as a number.
-
-    Raises:
-        FieldError: a field is unknown, or its value has the wrong type, size or range.
     """
     return _message(message_type, data, "")
 

@@ -29,9 +29,6 @@ class Publisher:
         is_latched: whether late subscribers get the last messages.
         depth: messages that are kept for subscribers that are slow, or late if latched; by default 1 if latched, else `DEPTH`.
         matched: called on the event loop's thread at every new subscription.
-
-    Raises:
-        InputError: the type is not installed.
     """
 
     def __init__(

@@ -42,9 +42,6 @@ class ServiceClient:
     Args:
         type_name: such as ``std_srvs/srv/Trigger``.
         name: relative to the node's namespace.
-
-    Raises:
-        InputError: the type is not installed.
     """
 
     def __init__(self, ros: RosThread, type_name: str, name: str) -> None:

@@ -31,9 +31,6 @@ class SensedReports:
 
     Args:
         listener: called with the names, their true facts and numbers, and the report's sequence number.
-
-    Raises:
-        InputError: the package pnm_interfaces is not installed.
     """
 
     def __init__(self, ros: RosThread, loop: asyncio.AbstractEventLoop, listener: Listener, topic: str = TOPIC) -> None:

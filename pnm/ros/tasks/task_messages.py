@@ -89,11 +89,7 @@ def wanted_plan(id: UUID, request: Any) -> Wanted:
 
 
 def wanted_run(plan: str, id: UUID, request: Any) -> Wanted:
-    """Read a goal of the action of a plan.
-
-    Raises:
-        InputError: its parameters are no mapping.
-    """
+    """Read a goal of the action of a plan."""
     return Wanted(id, plan, parameters=read_parameters(request.parameters), is_plan=True)
 
 
