@@ -25,8 +25,6 @@ class Maker:
     """Answers plan requests, as `pnm.tasks.Make`.
 
     Args:
-        problem: the domain and the objects.
-        knowledge: the current state.
         settings: planner and time limit of requests that name none.
         read_goal: reads a text as a goal; raises InputError.
         began: the time of the problem's initial state, on the clock of the event loop.

@@ -73,7 +73,7 @@ class NodeApi:
 
 
 class NodeObserver:
-    """Follows the life cycle of a node: one empty method per event. The command line has one that prints."""
+    """Follows the life cycle of a node: one empty method per event."""
 
     def unconfigured(self) -> None:
         """Note that the node waits for a lifecycle manager."""
@@ -138,7 +138,6 @@ def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], observe
     Args:
         given: parameters that differ from their defaults; ROS arguments override them.
         arguments: for ROS 2, beginning with ``--ros-args``, or none.
-        observer: follows the life cycle and the tasks of the node.
 
     Raises:
         InputError: a parameter or a file is wrong; nothing was served.

@@ -34,7 +34,6 @@ class Handshake:
     sent, the abandoned goals, and when they were last recalled.
 
     Args:
-        client: of the action.
         changed: called when an answer has arrived, after which goals may be sent.
     """
 

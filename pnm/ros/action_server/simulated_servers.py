@@ -181,7 +181,6 @@ async def publish_state(ros: RosThread, world: SimulatedWorld, names: frozenset[
     Several changes in one turn of the event loop make one report.
 
     Args:
-        names: the predicates and functions.
         matched: called at every new subscription.
     """
     publisher = Publisher(ros, "pnm_interfaces/msg/State", TOPIC, is_latched=True, depth=_REPORTS, matched=matched)

@@ -35,7 +35,6 @@ class KnowledgeServices:
 
     Args:
         name: the services are ``<name>/query`` and ``<name>/update``; see `pnm.ros.knowledge.goal_ids.service_prefix`.
-        find: finds the run by the id of the goal; called on the event loop's thread.
         sources: queried and updated for all layers but the local one.
     """
 
