@@ -12,7 +12,7 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import TimedChange, names_written
 from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, State, Unknown, Value, fluent_text, value_of
-from pnm.core.logic.rules import Rule, Rules
+from pnm.core.logic.rules import DerivationRule, Rules
 from pnm.core.machine.grounding import ground_schema
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError
@@ -57,7 +57,7 @@ def initial_knowledge(*described: Problem | HandWrittenPlan) -> KnowledgeBase:
         return KnowledgeBase(facts, objects=objects, rules=rules)
     values: dict[Fluent, tuple[Value, str]] = {}
     members: dict[str, tuple[str, ...]] = {}
-    shared: dict[str, Rule] = {}
+    shared: dict[str, DerivationRule] = {}
     for name, facts, objects, rules in beginnings:
         for fluent, value in facts.items():
             before, other = values.setdefault(fluent, (value, name))

@@ -18,7 +18,7 @@ from planner_bridge.yaml.write_formulas import conditions, constraints, duration
 from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.domain import ActionSchema, Declaration
 from pnm.core.logic.effects import TimedChange
-from pnm.core.logic.rules import Rule
+from pnm.core.logic.rules import DerivationRule
 from pnm.errors import InputError
 from pnm.files.yaml_loader import MAX_DEPTH
 
@@ -106,7 +106,7 @@ def _declarations(key: str, declared: Iterable[Declaration], notes: Notes) -> En
     return Entry(Sequence(tuple(lines)), key, own.take())
 
 
-def _rule(rule: Rule, notes: Notes) -> Entry:
+def _rule(rule: DerivationRule, notes: Notes) -> Entry:
     form = rule_form(rule)
     own = notes.at(":derived", rule_anchor(form))
     note = own.take()
@@ -115,7 +115,7 @@ def _rule(rule: Rule, notes: Notes) -> Entry:
 
 def _constraints(whole: Domain | Problem, notes: Notes) -> Entry:
     own = notes.at(":constraints")
-    note = own.take() if whole.constraints or any(isinstance(one.wanted, tuple) for one in whole.preferences) else None
+    note = own.take() if whole.constraints or any(isinstance(preference.wanted, tuple) for preference in whole.preferences) else None
     found = constraints(whole.constraints, own)
     return Entry(found, "constraints", note) if note else Entry(found, "constraints")
 

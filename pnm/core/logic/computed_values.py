@@ -249,9 +249,6 @@ def _null(value: object) -> object:
     return None if value is MISSING else value
 
 
-# --- traversal -----------------------------------------------------------------------------
-
-
 def parts(data: Data) -> Iterator[Data]:
     """Yield the data itself and everything in it."""
     yield data

@@ -14,7 +14,7 @@ from pnm.core.logic.conditions import TRUE, Condition
 from pnm.core.logic.declared_names import FluentKind, Signature, Vocabulary
 from pnm.core.logic.effects import Effects, TimedChange
 from pnm.core.logic.expressions import Expression, Fluent, Value, Variable
-from pnm.core.logic.rules import Rule
+from pnm.core.logic.rules import DerivationRule
 from pnm.core.logic.trajectory import Constraint
 
 Types: TypeAlias = tuple[str, ...]
@@ -100,7 +100,7 @@ class DomainModel:
     functions: Mapping[str, Declaration] = field(default_factory=dict)
     """Functions, with numbers or objects for values."""
     actions: Mapping[str, ActionSchema] = field(default_factory=dict)
-    rules: tuple[Rule, ...] = ()
+    rules: tuple[DerivationRule, ...] = ()
     """How derived predicates follow from others."""
 
     @cached_property

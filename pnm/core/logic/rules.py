@@ -28,7 +28,7 @@ class UnstratifiedError(PnmError):
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
+class DerivationRule:
     """The facts of this name hold for every choice of objects for which the condition does.
 
     Several rules may derive facts of one name: one that holds is enough.
@@ -88,7 +88,7 @@ class Rules:
         UnstratifiedError: a derived name depends on its own negation.
     """
 
-    rules: tuple[Rule, ...] = ()
+    rules: tuple[DerivationRule, ...] = ()
 
     def __post_init__(self) -> None:
         for name in self.derived:

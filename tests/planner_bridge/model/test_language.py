@@ -21,7 +21,7 @@ from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.simulation import simulated_backend
-from planner_bridge.tasks.replanning import Decision, History, Limits, PlanAgain, Progress, Resume, decide, why_not
+from planner_bridge.tasks.replanning import Decision, History, Limits, PlanAgain, Progress, ResumePlan, decide, why_not
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.clock import run_async
@@ -34,7 +34,7 @@ from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Set, When
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Value, ValueOf, Variable
-from pnm.core.logic.rules import Rule
+from pnm.core.logic.rules import DerivationRule
 from pnm.core.machine.bindings import Binding, Bindings, goal_data
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
@@ -118,8 +118,10 @@ A, B, C, D, R = (
 )
 PASSAGE = Exists((D,), All((Holds(("joins", "?d", "?a", "?c")), Holds(("open", "?d")))))
 RULES = (
-    Rule("way", (A, B), Any((Compare("=", Constant("?a"), Constant("?b")), Exists((C,), All((PASSAGE, Holds(("way", "?c", "?b")))))))),
-    Rule(
+    DerivationRule(
+        "way", (A, B), Any((Compare("=", Constant("?a"), Constant("?b")), Exists((C,), All((PASSAGE, Holds(("way", "?c", "?b")))))))
+    ),
+    DerivationRule(
         "shut-in",
         (R,),
         Exists(
@@ -290,7 +292,7 @@ def test_the_rest_of_a_plan_is_resumed_if_its_derived_conditions_still_hold() ->
         result = await simulation.run(graph)
         assert [failure.cause for failure in result.failures] == ["aborted"]
         decision = simulation.decide(graph, result)
-        assert isinstance(decision, Resume)
+        assert isinstance(decision, ResumePlan)
         assert [str(call.action) for call in decision.rest.calls] == ["go(r1, k, h)"]
         assert (await simulation.run(decision.rest)).goal
 
@@ -441,7 +443,7 @@ def test_an_aborted_move_leaves_the_robot_where_it_was_known_to_be() -> None:
         result = await simulation.run(graph)
         assert [one.cause for one in result.failures] == ["aborted"]
         assert (simulation.truth(R1), simulation.knowledge.value(R1)) == ("hall", "hall")
-        assert isinstance(simulation.decide(graph, result), Resume)
+        assert isinstance(simulation.decide(graph, result), ResumePlan)
 
     faults = Faults((Fault("move", FaultKind.ABORT),))
     simulate(IN_LAB, scenario, faults, Bindings({"move": Binding(retries=0)}, assumed=frozenset({"place"})))

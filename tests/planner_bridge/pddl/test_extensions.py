@@ -12,7 +12,7 @@ from pnm.core.logic.conditions import All, Compare, Condition, Exists, Holds, No
 from pnm.core.logic.domain import Declaration
 from pnm.core.logic.effects import Effect, ForEach, Set, TimedChange, When
 from pnm.core.logic.expressions import UNDEFINED, Arithmetic, Constant, ValueOf, Variable
-from pnm.core.logic.rules import Rule
+from pnm.core.logic.rules import DerivationRule
 from pnm.errors import InputError
 from tests.support.pddl.text import EXTENDED
 from tests.support.refusals import refused
@@ -60,9 +60,9 @@ def test_rules_are_read_in_their_order() -> None:
     x, y, z = (Variable(name, ROOM) for name in ("?x", "?y", "?z"))
     narrow = Variable("?x", ("closet",)), Variable("?y", ("closet",))
     assert domain.rules == (
-        Rule("near", (x, y), Holds(("linked", "?x", "?y"))),
-        Rule("busy", (), Not(IDLE)),
-        Rule("near", narrow, Exists((z,), All((Holds(("linked", "?x", "?z")), Holds(("near", "?z", "?y")))))),
+        DerivationRule("near", (x, y), Holds(("linked", "?x", "?y"))),
+        DerivationRule("busy", (), Not(IDLE)),
+        DerivationRule("near", narrow, Exists((z,), All((Holds(("linked", "?x", "?z")), Holds(("near", "?z", "?y")))))),
     )
 
 

@@ -16,7 +16,7 @@ from pnm.core.logic.conditions import All, Any, Compare, ForAll, Holds, Implies,
 from pnm.core.logic.domain import ActionSchema, DurationConstraint, Preference
 from pnm.core.logic.effects import ForEach, Set, TimedChange, When
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Fluent, ValueOf, Variable
-from pnm.core.logic.rules import Rule
+from pnm.core.logic.rules import DerivationRule
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError
 from tests.support.pddl.models import (
@@ -41,7 +41,7 @@ domain_with = SMALL.domain_with
 @settings(max_examples=25, suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(st.tuples(INSTANTANEOUS, DURATIVE), st.lists(RULES, max_size=2), st.lists(constraints(), max_size=2), st.lists(WISHES, max_size=2))
 def test_a_written_domain_reads_as_an_equal_one(
-    actions: tuple[ActionSchema, ActionSchema], rules: list[Rule], kept: list[Constraint], wished: list[Preference]
+    actions: tuple[ActionSchema, ActionSchema], rules: list[DerivationRule], kept: list[Constraint], wished: list[Preference]
 ) -> None:
     domain = replace(
         domain_of(list(actions)),
@@ -176,7 +176,9 @@ WORDS = [
 @settings(deadline=None)
 @given(st.data())
 def test_a_damaged_text_is_read_or_refused_with_a_position(data: st.DataObject) -> None:
-    domain = replace(domain_of([SAMPLE, EARLY]), rules=(Rule("calm", OWN, Not(IDLE)),), constraints=(LAW,), hierarchy=("(:task t)",))
+    domain = replace(
+        domain_of([SAMPLE, EARLY]), rules=(DerivationRule("calm", OWN, Not(IDLE)),), constraints=(LAW,), hierarchy=("(:task t)",)
+    )
     init: dict[Fluent, bool | float | str] = {("idle",): True, ("charge", "R1"): 3.0, ("home", "R1"): "hall"}
     wishes = Preference("p", IDLE, (Variable("?x"),)), Preference("q", (LAW,))
     texts = (

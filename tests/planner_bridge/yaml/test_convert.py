@@ -25,7 +25,7 @@ from pnm.core.logic.conditions import All, Compare, Holds
 from pnm.core.logic.domain import ActionSchema, Preference
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Constant, Fluent, ValueOf
-from pnm.core.logic.rules import Rule
+from pnm.core.logic.rules import DerivationRule
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError
 from tests.support.files import ROOT, SHARED
@@ -120,7 +120,7 @@ def whole(domain: Domain) -> Domain:
     st.lists(pddl.WISHES, max_size=2),
 )
 def test_a_domain_comes_back(
-    actions: tuple[ActionSchema, ActionSchema], rules: list[Rule], kept: list[Constraint], wished: list[Preference]
+    actions: tuple[ActionSchema, ActionSchema], rules: list[DerivationRule], kept: list[Constraint], wished: list[Preference]
 ) -> None:
     domain = replace(
         pddl.domain_of(list(actions)),

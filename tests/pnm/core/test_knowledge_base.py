@@ -13,7 +13,7 @@ from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.conditions import All, Exists, Holds, Not
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Value, Variable
-from pnm.core.logic.rules import NO_RULES, Rule, Rules
+from pnm.core.logic.rules import NO_RULES, DerivationRule, Rules
 from pnm.errors import InputError
 
 Facts = Mapping[Fluent, Value | Unknown]
@@ -209,8 +209,8 @@ def test_repr_says_how_much_there_is() -> None:
 # --- derived facts ------------------------------------------------------------------------------
 
 X = Variable("?x", ("room",))
-LIT = Rule("lit", (X,), All((Holds(("lamp", "?x")), Holds(("power",)))))
-DARK = Rule("dark", (), Exists((X,), Not(Holds(("lit", "?x")))))
+LIT = DerivationRule("lit", (X,), All((Holds(("lamp", "?x")), Holds(("power",)))))
+DARK = DerivationRule("dark", (), Exists((X,), Not(Holds(("lit", "?x")))))
 
 
 def rooms(facts: Facts | None = None) -> KnowledgeBase:

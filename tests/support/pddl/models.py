@@ -13,7 +13,7 @@ from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists
 from pnm.core.logic.domain import ActionSchema, Declaration, DurationConstraint, Preference
 from pnm.core.logic.effects import OPERATIONS, Effect, ForEach, Set, TimedChange, When
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Expression, Fluent, ValueOf, Variable
-from pnm.core.logic.rules import Rule
+from pnm.core.logic.rules import DerivationRule
 from pnm.core.logic.trajectory import Constraint
 
 TYPES = {"thing": (), "robot": ("thing",), "room": ("thing",), "dock": ("room", "place"), "place": ()}
@@ -116,7 +116,7 @@ PREFERENCES = st.builds(Preference, st.sampled_from(["p", "Q-2", ""]), condition
 WISHES = st.builds(Preference, st.sampled_from(["p", "c", ""]), st.lists(constraints(), max_size=2).map(tuple), st.just(OWN))
 
 
-RULES = st.builds(Rule, st.sampled_from(["calm", "near"]), st.just(OWN), conditions())
+RULES = st.builds(DerivationRule, st.sampled_from(["calm", "near"]), st.just(OWN), conditions())
 
 
 INSTANTANEOUS = st.builds(

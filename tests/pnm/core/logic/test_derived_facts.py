@@ -15,7 +15,7 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, free_variables, ground
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Constant, Environment, Fluent, State, Truth, Unknown, Value, ValueOf, Variable
-from pnm.core.logic.rules import NO_RULES, Rule, Rules, UnstratifiedError
+from pnm.core.logic.rules import NO_RULES, DerivationRule, Rules, UnstratifiedError
 
 Facts = dict[Fluent, Value | Unknown]
 
@@ -41,14 +41,14 @@ class Picture:
         return tuple(dict.fromkeys(name for one in types for name in self.things.get(one, ())))
 
 
-def instances(rule: Rule, state: State) -> Iterable[tuple[Fluent, Environment]]:
+def instances(rule: DerivationRule, state: State) -> Iterable[tuple[Fluent, Environment]]:
     """Every fact the rule may derive, with the objects for its variables."""
     for chosen in product(*(state.objects(variable.types) for variable in rule.variables)):
         yield (rule.name, *chosen), dict(zip((variable.name for variable in rule.variables), chosen, strict=True))
 
 
 def least(
-    rules: Iterable[Rule], strata: Iterable[Set[str]], facts: Facts, things: Mapping[str, tuple[str, ...]] = OBJECTS
+    rules: Iterable[DerivationRule], strata: Iterable[Set[str]], facts: Facts, things: Mapping[str, tuple[str, ...]] = OBJECTS
 ) -> dict[Fluent, Truth]:
     """The least fixpoint, stratum by stratum."""
     picture = Picture(facts, {}, things)
@@ -100,13 +100,13 @@ def conditions(draw: st.DrawFn, scope: tuple[str, ...], plain: tuple[str, ...], 
 
 
 @st.composite
-def rules_of(draw: st.DrawFn, name: str, plain: tuple[str, ...], negated: tuple[str, ...]) -> Rule:
+def rules_of(draw: st.DrawFn, name: str, plain: tuple[str, ...], negated: tuple[str, ...]) -> DerivationRule:
     variables = tuple(Variable(one, draw(TYPES)) for one in ("?x", "?y")[: ARITY[name]])
-    return Rule(name, variables, draw(conditions(tuple(one.name for one in variables), plain, negated, 3)))
+    return DerivationRule(name, variables, draw(conditions(tuple(one.name for one in variables), plain, negated, 3)))
 
 
 @st.composite
-def programs(draw: st.DrawFn) -> tuple[Rule, ...]:
+def programs(draw: st.DrawFn) -> tuple[DerivationRule, ...]:
     """Rules in two strata: recursion within each, negation only of what is below."""
     lower = [draw(rules_of(name, (*BASE, *LOWER), BASE)) for name in draw(st.lists(st.sampled_from(LOWER), max_size=4))]
     upper = [draw(rules_of(name, (*BASE, *LOWER, *UPPER), (*BASE, *LOWER))) for name in draw(st.lists(st.sampled_from(UPPER), max_size=3))]
@@ -122,7 +122,7 @@ FACTS: st.SearchStrategy[Facts] = st.builds(
 )
 
 
-def known(rules: tuple[Rule, ...], facts: Facts) -> KnowledgeBase:
+def known(rules: tuple[DerivationRule, ...], facts: Facts) -> KnowledgeBase:
     return KnowledgeBase(facts, objects=OBJECTS, rules=Rules(rules))
 
 
@@ -132,7 +132,7 @@ def known(rules: tuple[Rule, ...], facts: Facts) -> KnowledgeBase:
 @settings(max_examples=120, deadline=None)
 @given(programs(), FACTS, st.lists(FACTS, max_size=2), st.randoms(use_true_random=False))
 def test_what_is_derived_is_the_least_fixpoint_whatever_was_asked_before(
-    rules: tuple[Rule, ...], facts: Facts, later: list[Facts], chooser: random.Random
+    rules: tuple[DerivationRule, ...], facts: Facts, later: list[Facts], chooser: random.Random
 ) -> None:
     knowledge = known(rules, facts)
     now = dict(facts)
@@ -146,7 +146,9 @@ def test_what_is_derived_is_the_least_fixpoint_whatever_was_asked_before(
 
 @settings(max_examples=80, deadline=None)
 @given(programs(), FACTS, st.data())
-def test_a_derived_fact_rests_on_all_that_can_make_a_difference(rules: tuple[Rule, ...], facts: Facts, data: st.DataObject) -> None:
+def test_a_derived_fact_rests_on_all_that_can_make_a_difference(
+    rules: tuple[DerivationRule, ...], facts: Facts, data: st.DataObject
+) -> None:
     knowledge = known(rules, facts)
     derived = sorted(least(rules, STRATA, facts))
     if not derived:
@@ -172,7 +174,7 @@ def test_a_derived_fact_rests_on_all_that_can_make_a_difference(rules: tuple[Rul
 
 @settings(max_examples=80, deadline=None)
 @given(programs(), FACTS, st.data())
-def test_only_the_base_names_below_matter(rules: tuple[Rule, ...], facts: Facts, data: st.DataObject) -> None:
+def test_only_the_base_names_below_matter(rules: tuple[DerivationRule, ...], facts: Facts, data: st.DataObject) -> None:
     knowledge = known(rules, facts)
     derived = least(rules, STRATA, facts)
     names = knowledge.rules.base(data.draw(st.sets(st.sampled_from(sorted({fact[0] for fact in derived} | {"p"})))))
@@ -186,7 +188,7 @@ NAMES = ("d", "g", "h")
 
 
 @st.composite
-def any_rules(draw: st.DrawFn) -> tuple[Rule, ...]:
+def any_rules(draw: st.DrawFn) -> tuple[DerivationRule, ...]:
     """Rules that may negate anything."""
     mentions = (*BASE, *NAMES)
     return tuple(draw(st.lists(st.sampled_from(NAMES).flatmap(lambda name: rules_of(name, mentions, mentions)), max_size=4)))
@@ -210,7 +212,7 @@ def mentions(condition: Condition, sign: bool = True) -> set[tuple[str, bool]]:
 
 @settings(max_examples=100, deadline=None)
 @given(any_rules())
-def test_rules_are_refused_unless_they_fall_into_strata(rules: tuple[Rule, ...]) -> None:
+def test_rules_are_refused_unless_they_fall_into_strata(rules: tuple[DerivationRule, ...]) -> None:
     demands = [(rule.name, *one) for rule in rules for one in mentions(rule.condition) if one[0] in {rule.name for rule in rules}]
     levels = [dict(zip(NAMES, chosen, strict=True)) for chosen in product(range(len(NAMES)), repeat=len(NAMES))]
     fit = [level for level in levels if all(level[name] >= level[below] + (not sign) for name, below, sign in demands)]
@@ -231,15 +233,15 @@ def test_a_variable_is_free_if_an_object_can_take_its_place(condition: Condition
 
 X, Y, Z = (Variable(name, ("node",)) for name in ("?x", "?y", "?z"))
 EDGE, REACH = Holds(("edge", "?x", "?y")), Holds(("reach", "?x", "?y"))
-ON = Rule("reach", (X, Y), Any((EDGE, Exists((Z,), All((Holds(("edge", "?x", "?z")), Holds(("reach", "?z", "?y"))))))))
-BACK = Rule("reach", (X, Y), Any((EDGE, Exists((Z,), All((Holds(("reach", "?x", "?z")), Holds(("edge", "?z", "?y"))))))))
+ON = DerivationRule("reach", (X, Y), Any((EDGE, Exists((Z,), All((Holds(("edge", "?x", "?z")), Holds(("reach", "?z", "?y"))))))))
+BACK = DerivationRule("reach", (X, Y), Any((EDGE, Exists((Z,), All((Holds(("reach", "?x", "?z")), Holds(("edge", "?z", "?y"))))))))
 
 
-BLOCKED = Rule("blocked", (X,), Exists((Y,), All((Holds(("at", "?y", "?x")), Not(Holds(("ghost", "?y")))))))
-FREE = Rule("free", (X,), All((Not(Holds(("blocked", "?x"))), Compare(">", ValueOf(("width", "?x")), Constant(2.0)))))
+BLOCKED = DerivationRule("blocked", (X,), Exists((Y,), All((Holds(("at", "?y", "?x")), Not(Holds(("ghost", "?y")))))))
+FREE = DerivationRule("free", (X,), All((Not(Holds(("blocked", "?x"))), Compare(">", ValueOf(("width", "?x")), Constant(2.0)))))
 
 
-def graph(edges: Iterable[tuple[str, str]], *rules: Rule, nodes: int = 0) -> KnowledgeBase:
+def graph(edges: Iterable[tuple[str, str]], *rules: DerivationRule, nodes: int = 0) -> KnowledgeBase:
     pairs = list(edges)
     names = tuple(dict.fromkeys((*(name for pair in pairs for name in pair), *(f"n{index}" for index in range(nodes)))))
     return KnowledgeBase({("edge", *pair): True for pair in pairs}, objects={"node": names}, rules=Rules(rules))
@@ -250,7 +252,7 @@ def chain(length: int) -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("rule", [ON, BACK])
-def test_the_end_of_a_long_chain_is_reached_and_again_after_every_change(rule: Rule) -> None:
+def test_the_end_of_a_long_chain_is_reached_and_again_after_every_change(rule: DerivationRule) -> None:
     knowledge = graph(chain(300), rule)
     for index in range(100, 110):
         assert knowledge.value(("reach", "n0", "n299")) is True
@@ -263,7 +265,7 @@ def test_a_circle_supports_nothing_by_itself() -> None:
     knowledge = graph([("a", "b"), ("b", "a"), ("c", "d")], ON)
     assert knowledge.value(("reach", "a", "a")) is True
     assert knowledge.value(("reach", "a", "d")) is False
-    hen, egg = Rule("hen", (), Holds(("egg",))), Rule("egg", (), Holds(("hen",)))
+    hen, egg = DerivationRule("hen", (), Holds(("egg",))), DerivationRule("egg", (), Holds(("hen",)))
     assert KnowledgeBase(rules=Rules((hen, egg))).value(("hen",)) is False
 
 
@@ -278,9 +280,9 @@ def test_an_unknown_door_makes_what_is_behind_it_unknown_unless_there_is_another
 
 
 NODES = tuple(f"n{index}" for index in range(6))
-DOUBLED = Rule("reach", (X, Y), Any((EDGE, Exists((Z,), All((Holds(("reach", "?x", "?z")), Holds(("reach", "?z", "?y"))))))))
-AGAIN = Rule("again", (X, Y), All((REACH, Holds(("reach", "?y", "?x")))))
-APART = Rule("apart", (X,), ForAll((Y,), Any((Not(Holds(("again", "?x", "?y"))), Holds(("apart", "?y"))))))
+DOUBLED = DerivationRule("reach", (X, Y), Any((EDGE, Exists((Z,), All((Holds(("reach", "?x", "?z")), Holds(("reach", "?z", "?y"))))))))
+AGAIN = DerivationRule("again", (X, Y), All((REACH, Holds(("reach", "?y", "?x")))))
+APART = DerivationRule("apart", (X,), ForAll((Y,), Any((Not(Holds(("again", "?x", "?y"))), Holds(("apart", "?y"))))))
 EDGES = st.dictionaries(
     st.tuples(st.just("edge"), st.sampled_from(NODES), st.sampled_from(NODES)), st.sampled_from((True, True, UNKNOWN)), max_size=10
 )
@@ -288,7 +290,7 @@ EDGES = st.dictionaries(
 
 @settings(max_examples=60, deadline=None)
 @given(st.sampled_from((ON, BACK, DOUBLED)), EDGES, st.randoms(use_true_random=False))
-def test_ways_through_any_graph(rule: Rule, edges: Facts, chooser: random.Random) -> None:
+def test_ways_through_any_graph(rule: DerivationRule, edges: Facts, chooser: random.Random) -> None:
     rules = (rule, AGAIN, APART)
     knowledge = KnowledgeBase(edges, objects={"node": NODES}, rules=Rules(rules))
     expected = least(rules, ({"reach"}, {"again"}, {"apart"}), edges, {"node": NODES})
@@ -297,15 +299,18 @@ def test_ways_through_any_graph(rule: Rule, edges: Facts, chooser: random.Random
 
 
 def test_nothing_that_is_negated_is_asked_before_it_is_settled() -> None:
-    settled = Rule("settled", (), Exists((X,), Holds(("reach", "?x", "?x"))))
-    first, second = Rule("first", (), Any((Not(Holds(("settled",))), Holds(("second",))))), Rule("second", (), Holds(("first",)))
+    settled = DerivationRule("settled", (), Exists((X,), Holds(("reach", "?x", "?x"))))
+    first, second = (
+        DerivationRule("first", (), Any((Not(Holds(("settled",))), Holds(("second",))))),
+        DerivationRule("second", (), Holds(("first",))),
+    )
     for asked in ("first", "second"):
         assert graph([("a", "b"), ("b", "a")], ON, settled, first, second).value((asked,)) is False
         assert graph([("a", "b")], ON, settled, first, second).value((asked,)) is True
 
 
 def test_what_is_decided_otherwise_is_not_rested_on() -> None:
-    either = Rule("either", (), All((Any((Holds(("p",)), Holds(("q",)))), Holds(("r",)))))
+    either = DerivationRule("either", (), All((Any((Holds(("p",)), Holds(("q",)))), Holds(("r",)))))
     knowledge = KnowledgeBase({("p",): True, ("q",): UNKNOWN, ("r",): UNKNOWN}, rules=Rules((either,)))
     assert knowledge.rests_on(frozenset({("either",)})) == {("r",)}
 
@@ -322,9 +327,9 @@ def test_rules_are_about_objects_of_their_types_and_as_many_as_they_name() -> No
 
 def test_variables_of_the_same_name_are_kept_apart() -> None:
     twice = All((Exists((Y,), Holds(("edge", "?x", "?y"))), Exists((Y,), Holds(("edge", "?y", "?x")))))
-    knowledge = graph([("a", "b"), ("b", "c")], Rule("between", (X,), twice))
+    knowledge = graph([("a", "b"), ("b", "c")], DerivationRule("between", (X,), twice))
     assert [knowledge.value(("between", name)) for name in "abc"] == [False, True, False]
-    loop = graph([("a", "b"), ("b", "b")], Rule("loops", (), Exists((X,), Holds(("edge", "?x", "?x")))))
+    loop = graph([("a", "b"), ("b", "b")], DerivationRule("loops", (), Exists((X,), Holds(("edge", "?x", "?x")))))
     assert loop.value(("loops",)) is True
     assert loop.because(("loops",)) == "because of (edge b b)"
     loop.update({("edge", "b", "b"): False})
