@@ -109,22 +109,16 @@ def explore(machine: PetriNetMachine) -> int:
     Raises:
         Unsound: some state is wrong, or there are more than `MAX_STATES`.
     """
-    goal, failed = machine.goal_place, machine.failed_place
-
-    steps = tuple(step_of(machine, name) for name in machine.rules)
-    records = machine.record_places
     return explore_part(
         Part(
-            machine.net.places,
-            steps,
-            machine.initial,
-            (),
-            frozenset(machine.failure_places),
-            records,
-            machine.counter_places,
-            machine.on_failure is OnFailure.CANCEL,
-            frozenset(),
-            frozenset((goal, failed)),
+            places=machine.net.places,
+            steps=tuple(step_of(machine, name) for name in machine.rules),
+            initial=machine.initial,
+            failures=frozenset(machine.failure_places),
+            records=machine.record_places,
+            counters=machine.counter_places,
+            cancels=machine.on_failure is OnFailure.CANCEL,
+            finals=frozenset((machine.goal_place, machine.failed_place)),
             restarts=frozenset(machine.restart_places),
             resources=frozenset(machine.resource_places),
         )
