@@ -16,7 +16,7 @@ from typing import Final
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.node.initial_world import with_names_of, world_of_plans
-from planner_bridge.node.plan_request import Maker
+from planner_bridge.node.plan_request import make_plan
 from planner_bridge.node.world_queries import SharedWorld
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
 from planner_bridge.pddl.read.reader import MAX_BYTES
@@ -102,7 +102,7 @@ NOTHING: Final = Problem("nothing", Domain("nothing"))
 class LoadedProblem:
     """The problem that is loaded: goals are read in it, plan requests answered, facts queried and updated.
 
-    The mutable state is the problem, in `world` and `_maker`, and when it began.
+    The mutable state is the problem, and its `world`.
 
     Args:
         settings: planner and time limit of plan requests.
@@ -132,7 +132,6 @@ class LoadedProblem:
         goals = self.goals if self._is_loaded else {}
         world = problem if self._is_loaded else world_of_plans(self._plans)
         self.world = SharedWorld(world, self.knowledge, goals, elapsed=lambda: loop.time() - began)
-        self._maker = Maker(problem, self.knowledge, self._settings, self.read_goal, began)
 
     @property
     def problem_world(self) -> SharedWorld:
@@ -157,7 +156,7 @@ class LoadedProblem:
 
     async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:
         """Answer a plan request."""
-        return await self._maker.make(goal, planner, seconds)
+        return await make_plan(self.problem_world, self._settings, goal, planner, seconds)
 
 
 class ServedProblem:
