@@ -216,11 +216,7 @@ class SharedWorld:
 
 
 def read_goals(path: Path) -> dict[str, str]:
-    """Read a YAML file with the texts of goals by name, under ``goals``.
-
-    Raises:
-        InputError: it is something else.
-    """
+    """Read a YAML file with the texts of goals by name, under ``goals``; raise an `InputError` if it is something else."""
     top = load_yaml(path)
     top.only("goals")
     node = top.node("goals")

@@ -54,11 +54,7 @@ class Ros2Person:
     # on the event loop's thread
 
     async def query(self, question: Question, asker: Asker, /) -> object:
-        """Publish a question, and return the answer; `MISSING` if the person does not know.
-
-        Raises:
-            SourceError: there was no answer in time.
-        """
+        """Return the answer to a question, `MISSING` if the person does not know; raise a `SourceError` if there is none in time."""
         loop = asyncio.get_running_loop()
         await self._connect(loop)
         words, id = question_text(question), uuid4().hex
@@ -76,11 +72,7 @@ class Ros2Person:
             self._send({"kind": self._types[0].WITHDRAW, "id": id})
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
-        """Publish a message to the person.
-
-        Raises:
-            SourceError: nobody subscribes.
-        """
+        """Publish a message to the person; raise a `SourceError` if there is no subscriber."""
         await self._connect(asyncio.get_running_loop())
         written = write_value(value)
         try:
