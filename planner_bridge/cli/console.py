@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from planner_bridge.model.plan import Plan, PlanningResult
-from planner_bridge.tasks.replanning import PlanAgain, Resume
+from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
 from planner_bridge.tasks.result import ConstraintResult, PreferenceResult, TaskResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.core.execution.call_results import Failure, RunResult
@@ -110,10 +110,10 @@ class ConsoleObserver(TaskObserver):
         """Print that a planner takes over."""
         self._console.print(f"[bold yellow]replan[/]   {escape(reason)}", highlight=False, soft_wrap=True)
 
-    def replanning(self, decision: Resume | PlanAgain, result: RunResult) -> None:
+    def replanning(self, decision: ResumePlan | PlanAgain, result: RunResult) -> None:
         """Print what follows a failed run."""
         match decision:
-            case Resume(rest):
+            case ResumePlan(rest):
                 text = f"the rest of the plan still works: going on with {len(rest.calls)} calls in a new machine"
             case PlanAgain(forbidden, why):
                 without = f"; not again: {', '.join(sorted(map(str, forbidden)))}" if forbidden else ""
