@@ -90,16 +90,18 @@ def ground_step(problem: Problem, plan: Plan, step: PlanStep) -> GroundAction:
 
 def _happenings(problem: Problem, plan: Plan) -> list[tuple[float, HappeningKind, int, HappeningKind]]:
     """Return (time, rank, index, kind) of every happening."""
-    found = [(round(change.time, _DIGITS), HappeningKind.TIMED, index, HappeningKind.TIMED) for index, change in enumerate(problem.timed)]
+    happenings = [
+        (round(change.time, _DIGITS), HappeningKind.TIMED, index, HappeningKind.TIMED) for index, change in enumerate(problem.timed)
+    ]
     for index, step in enumerate(plan.steps):
         start = round(step.start if plan.temporal else float(index), _DIGITS)
-        found.append((start, HappeningKind.START, index, HappeningKind.START))
+        happenings.append((start, HappeningKind.START, index, HappeningKind.START))
         if problem.domain.actions[step.action].duration is None:
             continue
         end = round(step.start + step.duration, _DIGITS)
-        found.append((end, HappeningKind.END if end > start else HappeningKind.INSTANT_END, index, HappeningKind.END))
-        found.append((start, HappeningKind.OPEN if end > start else HappeningKind.START, index, HappeningKind.OPEN))
-    return found
+        happenings.append((end, HappeningKind.END if end > start else HappeningKind.INSTANT_END, index, HappeningKind.END))
+        happenings.append((start, HappeningKind.OPEN if end > start else HappeningKind.START, index, HappeningKind.OPEN))
+    return happenings
 
 
 def _causal_links(problem: Problem, actions: Iterable[GroundAction]) -> CausalLinks:

@@ -79,11 +79,7 @@ def why_invalid(problem: Problem, plan: Plan) -> str:
 
 
 def trace(problem: Problem, plan: Plan) -> tuple[tuple[float, KnowledgeBase], ...]:
-    """Return the initial state and the state after each happening, with their times in seconds.
-
-    Raises:
-        InvalidPlan: the plan does not solve the problem.
-    """
+    """Return the initial state and the state after each happening, with their times in seconds; the plan must be valid."""
     return tuple((time, snapshot(state)) for time, state in _states(problem, plan))
 
 
@@ -262,10 +258,7 @@ def _kind_of_change(operation: str, value: Expression) -> str:
 def validated(problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None) -> PlanningResult:
     """Return the result if it has no plan or both validators, Kairos' and ours, accept the plan; else one without a plan.
 
-    Args:
-        problem: what was to be solved.
-        result: the answer of a planner.
-        parsed: the problem as Kairos reads it, if that is there already.
+    `parsed` is the problem as Kairos reads it, if that is there already.
     """
     if result.plan is None:
         return result

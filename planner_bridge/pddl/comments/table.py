@@ -97,9 +97,7 @@ NO_NOTES: Final = Notes.of({})
 def write_with_notes(table: Table, write: Callable[[Notes], str]) -> str:
     """Write a text with all notes: those on things that are not written go to the thing around these.
 
-    Args:
-        table: the notes.
-        write: writes the text, and takes the notes it writes; the one on the empty path, too.
+    `write` takes the notes that it writes; the one on the empty path, too.
     """
     notes = Notes.of(table)
     text = write(notes)

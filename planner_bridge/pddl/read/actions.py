@@ -53,11 +53,7 @@ def _instantaneous(name: str, section: Group, symbols: SymbolTable) -> ActionSch
     empty = Group((), section.offset, section.source)
     precondition, preferences = split_preferences(parts.get(":precondition", empty), scope)
     return ActionSchema(
-        name,
-        parameters,
-        precondition=precondition,
-        end_effects=effects(parts.get(":effect", empty), scope),
-        preferences=preferences,
+        name, parameters, precondition=precondition, end_effects=effects(parts.get(":effect", empty), scope), preferences=preferences
     )
 
 

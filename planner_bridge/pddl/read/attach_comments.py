@@ -13,8 +13,6 @@ from planner_bridge.pddl.syntax.anchors import ACTION, COMPOUND, PARTS, fact_anc
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, tokens
 
 _SECTIONS: Final = {"domain": DOMAIN_SECTIONS, "problem": PROBLEM_SECTIONS}
-_NAME_LISTS: Final = (":types", ":constants", ":objects")
-_ACTIONS: Final = (":action", ":durative-action")
 
 
 def comments(text: str, kind: Literal["domain", "problem"]) -> Table:
@@ -22,7 +20,7 @@ def comments(text: str, kind: Literal["domain", "problem"]) -> Table:
     if ";" not in text:
         return {}
     ends: dict[int, int] = {}
-    found: list[Comment] = []
+    comments: list[Comment] = []
     opened: list[int] = []
     for token, offset in tokens(text):
         if token == "(":
@@ -30,10 +28,10 @@ def comments(text: str, kind: Literal["domain", "problem"]) -> Table:
         elif token == ")" and opened:
             ends[opened.pop()] = offset + 1
         elif token[0] == ";":
-            found.append(Comment(token.rstrip(), offset))
+            comments.append(Comment(token.rstrip(), offset))
     anchors = [*_AnchorFinder(ends).definition(define(text, "", kind, _SECTIONS[kind]), (kind,))]
     verbatim = [(anchor.start, anchor.end) for anchor in anchors if anchor.opaque]
-    free = [comment for comment in found if not any(start < comment.offset < end for start, end in verbatim)]
+    free = [comment for comment in comments if not any(start < comment.offset < end for start, end in verbatim)]
     return attach(free, anchors, LineIndex.of(text), _ListEnds(anchors).owner_above)
 
 
@@ -95,11 +93,11 @@ class _AnchorFinder:
             inner = (*inner, rule_anchor(form_of(section)))
             yield self.anchor(section, inner)
             yield from self.formulas(section.rest[1:], inner)
-        elif head in _ACTIONS:
+        elif head in (":action", ":durative-action"):
             yield from self.action(section, (*path, ACTION, form_anchor(form_of(name))))
         else:
             yield self.anchor(section, inner)
-            if head in _NAME_LISTS:
+            if head in (":types", ":constants", ":objects"):
                 names = (name for names, _ in typed_runs(section.rest) for name in names)
                 yield from (self.anchor(name, (*inner, name.key)) for name in names if isinstance(name, Atom))
             elif head in (":predicates", ":functions"):

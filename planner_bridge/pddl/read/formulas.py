@@ -20,7 +20,6 @@ from pnm.core.logic.conditions import TRUE, Any, Compare, Condition, Exists, For
 from pnm.core.logic.effects import OPERATIONS, Effects, ForEach, Set, When
 from pnm.core.logic.expressions import UNDEFINED, Constant, Expression, Fluent, ValueOf, Variable
 
-_FALSE: Final = Any(())
 _COMPOUND: Final = ("and", "or", "not", "imply", "forall", "exists")
 _OVER_NUMBERS: Final = frozenset((*OPERANDS, *OPERATIONS, "=", "<", "<=", ">", ">=", "not"))
 """Heads whose operands are no arguments themselves but may have some."""
@@ -75,7 +74,7 @@ def _flattened_condition(node: Group, scope: TermScope, read: Callable[[Group, T
 def _fact(node: Group, scope: TermScope) -> Condition:
     if scope.symbols.lenient and scope.symbols.is_undeclared(node):
         Leniency.PREDICATE_UNDECLARED.note(node.items[0], node.items[0])
-        return _FALSE
+        return Any(())  # false
     return Holds(scope.fact(node))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 from planner_bridge.pddl.read.requirements import REFUSED_IN_INIT, Leniency
 from planner_bridge.pddl.read.terms import TermScope
@@ -12,7 +12,6 @@ from planner_bridge.pddl.syntax.words import counted, is_number, number, operand
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Constant, Fluent, Value, fluent_text
 
-_ASSIGNMENTS: Final = ("=", "assign")
 _Change: TypeAlias = tuple[Fluent, Value]
 
 
@@ -35,7 +34,7 @@ def initial_state(parts: Iterable[Node], scope: TermScope) -> tuple[dict[Fluent,
 def _change(node: Node, scope: TermScope) -> _Change | None:
     """Return a fluent and its value; None for one that no condition can read."""
     match node:
-        case Group() if node.head in _ASSIGNMENTS:
+        case Group() if node.head in ("=", "assign"):
             return _assignment(node, scope)
         case Group() if node.head == "not":
             (negated,) = operands(node, 1)

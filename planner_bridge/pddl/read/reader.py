@@ -38,10 +38,7 @@ DOMAIN_SECTIONS: Final = (
     *(":requirements", ":predicates", ":types", ":constants", ":functions", INSTANTANEOUS, DURATIVE, DERIVED, ":constraints"),
     *HIERARCHY,
 )
-PROBLEM_SECTIONS: Final = (
-    *(":domain", ":init", ":goal", ":objects", ":metric", ":constraints", ":requirements", ":length"),
-    *NETWORK,
-)
+PROBLEM_SECTIONS: Final = (*(":domain", ":init", ":goal", ":objects", ":metric", ":constraints", ":requirements", ":length"), *NETWORK)
 _DIRECTIONS: Final[dict[str, Literal["minimize", "maximize"]]] = {"minimize": "minimize", "maximize": "maximize"}
 
 
