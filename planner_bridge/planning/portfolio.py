@@ -193,9 +193,7 @@ class _ProcessPerJob(Executor):
         pool = ProcessPoolExecutor(1, mp_context=spawn, initializer=_begin_process, initargs=(str(self._stop_file),))
         self._pools.append(pool)
         main = sys.modules["__main__"]
-        sys.modules["__main__"] = ModuleType(
-            "__main__"
-        )  # or the process would run the caller's script again, to find what is defined there
+        sys.modules["__main__"] = ModuleType("__main__")  # lest the process run the caller's script again
         try:
             return pool.submit(fn, *args, **kwargs)
         finally:
