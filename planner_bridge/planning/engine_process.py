@@ -120,9 +120,6 @@ def _run(arguments: list[str], files: Mapping[str, str], timeout: float, cancel:
         )
 
 
-# --- processes -----------------------------------------------------------------------------
-
-
 @contextmanager
 def _process_group(command: list[str], folder: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Start the command as the leader of a process group; on leaving, end it and everything it started."""
@@ -181,9 +178,6 @@ def die_with_parent() -> None:
         _signal_all(signal.SIGKILL, os.getpgrp(), Path(os.environ[_TMPDIR]))
 
     threading.Thread(target=wait, daemon=True).start()
-
-
-# --- the answer ----------------------------------------------------------------------------
 
 
 def _refuse_unknown(answer: dict[str, Any]) -> None:

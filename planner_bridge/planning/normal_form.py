@@ -106,9 +106,6 @@ def action_assignments(problem: Problem) -> Iterator[Assignment]:
     return (change for schema in problem.domain.actions.values() for moment in schema_assignments(schema) for change in moment)
 
 
-# --- functions and numbers -----------------------------------------------------------------
-
-
 def functions_in_use(problem: Problem) -> frozenset[str]:
     """Return the functions on which the validity or the metric of a plan depends; others only count."""
     changes = [*action_assignments(problem)]

@@ -131,9 +131,6 @@ def _known(planners: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(planners))
 
 
-# --- results -------------------------------------------------------------------------------
-
-
 def _first_decisive(
     problem: Problem, searches: Mapping[Future[PlanningResult], str], deadline: float, cancel: CancelToken
 ) -> PlanningResult:
@@ -162,9 +159,6 @@ def _first_decisive(
 
 def _reason(result: PlanningResult) -> str:
     return f"{result.planner}: {result.reason}"
-
-
-# --- processes -----------------------------------------------------------------------------
 
 
 class _StopFile:

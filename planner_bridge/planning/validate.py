@@ -112,9 +112,6 @@ def _states(problem: Problem, plan: Plan, samples: Iterable[float] = ()) -> Iter
         raise InvalidPlan(f"the goal does not hold at the end: {expected_and_observed(problem.goal, simulation.state)}")
 
 
-# --- steps ---------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True)
 class _Step:
     number: int
@@ -167,9 +164,6 @@ def _wrong(step: PlanStep, problem: Problem, objects: Mapping[str, frozenset[str
             known = argument in objects["object"]
             return f"has {argument} for {variable}: {'it is of another type' if known else 'there is no such object'}"
     return ""
-
-
-# --- happenings ----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,9 +244,6 @@ def _kind_of_change(operation: str, value: Expression) -> str:
     if operation in ("increase", "decrease"):
         return "add"
     return "assign" if operation != "assign" or not isinstance(value, Constant) or not isinstance(value.value, bool) else str(value.value)
-
-
-# --- all validators ------------------------------------------------------------------------
 
 
 def validated(problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None) -> PlanningResult:

@@ -111,9 +111,6 @@ def write_with_notes(table: Table, write: Callable[[Notes], str]) -> str:
     return write(Notes.of(moved))
 
 
-# --- which comment belongs to which thing --------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True)
 class Anchor:
     """A thing in a file that comments can be about."""

@@ -63,9 +63,6 @@ class _ListEnds:
         return self._anchors[path]
 
 
-# --- anchors -------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True)
 class _AnchorFinder:
     """Finds the things in a definition that comments can be about."""

@@ -19,8 +19,6 @@ from pnm.core.logic.trajectory import Constraint
 
 T = TypeVar("T")
 
-# --- preferences ---------------------------------------------------------------------------
-
 
 def is_preference(node: Node, scope: TermScope) -> bool:
     """Whether the part is a preference, and no predicate of that name."""
@@ -78,8 +76,6 @@ def _joined(parts: Iterable[tuple[list[T], list[Preference]]]) -> tuple[list[T],
     both = list(parts)
     return [part for hard, _ in both for part in hard], [preference for _, soft in both for preference in soft]
 
-
-# --- trajectory constraints ----------------------------------------------------------------
 
 _Split: TypeAlias = tuple[list[Constraint], list[Preference]]
 

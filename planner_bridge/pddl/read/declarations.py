@@ -19,8 +19,6 @@ from pnm.core.logic.expressions import Variable
 Lists: TypeAlias = Iterable[Sequence[Node]]
 """The contents of each section of a name: a type at the end of one does not hold for the names in another."""
 
-# --- types ---------------------------------------------------------------------------------
-
 
 @dataclass(frozen=True, slots=True)
 class _TypeHierarchy:
@@ -65,9 +63,6 @@ def types(lists: Lists, requirements: Requirements) -> dict[str, Types]:
     return hierarchy
 
 
-# --- objects -------------------------------------------------------------------------------
-
-
 def objects(lists: Lists, symbols: SymbolTable) -> dict[str, Types]:
     """Read constants or objects; one that is there again, or in the symbol table already, is of all the types given."""
     declared: dict[str, tuple[str, Types]] = {}
@@ -99,9 +94,6 @@ def borrow(own: dict[str, Types], symbols: SymbolTable, whole: Node) -> dict[str
         if not symbols.domain.matches(objects[name], use.types):
             raise wrong(whole, f"{name!r} is of type {show_types(objects[name])}; the domain expects {show_types(use.types)}")
     return objects
-
-
-# --- predicates and functions --------------------------------------------------------------
 
 
 def predicates(parts: Sequence[Node], symbols: SymbolTable) -> dict[str, Declaration]:

@@ -24,8 +24,6 @@ _COMPOUND: Final = ("and", "or", "not", "imply", "forall", "exists")
 _OVER_NUMBERS: Final = frozenset((*OPERANDS, *OPERATIONS, "=", "<", "<=", ">", ">=", "not"))
 """Heads whose operands are no arguments themselves but may have some."""
 
-# --- conditions ----------------------------------------------------------------------------
-
 
 def condition(node: Node, scope: TermScope) -> Condition:
     """Read a condition; ``()`` is true."""
@@ -92,9 +90,6 @@ def _comparison(node: Group, scope: TermScope) -> Compare:
     return Compare(node.head, scope.expression(left), scope.expression(right))
 
 
-# --- effects -------------------------------------------------------------------------------
-
-
 def effects(node: Node, scope: TermScope) -> Effects:
     """Read an effect; ``and`` and ``()`` disappear in the tuple."""
     if not isinstance(node, Group):
@@ -153,9 +148,6 @@ def _new_value(node: Group, target: Node, value: Node, scope: TermScope) -> Expr
     if isinstance(value, Atom) and value.key == UNDEFINED and scope.symbols.find_object(value.text) is None:
         return Constant(UNDEFINED)
     return scope.value(value, declared.values)
-
-
-# --- object fluents as arguments -----------------------------------------------------------
 
 
 def _flattened(node: Group, scope: TermScope) -> _Flattened | None:

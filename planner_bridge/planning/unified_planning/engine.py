@@ -138,9 +138,6 @@ def _no_plan(status: PlanningStatus, log: str) -> Answer:
     return {"status": status.name, "message": words if len(words) <= _LENGTH else f"{words[: _LENGTH // 2]} ... {words[-_LENGTH // 2 :]}"}
 
 
-# --- the problem ---------------------------------------------------------------------------
-
-
 def _problem(name: str, problem: Problem) -> tuple[Any, dict[str, str], dict[str, str]]:
     """Return the problem for the engine, which must support it, and how its actions and objects are called here."""
     engine = up.get_environment().factory.engine(name)
