@@ -42,11 +42,7 @@ def modelled_duration(schema: ActionSchema, arguments: tuple[str, ...], state: S
 
 
 def initial_knowledge(*described: Problem | HandWrittenPlan) -> KnowledgeBase:
-    """Return the initial state: facts, objects and rules of a problem or a plan, or of several that share one world.
-
-    Raises:
-        InputError: two of them begin with different values of a fluent.
-    """
+    """Return the initial state: facts, objects and rules of a problem or a plan, or of several that share one world and agree on it."""
     beginnings = [_beginning(source) for source in described]
     if len(beginnings) == 1:
         _, facts, objects, rules = beginnings[0]

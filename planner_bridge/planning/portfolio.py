@@ -62,15 +62,8 @@ def solve_with_portfolio(
 ) -> PlanningResult:
     """Let planners search at the same time, at most `timeout` seconds, and return the first valid plan.
 
-    Args:
-        problem: what is to be solved.
-        planners: the members; by default Kairos and the engines of `ENGINES` that are installed and suit the problem.
-        timeout: seconds that each may search, besides the time to load it.
-        executor: runs them; by default each gets a process of its own, which is gone when this returns.
-        cancel: set from another thread to end the search.
-
-    Raises:
-        InputError: a planner is not known, or is not installed here and would run here.
+    By default the members are Kairos and the engines of `ENGINES` that are installed and suit the problem, and each gets
+    a process of its own, which is gone when this returns. The time to load a planner does not count.
     """
     names = suitable_planners(problem) if planners is None else _known(planners)
     if not names:

@@ -46,14 +46,10 @@ def condition(node: Node, scope: TermScope) -> Condition:
             scope.symbols.requirements.need(node, ":disjunctive-preconditions")
             left, right = operands(node, 2)
             return Implies(condition(left, scope), condition(right, scope))
-        case "forall":
-            scope.symbols.requirements.need(node, ":universal-preconditions")
+        case "forall" | "exists" as word:
+            scope.symbols.requirements.need(node, ":universal-preconditions" if word == "forall" else ":existential-preconditions")
             variables, body = scope.quantified(node)
-            return ForAll(variables, condition(body, scope.inside(variables)))
-        case "exists":
-            scope.symbols.requirements.need(node, ":existential-preconditions")
-            variables, body = scope.quantified(node)
-            return Exists(variables, condition(body, scope.inside(variables)))
+            return (ForAll if word == "forall" else Exists)(variables, condition(body, scope.inside(variables)))
         case "=":
             return _flattened_condition(node, scope, _equality)
         case "<" | "<=" | ">" | ">=":

@@ -85,8 +85,6 @@ class Translation:
         except UPException as error:
             raise InputError(str(error)) from error
 
-    # actions
-
     def _action(self, schema: ActionSchema) -> Any:
         parameters = OrderedDict((variable.name[1:], self._declared.type_of(variable.types)) for variable in schema.parameters)
         make = up.InstantaneousAction if schema.duration is None else up.DurativeAction
@@ -141,8 +139,6 @@ class Translation:
             case _:
                 return terms
 
-    # state, goal, metric
-
     def _state(self) -> None:
         for fluent, value in self._problem.init.items():
             if value is not False and self._declared.knows(fluent):
@@ -186,8 +182,6 @@ class Translation:
             final = up.MinimizeExpressionOnFinalState if metric.direction == "minimize" else up.MaximizeExpressionOnFinalState
             measure = final(self._expression(metric.expression, {}))
         self.translated.add_quality_metric(measure)
-
-    # conditions and expressions
 
     def _conjuncts(self, condition: Condition, terms: Terms) -> list[Any]:
         return [condition_there(part, self._declared, terms) for part in conjuncts(condition)]
