@@ -25,18 +25,25 @@ def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
     """
     top = load_yaml(path)
     top.only("actions", "assumed", "lag")
-    actions = {name: _binding(entry) for name, entry in top.mapping("actions").items()}
+    entries = top.mapping("actions")
+    actions: dict[str, Binding] = {}
+    for name, entry in entries.items():
+        entry.only("server", "type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "resources")
+        actions[name] = read_binding(entry)
     if known is not None:
-        for name, entry in top.mapping("actions").items():
-            _check_names(name, actions[name], entry, known)
+        for name, entry in entries.items():
+            binding = actions[name]
+            known.check_action(name, entry.start)
+            for parameter in placeholders(binding.server or ""):
+                known.check_parameter(name, parameter, entry.position("server"))
+            for pattern, position in _read_resources(entry):
+                for parameter in placeholders(pattern):
+                    known.check_parameter(name, parameter, position)
+            for parameter in _parameters(binding.goal or {}):
+                known.check_parameter(name, parameter, entry.position("goal"))
         for name in top.strings("assumed"):
             known.check_set(name, top.position("assumed"))
     return Bindings(actions, frozenset(top.strings("assumed")), top.number("lag", 1.0))
-
-
-def _binding(entry: Mapped) -> Binding:
-    entry.only("server", "type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "resources")
-    return read_binding(entry)
 
 
 def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAULT.retries) -> Binding:
@@ -86,10 +93,10 @@ def read_texts(entry: Mapped, key: str, expected: str) -> dict[str, str]:
     Raises:
         InputError: it is something else.
     """
-    found = entry.plain(key)
-    if found is not None and not (isinstance(found, dict) and all(isinstance(text, str) for text in found.values())):
+    texts = entry.plain(key)
+    if texts is not None and not (isinstance(texts, dict) and all(isinstance(text, str) for text in texts.values())):
         raise InputError(expected, entry.position(key))
-    return found or {}
+    return texts or {}
 
 
 def _check_fluents(source: object, entry: Mapped) -> None:
@@ -112,17 +119,6 @@ def _check_pattern(pattern: str, position: Position, example: str) -> None:
         wrong = [str(error)]
     if wrong:
         raise InputError(f"{wrong[0]} in {pattern!r}; expected something like {example}", position)
-
-
-def _check_names(name: str, binding: Binding, entry: Mapped, known: Vocabulary) -> None:
-    known.check_action(name, entry.start)
-    for parameter in placeholders(binding.server or ""):
-        known.check_parameter(name, parameter, entry.position("server"))
-    for pattern, position in _read_resources(entry):
-        for parameter in placeholders(pattern):
-            known.check_parameter(name, parameter, position)
-    for parameter in _parameters(binding.goal or {}):
-        known.check_parameter(name, parameter, entry.position("goal"))
 
 
 def _parameters(source: object) -> Iterator[str]:

@@ -255,10 +255,10 @@ def parse_fluent(text: str) -> Fluent:
     Raises:
         InputError: it is something else.
     """
-    found = _FLUENT.match(text.strip())
-    if not found:
+    match = _FLUENT.match(text.strip())
+    if not match:
         raise InputError(f"not a fact: {text!r}; expected something like (at r1 kitchen)")
-    return tuple(found[1].split())
+    return tuple(match[1].split())
 
 
 def parse_statement(text: str) -> tuple[Fluent, Value]:
@@ -268,8 +268,8 @@ def parse_statement(text: str) -> tuple[Fluent, Value]:
         InputError: it is something else.
     """
     text = text.strip()
-    if found := _NOT.match(text):
-        return parse_fluent(found[1]), False
-    if found := _EQUAL.match(text):
-        return parse_fluent(found[1]), float(found[2]) if _NUMBER.match(found[2]) else found[2]
+    if match := _NOT.match(text):
+        return parse_fluent(match[1]), False
+    if match := _EQUAL.match(text):
+        return parse_fluent(match[1]), float(match[2]) if _NUMBER.match(match[2]) else match[2]
     return parse_fluent(text), True

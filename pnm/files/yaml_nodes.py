@@ -30,10 +30,10 @@ def load_yaml(path: Path) -> Mapped:
     Raises:
         InputError: there is no such file, or it is not YAML, not text, too large, or not a mapping.
     """
-    found = parse_yaml(read_text(path, MAX_BYTES), str(path))
-    if len(found) > 1:
-        raise InputError("a second document begins here; expected one", found[1].start)
-    return found[0]
+    documents = parse_yaml(read_text(path, MAX_BYTES), str(path))
+    if len(documents) > 1:
+        raise InputError("a second document begins here; expected one", documents[1].start)
+    return documents[0]
 
 
 def parse_yaml(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_ANCHORS) -> tuple[Mapped, ...]:
@@ -235,10 +235,10 @@ class Node:
         """Return where a word stands in the value, or where the value does if the file spells it in another way."""
         start, end = self.raw.start_mark, self.raw.end_mark
         written = (start.buffer or "")[start.pointer : start.pointer + end.index - start.index]
-        found = re.search(rf"(?<![^\s()\[\]{{}},'\"]){re.escape(word)}(?![^\s()\[\]{{}},:'\"])", written)
-        if found is None or word == self.text:
+        match = re.search(rf"(?<![^\s()\[\]{{}},'\"]){re.escape(word)}(?![^\s()\[\]{{}},:'\"])", written)
+        if match is None or word == self.text:
             return self.position
-        before = written[: found.start()]
+        before = written[: match.start()]
         lines = before.count("\n")
         column = len(before) - before.rfind("\n") if lines else start.column + len(before) + 1
         return Position(self.file, start.line + 1 + lines, column)

@@ -24,13 +24,13 @@ def operate(name: str, operands: list[object]) -> object:
     try:
         if name == "mod" and isinstance(operands[0], str):
             raise TypeError("the remainder of a text")  # in Python that is another operation, which makes texts of any size
-        found = OPERATORS[name](*operands)
-        if isinstance(found, complex) or (isinstance(found, int) and found.bit_length() > MAX_BITS):
+        result = OPERATORS[name](*operands)
+        if isinstance(result, complex) or (isinstance(result, int) and result.bit_length() > MAX_BITS):
             raise ValueError("the result is no number that JSON can say")
-        bounded(found)
+        bounded(result)
     except (TypeError, ValueError, ArithmeticError, LookupError, RecursionError) as error:
         raise Uncomputable(f"{name}({_shown(operands)}): {error}") from error
-    return found
+    return result
 
 
 def bounded(value: object) -> object:
@@ -46,7 +46,7 @@ def bounded(value: object) -> object:
         if size > MAX_SIZE or depth > MAX_DEPTH:
             raise Uncomputable("the list or mapping would be too large, or nested too deep")
         if isinstance(part, list | dict):
-            waiting += [(one, depth + 1) for one in (part.values() if isinstance(part, dict) else part)]
+            waiting += [(item, depth + 1) for item in (part.values() if isinstance(part, dict) else part)]
     return value
 
 

@@ -66,8 +66,8 @@ class MemoryKnowledge:
 
     async def query(self, question: Question, asker: Asker, /) -> object:
         """Return the value, or `MISSING`."""
-        found = self._variables.get(question.name)
-        return MISSING if found is None else read_value(found)
+        text = self._variables.get(question.name)
+        return MISSING if text is None else read_value(text)
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
         """Store the value; one that is set to None is forgotten."""

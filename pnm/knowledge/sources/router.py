@@ -82,7 +82,8 @@ class Sources:
     async def close(self) -> None:
         """Close all of them; one that fails is logged."""
         sources = [*self._shared, *([self._person] if self._person is not None else [])]
-        errors = await asyncio.gather(*(self._within(self._limit, each.close(), "not closed") for each in sources), return_exceptions=True)
+        closing = [self._within(self._limit, source.close(), "not closed") for source in sources]
+        errors = await asyncio.gather(*closing, return_exceptions=True)
         for source, error in zip(sources, errors, strict=True):
             if isinstance(error, Exception):
                 _log.warning("%r cannot be closed: %s", source, error)

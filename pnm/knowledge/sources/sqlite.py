@@ -110,8 +110,8 @@ class SqliteKnowledge:
             raise SourceError(f"the knowledge in {self.path} cannot be used: {error}") from error
 
     def _read(self, name: str) -> object:
-        found = self._open().execute("SELECT value FROM variables WHERE name = ?", (name,)).fetchone()
-        return MISSING if found is None else read_value(str(found[0]))
+        row = self._open().execute("SELECT value FROM variables WHERE name = ?", (name,)).fetchone()
+        return MISSING if row is None else read_value(str(row[0]))
 
     def _write(self, name: str, value: str, run: str) -> None:
         self._open().execute(_STORE, (name, value, time(), run))
