@@ -81,16 +81,7 @@ _MOMENT = re.compile(r"(start|end) of (.+)\Z")
 
 
 def read_faults(path: Path, known: Vocabulary | None = None) -> Faults:
-    """Read a faults file.
-
-    Args:
-        path: the file.
-        known: the names to be checked against.
-
-    Raises:
-        InputError: the file is not readable YAML, has an unknown key or a value of the wrong kind, or
-            names something that is not known.
-    """
+    """Read a faults file, its names checked against the known ones if given; raise `InputError` where something is wrong."""
     top = load_yaml(path)
     top.only("faults", "changes", "seed")
     faults = Faults(tuple(map(_fault, top.sequence("faults"))), tuple(map(_change, top.sequence("changes"))), top.whole("seed", 0))

@@ -251,10 +251,6 @@ class _Server:
 
 
 def returned(request: Request, world: SimulatedWorld) -> dict[str, object]:
-    """Return the result of a simulated server, without fields that have no value.
-
-    Raises:
-        Uncomputable: an operation is not possible with the values of the goal.
-    """
+    """Return the result of a simulated server, without fields that have no value; raises `Uncomputable` as `compute` does."""
     values = {name: compute(data, _Server(request.goal, world)) for name, data in request.action.returns}
     return {name: value for name, value in values.items() if value is not MISSING}

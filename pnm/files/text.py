@@ -9,11 +9,7 @@ from pnm.errors import InputError, Position, Tolerated
 
 
 def read_text(path: Path, limit: int) -> str:
-    """Read a text file in UTF-8, of at most `limit` bytes.
-
-    Raises:
-        InputError: it is missing, too large, or not such text.
-    """
+    """Read a text file in UTF-8, of at most `limit` bytes; raise `InputError` for anything else."""
     raw = _read(path, limit)
     try:
         return _decoded(raw, path)
@@ -23,11 +19,7 @@ def read_text(path: Path, limit: int) -> str:
 
 
 def read_any_text(path: Path, limit: int) -> tuple[str, tuple[Tolerated, ...]]:
-    """Read a text file in UTF-8, in UTF-16 with its mark, or else in Latin-1; return a warning if it is not UTF-8.
-
-    Raises:
-        InputError: it is missing, too large, or no text in any of these.
-    """
+    """Read a text file in UTF-8, in UTF-16 with its mark, or else in Latin-1; return a warning if it is not UTF-8."""
     raw = _read(path, limit)
     if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         start = Position(str(path), 1, 1)

@@ -23,15 +23,9 @@ _PLAIN: Final = frozenset({"map", "seq", "int", "float", "bool", "null"}) | TEXT
 
 
 def compose(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_ANCHORS) -> list[yaml.Node]:
-    """Return the documents that are not empty, at least one.
+    """Return the documents that are not empty, at least one; raise `InputError` if the text is not plain YAML, or too large.
 
-    Args:
-        text: what the file has.
-        file: its name.
-        anchors: what aliases stand for that the text does not define.
-
-    Raises:
-        InputError: it is not plain YAML, or too large.
+    `anchors` has the mappings for aliases that the text does not define.
     """
     start = Position(file, 1, 1)
     loader: _Loader | None = None

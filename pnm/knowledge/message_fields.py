@@ -38,11 +38,7 @@ Look: TypeAlias = Callable[[Field], object]
 
 
 def parse_field(text: str) -> Field:
-    """Read ``pose.position.x`` or ``cells[0].voltage``.
-
-    Raises:
-        InputError: it is something else.
-    """
+    """Read ``pose.position.x`` or ``cells[0].voltage``; raise `InputError` for anything else."""
     steps: list[str | int] = []
     end = 0
     while step := _STEP.match(text, end):
@@ -99,11 +95,7 @@ Test: TypeAlias = Flag | Comparison | Negation | Every | Some
 
 
 def succeeds(test: Test, look: Look) -> bool:
-    """Return whether the message passes the test; all fields of it are read.
-
-    Raises:
-        Unreadable: a field is missing, no number, or of another kind than the constant.
-    """
+    """Return whether the message passes the test; `Unreadable` if any of its fields is missing, or of another kind than expected."""
     match test:
         case Flag(where):
             value = look(where)
@@ -142,11 +134,7 @@ class FieldValue:
     table: Mapping[str, object] | None = None
 
     def value(self, look: Look) -> object:
-        """Return the value.
-
-        Raises:
-            Unreadable: there is none, or it is not in the table.
-        """
+        """Return the value; raise `Unreadable` if there is none, or it is not in the table."""
         value = look(self.field)
         if self.table is None:
             return value

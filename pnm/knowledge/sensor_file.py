@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -12,7 +12,7 @@ from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.declared_names import FluentKind, Signature, Vocabulary
 from pnm.core.logic.expressions import Fluent, Variable
 from pnm.errors import InputError, Position, suggestion
-from pnm.files.yaml_nodes import Mapped, load_yaml
+from pnm.files.yaml_nodes import Mapped, load_yaml, texts_in
 from pnm.knowledge.field_reader import read_field, read_number, read_object, read_table, read_test
 from pnm.knowledge.message_fields import FieldValue
 from pnm.knowledge.sensor_model import (
@@ -42,16 +42,7 @@ _OWN: Final = ("for", "facts", "variables", "stale", "lag", "type")
 
 
 def read_sensing(path: Path, known: Vocabulary | None = None) -> Sensing:
-    """Read a file of sensors.
-
-    Args:
-        path: the file.
-        known: the names to be checked against.
-
-    Raises:
-        InputError: the file is not readable YAML, has an unknown key or a value of the wrong kind, or
-            names something that is not known.
-    """
+    """Read a file of sensors, its names checked against the known ones if given; raise `InputError` where something is wrong."""
     top = load_yaml(path)
     top.only("sensors", "stale")
     stale = _seconds(top, "stale")
@@ -157,7 +148,7 @@ class _Reader:
         request = self.entry.plain("request")
         if request is not None and not isinstance(request, dict):
             raise InputError("expected the fields of the request and their values", self.entry.position("request"))
-        for name in _terms(request or {}):
+        for name in _terms(request):
             self._variable(f"?{name}", variables, self.entry.position("request"))
         every, limit = _seconds(self.entry, "every", EVERY), _seconds(self.entry, "limit", LIMIT)
         return ByService(request or {}, every or EVERY, limit or LIMIT)
@@ -226,10 +217,4 @@ class _Reader:
 
 def _terms(source: object) -> Iterable[str]:
     """Yield the variables, without ``?``, that fields of a request are filled from."""
-    if isinstance(source, Mapping):
-        source = list(source.values())
-    if isinstance(source, list):
-        for part in source:
-            yield from _terms(part)
-    elif isinstance(source, str) and source.startswith("?"):
-        yield source[1:]
+    return (text[1:] for text in texts_in(source) if text.startswith("?"))

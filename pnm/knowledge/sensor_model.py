@@ -170,11 +170,7 @@ class Reading:
 
 
 def instances(sensing: Sensing, objects: Objects) -> tuple[Instance, ...]:
-    """Return the sensors for all choices of objects.
-
-    Raises:
-        InputError: two of them report the same fluent or variable.
-    """
+    """Return the sensors for all choices of objects; raise `InputError` if two of them report the same fluent or variable."""
     sensors = tuple(
         Instance(sensor, dict(zip((variable.name for variable in sensor.variables), chosen, strict=True)))
         for sensor in sensing.sensors

@@ -18,11 +18,7 @@ from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Valu
 class Watchdog:
     """A staleness watchdog: calls a function when it was not reset for `limit` seconds, and again after every later reset.
 
-    The mutable state is the time of expiry and the one timer.
-
-    Args:
-        limit: seconds on the clock of the event loop; None for no limit.
-        expired: is called.
+    The limit is on the clock of the event loop; None for none. The mutable state is the time of expiry and the one timer.
     """
 
     def __init__(self, limit: float | None, expired: Callable[[], object]) -> None:

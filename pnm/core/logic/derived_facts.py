@@ -49,12 +49,7 @@ class DerivedFacts:
 
     The mutable state is a cache: for every derived name the truth of its facts, the attempt that
     proved a fact, and the unknown fluents that an unknown fact depends on; for every recorded name its facts,
-    indexed by some of their terms.
-
-    Args:
-        rules: the rules.
-        recorded: the recorded facts; `forget` must be called after they change.
-        objects: returns the objects of any of some types; these do not change.
+    indexed by some of their terms. `forget` must be called after recorded facts change; the objects of a type never do.
     """
 
     def __init__(

@@ -45,11 +45,7 @@ TOLERANCE: Final = 1e-6
 
 
 def evaluate(condition: Condition, state: State, env: Environment = NOTHING) -> Truth:
-    """Return the truth of the condition in the state: true, false or unknown.
-
-    Raises:
-        Unanswered: it depends on a question that has to be asked first.
-    """
+    """Return the truth of the condition in the state; raises `Unanswered` if it depends on a question that has to be asked first."""
     match condition:
         case Holds(fluent):
             value = state.value(bind(fluent, env))

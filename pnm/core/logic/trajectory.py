@@ -64,10 +64,8 @@ def instances(constraint: Constraint, state: State, env: Environment = NOTHING) 
 def progressed(constraints: Iterable[Constraint], state: State, now: float = 0.0) -> tuple[Constraint, ...]:
     """Progress ground constraints through a state: return the constraints on the rest of the trajectory.
 
-    Args:
-        constraints: the constraints on the trajectory from its previous state on.
-        state: its next state.
-        now: when that begins, in seconds from the start of the whole trajectory; later than the previous state.
+    The constraints are on the trajectory from its previous state on. The state begins `now`, later than that one; in seconds
+    from the start of the whole trajectory.
     """
     left = [rest for constraint in constraints for rest in _progressed(constraint, state, now)]
     if IMPOSSIBLE in left:
