@@ -97,7 +97,6 @@ class TaskConsole(TaskListener):
 
 
 def _goal(status: TaskStatus) -> str:
-    """Return the goal, or the plan with its parameters."""
     given = (
         f"{name}: {value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)}"
         for name, value in status.parameters.items()

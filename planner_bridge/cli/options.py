@@ -136,7 +136,7 @@ def write(path: Path | None, text: str) -> None:
 
 
 def tell(warnings: Iterable[Tolerated]) -> None:
-    """Say on stderr what in files was not as it should be."""
+    """Print warnings about files on stderr."""
     for line in warning_lines(warnings):
         print(line, file=sys.stderr)
 

@@ -33,10 +33,11 @@ class Plan:
         if not self.steps:
             return "nothing to do: the goal holds already"
         head = f"{len(self.steps)} calls" + (f", {self.makespan:.1f} s" if self.temporal else "")
-        return "\n".join((head, *(self._line(number, step) for number, step in enumerate(self.steps, 1))))
-
-    def _line(self, number: int, step: PlanStep) -> str:
-        return f"  {step.start:8.2f} s  {step}  [{step.duration:.2f} s]" if self.temporal else f"  {number:8d}.   {step}"
+        lines = (
+            f"  {step.start:8.2f} s  {step}  [{step.duration:.2f} s]" if self.temporal else f"  {number:8d}.   {step}"
+            for number, step in enumerate(self.steps, 1)
+        )
+        return "\n".join((head, *lines))
 
     @property
     def makespan(self) -> float:

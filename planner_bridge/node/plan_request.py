@@ -25,8 +25,6 @@ class Maker:
     """Answers plan requests, as `pnm.tasks.Make`.
 
     Args:
-        problem: the domain and the objects.
-        knowledge: the current state.
         settings: planner and time limit of requests that name none.
         read_goal: reads a text as a goal; raises InputError.
         began: the time of the problem's initial state, on the clock of the event loop.
@@ -39,11 +37,7 @@ class Maker:
     began: float
 
     async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:
-        """Search for a plan; cancelling this ends the planner.
-
-        Raises:
-            InputError: the goal is none, or there is no such planner.
-        """
+        """Search for a plan; cancelling this ends the planner."""
         elapsed = asyncio.get_running_loop().time() - self.began
         problem = replace(problem_now(self.problem, self.knowledge, elapsed), goal=self.read_goal(goal))
         stop = threading.Event()

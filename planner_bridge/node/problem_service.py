@@ -77,11 +77,7 @@ def write_inside(folder: Path, name: str, text: str) -> Path:
 def load_texts(domain: str, problem: str, folder: Path, loaded: Domain) -> Problem:
     """Return a problem, given as a domain and a problem: each as PDDL, or as the path of a file in the folder.
 
-    Args:
-        domain: empty for `loaded`.
-        problem: the problem.
-        folder: the folder of all paths.
-        loaded: the current domain.
+    An empty domain stands for `loaded`, the current one.
 
     Raises:
         InputError: one of them cannot be read.
@@ -109,9 +105,6 @@ class LoadedProblem:
     The mutable state is the problem, in `world` and `_maker`, and when it began.
 
     Args:
-        problem: the one to begin with.
-        knowledge: what is known of its world.
-        goals: texts of goals by name.
         settings: planner and time limit of plan requests.
         plans: hand-written plans; while there is no problem, their declarations are the world's.
     """
@@ -159,11 +152,7 @@ class LoadedProblem:
         return SharedWorld(with_names_of(self.world.problem, self._plans, texts), self.knowledge)
 
     def read_goal(self, text: str) -> Condition:
-        """Return the goal that a text or a name stands for.
-
-        Raises:
-            InputError: it is no goal of this problem.
-        """
+        """Return the goal that a text or a name stands for."""
         return self.problem_world.read_goal(text)
 
     async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:
@@ -175,7 +164,6 @@ class ServedProblem:
     """The services about knowledge and problem of a node, as `pnm.tasks.ServedWorld`.
 
     Args:
-        loaded: the problem, which `load` replaces.
         folder: where problems are saved, and loaded from.
         begin_anew: has the task manager take over another problem; raises an `InputError` if it cannot, and nothing changes.
     """

@@ -115,8 +115,13 @@ def avoid_interference(problem: Problem, others: Iterable[ReadWriteSets]) -> Pro
     that others read. Effects under quantifiers are ignored: whether a plan interferes has still to be checked.
     """
     for other in others:
-        init = {fluent: value for fluent, value in problem.init.items() if not _may_be_lost(fluent, value, other)}
-        problem = _protect(replace(problem, init=init), other)
+        lost = {
+            fluent
+            for fluent, values in other.writes.items()
+            if isinstance(problem.init.get(fluent), str) or (problem.init.get(fluent) is True and values & {False, None})
+        }
+        kept = {fluent: value for fluent, value in problem.init.items() if fluent not in lost}
+        problem = _protect(replace(problem, init=kept), other)
     return problem
 
 
@@ -132,10 +137,6 @@ def optimistic_state(problem: Problem, under_way: Iterable[ActionCall]) -> Probl
             if_undone = False in begun[fluent] if fluent in begun else problem.init.get(fluent) is True
             init[fluent] = if_undone or True in ended.get(fluent, begun.get(fluent, ()))
     return replace(problem, init=init)
-
-
-def _may_be_lost(fluent: Fluent, value: object, other: ReadWriteSets) -> bool:
-    return fluent in other.writes and (isinstance(value, str) or (value is True and not {False, None}.isdisjoint(other.writes[fluent])))
 
 
 def _protect(problem: Problem, other: ReadWriteSets) -> Problem:

@@ -15,9 +15,8 @@ from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.causal_links import CausalLinks, HappeningKind, OrderKept
 from planner_bridge.ordering.enclosing_actions import delay_enclosing_starts
-from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import fluents, names
-from pnm.core.logic.effects import Effects, Set, When, every_effect, written
+from pnm.core.logic.effects import Set, When, every_effect, written
 from pnm.core.logic.expressions import UNKNOWN, Fluent, expression_fluents
 from pnm.core.logic.rules import Rules
 from pnm.core.logic.trajectory import instances, names_in
@@ -80,7 +79,7 @@ def calls_of(problem: Problem, plan: Plan, first: int = 0) -> list[ActionCall]:
 def total_order(problem: Problem, plan: Plan) -> PlanGraph:
     """Return the calls of a sequential plan in their total order."""
     calls = calls_of(problem, plan)
-    ends = (Ordering(PlanEvent(one, Moment.END), PlanEvent(one + 1, Moment.START)) for one in range(len(calls) - 1))
+    ends = (Ordering(PlanEvent(index, Moment.END), PlanEvent(index + 1, Moment.START)) for index in range(len(calls) - 1))
     return PlanGraph(tuple(calls), tuple(ends), problem.goal, Rules(problem.domain.rules))
 
 
@@ -104,26 +103,19 @@ def _happenings(problem: Problem, plan: Plan) -> list[tuple[float, HappeningKind
 
 
 def _causal_links(problem: Problem, actions: Iterable[GroundAction]) -> CausalLinks:
-    knowledge, relevant = _static_knowledge(problem, actions), _relevant(problem)
+    knowledge, relevant = initial_knowledge(problem), _relevant(problem)
+    if knowledge.rules.rules:  # what they read is known only as far as neither the plan nor time may change it
+        changing = {fluent for change in problem.timed for fluent in change.changes}
+        for action in actions:
+            changing |= written((*action.start_effects, *action.end_effects), knowledge)
+        knowledge.update(dict.fromkeys(changing, UNKNOWN))
     kept = [OrderKept(_NETWORK)] if problem.network else []
     for constraint in (*problem.domain.constraints, *problem.constraints):
-        for one in instances(constraint, knowledge):
-            mentioned = frozenset().union(*(fluents(condition, knowledge) for condition in one.conditions))
-            changing = frozenset(fluent for fluent in knowledge.rests_on(mentioned) if fluent[0] in relevant)
-            kept.append(OrderKept((str(one)[1:-1],), changing, problem.is_timed and bool(one.times) and one.operator != "within"))
+        for ground in instances(constraint, knowledge):
+            mentioned = frozenset().union(*(fluents(condition, knowledge) for condition in ground.conditions))
+            concerned = frozenset(fluent for fluent in knowledge.rests_on(mentioned) if fluent[0] in relevant)
+            kept.append(OrderKept((str(ground)[1:-1],), concerned, problem.is_timed and bool(ground.times) and ground.operator != "within"))
     return CausalLinks(knowledge, relevant, tuple(kept))
-
-
-def _static_knowledge(problem: Problem, actions: Iterable[GroundAction]) -> KnowledgeBase:
-    """Return the initial state as far as it is static: where rules read fluents that the plan or time may change, these are unknown."""
-    knowledge = initial_knowledge(problem)
-    if not knowledge.rules.rules:
-        return knowledge
-    changing = {fluent for change in problem.timed for fluent in change.changes}
-    for action in actions:
-        changing |= written((*action.start_effects, *action.end_effects), knowledge)
-    knowledge.update(dict.fromkeys(changing, UNKNOWN))
-    return knowledge
 
 
 def _relevant(problem: Problem) -> frozenset[str]:
@@ -135,22 +127,13 @@ def _relevant(problem: Problem) -> frozenset[str]:
             asked |= names(condition)
         for constraint in schema.duration or ():
             asked |= {fluent[0] for fluent in expression_fluents(constraint.bound)}
-        asked |= set(_read_names((*schema.start_effects, *schema.end_effects)))
+        for effect in every_effect((*schema.start_effects, *schema.end_effects)):
+            match effect:
+                case Set(fluent, value, operation):
+                    asked |= {part[0] for part in expression_fluents(value)}
+                    if operation not in ("increase", "decrease"):  # a number's own increase is not read
+                        asked.add(fluent[0])
+                case When(condition):
+                    asked |= names(condition)
     predicates = frozenset(problem.domain.predicates)
     return dynamic_names(problem) & (predicates | Rules(problem.domain.rules).base(asked))
-
-
-def _read_names(effects: Effects) -> list[str]:
-    """Return the names of fluents that effects read, a number's own increase left out."""
-    found: list[str] = []
-    for effect in every_effect(effects):
-        match effect:
-            case Set(fluent, value, operation):
-                found += [one[0] for one in expression_fluents(value)]
-                if operation not in ("increase", "decrease"):
-                    found.append(fluent[0])
-            case When(condition):
-                found += names(condition)
-            case _:
-                pass
-    return found

@@ -51,7 +51,22 @@ def search_with_engine(problem: Problem, engine: str, timeout: float, cancel: Ca
     files = {"domain.pddl": write_domain(problem.domain), "problem.pddl": write_problem(problem)}
     ended = _run([engine, str(timeout)], files, timeout, cancel)
     if ended.answer is not None:
-        return _planning_result(ended.answer, problem)
+        _refuse_unknown(ended.answer)
+        status, message = PlanningStatus[ended.answer["status"]], ended.answer["message"]
+        if status is not PlanningStatus.SOLVED:
+            return PlanningResult(status, message=message)
+        actions = {name.casefold(): name for name in problem.domain.actions}
+        objects = {name.casefold(): name for name in problem.objects}
+        try:
+            steps = tuple(
+                PlanStep(actions[action.casefold()], tuple(objects[argument.casefold()] for argument in arguments), start, duration)
+                for action, arguments, start, duration in ended.answer["steps"]
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            return PlanningResult(PlanningStatus.CRASHED, message=f"the plan makes no sense: {error!r}")
+        return PlanningResult(
+            PlanningStatus.SOLVED, Plan(tuple(sorted(steps, key=attrgetter("start"))), temporal=problem.is_timed), message
+        )
     if cancel.is_set():
         return PlanningResult(PlanningStatus.CANCELLED)
     if ended.status is None:
@@ -97,7 +112,12 @@ def _run(arguments: list[str], files: Mapping[str, str], timeout: float, cancel:
         for file, text in files.items():
             (folder / file).write_text(text, encoding="utf-8")
         with _process_group([sys.executable, "-m", "planner_bridge.planning.unified_planning", *arguments], folder) as process:
-            _wait(process, folder, timeout, cancel)
+            deadline, began = time.monotonic() + START_LIMIT, False
+            while process.poll() is None and time.monotonic() < deadline and not cancel.is_set() and not (folder / ANSWER).exists():
+                if not began and (folder / BEGAN).exists():
+                    deadline, began = time.monotonic() + timeout + _GRACE, True
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(timeout=_POLL)
             status = process.poll()
         answer = folder / ANSWER
         return _Ended(
@@ -106,16 +126,6 @@ def _run(arguments: list[str], files: Mapping[str, str], timeout: float, cancel:
             (folder / BEGAN).exists(),
             " ".join((folder / _OUTPUT).read_text(errors="replace").split())[-300:],
         )
-
-
-def _wait(process: subprocess.Popen[bytes], folder: Path, timeout: float, cancel: CancelToken) -> None:
-    deadline, began = time.monotonic() + START_LIMIT, False
-    while time.monotonic() < deadline and not cancel.is_set() and not (folder / ANSWER).exists():
-        if not began and (folder / BEGAN).exists():
-            deadline, began = time.monotonic() + timeout + _GRACE, True
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(timeout=_POLL)
-            return
 
 
 # --- processes -----------------------------------------------------------------------------
@@ -187,20 +197,3 @@ def die_with_parent() -> None:
 def _refuse_unknown(answer: dict[str, Any]) -> None:
     if "unknown" in answer:
         raise InputError(answer["unknown"])
-
-
-def _planning_result(answer: dict[str, Any], problem: Problem) -> PlanningResult:
-    _refuse_unknown(answer)
-    status, message = PlanningStatus[answer["status"]], answer["message"]
-    if status is not PlanningStatus.SOLVED:
-        return PlanningResult(status, message=message)
-    actions = {name.casefold(): name for name in problem.domain.actions}
-    objects = {name.casefold(): name for name in problem.objects}
-    try:
-        steps = tuple(
-            PlanStep(actions[action.casefold()], tuple(objects[argument.casefold()] for argument in arguments), start, duration)
-            for action, arguments, start, duration in answer["steps"]
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        return PlanningResult(PlanningStatus.CRASHED, message=f"the plan makes no sense: {error!r}")
-    return PlanningResult(PlanningStatus.SOLVED, Plan(tuple(sorted(steps, key=attrgetter("start"))), temporal=problem.is_timed), message)

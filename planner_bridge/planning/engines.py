@@ -6,7 +6,6 @@ Any other engine of unified-planning can be named as well; of those nothing is k
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
 from importlib.metadata import PackageNotFoundError, version
@@ -35,33 +34,29 @@ class Feature(Enum):
 
 def problem_kind(problem: Problem) -> frozenset[Feature]:
     """Return what a planner must handle to find a plan, whatever the metric (unified-planning's `ProblemKind`)."""
-    return frozenset(_features(replace(problem, metric=None)))
-
-
-def _features(problem: Problem) -> Iterator[Feature]:
+    problem = replace(problem, metric=None)
     domain = problem.domain
     used = functions_in_use(problem)
-    if problem.is_timed:
-        yield Feature.TIME
-    if any(not domain.functions[name].values for name in used):
-        yield Feature.NUMBERS
-    if not is_whole(problem, used):
-        yield Feature.FRACTIONS
-    if any(domain.functions[name].values for name in used):
-        yield Feature.OBJECT_FLUENTS
-    if any(isinstance(part, ForAll | Exists) for condition in conditions_of(problem) for part in every_part(condition)):
-        yield Feature.QUANTIFIERS
+    parts = (part for condition in conditions_of(problem) for part in every_part(condition))
     relevant = (change for change in action_assignments(problem) if change.fluent[0] in domain.predicates or change.fluent[0] in used)
-    if not all(change.is_plain for change in relevant):
-        yield Feature.CONDITIONAL_EFFECTS
-    if domain.rules:
-        yield Feature.DERIVED
-    if domain.constraints or problem.constraints:
-        yield Feature.CONSTRAINTS
-    if domain.preferences or problem.preferences or any(schema.preferences for schema in domain.actions.values()):
-        yield Feature.PREFERENCES
-    if domain.hierarchy or problem.network:
-        yield Feature.TASKS
+    present = {
+        Feature.TIME: problem.is_timed,
+        Feature.NUMBERS: any(not domain.functions[name].values for name in used),
+        Feature.FRACTIONS: not is_whole(problem, used),
+        Feature.OBJECT_FLUENTS: any(domain.functions[name].values for name in used),
+        Feature.QUANTIFIERS: any(isinstance(part, ForAll | Exists) for part in parts),
+        Feature.CONDITIONAL_EFFECTS: not all(change.is_plain for change in relevant),
+        Feature.DERIVED: bool(domain.rules),
+        Feature.CONSTRAINTS: bool(domain.constraints or problem.constraints),
+        Feature.PREFERENCES: has_preferences(problem),
+        Feature.TASKS: bool(domain.hierarchy or problem.network),
+    }
+    return frozenset(feature for feature, is_present in present.items() if is_present)
+
+
+def has_preferences(problem: Problem) -> bool:
+    """Whether there are preferences in the problem, the domain or an action."""
+    return bool(problem.preferences or problem.domain.preferences or any(schema.preferences for schema in problem.domain.actions.values()))
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,6 @@ from typing import Final
 from planner_bridge.model.grounding import initial_knowledge, modelled_duration
 from planner_bridge.model.plan import Plan, PlanStep
 from planner_bridge.model.problem import Problem
-from pnm.core.logic.domain import ActionSchema
 from pnm.errors import InputError, Position, suggestion
 
 _LINE: Final = re.compile(r"\s*(?:(?P<time>[0-9.eE+-]+)\s*:)?\s*\((?P<call>[^()]*)\)\s*(?:\[(?P<duration>[0-9.eE+-]+)\])?\s*")
@@ -50,20 +49,9 @@ def _step(line: str, problem: Problem, position: Position, now: float) -> PlanSt
     action, *arguments = match["call"].lower().split()
     schema = problem.domain.actions.get(action)
     if schema is None:
-        hint = (
-            suggestion(action, problem.domain.actions)
-            or f"expected one of {', '.join(problem.domain.actions) or 'none, for there is no domain'}"
-        )
+        known = problem.domain.actions
+        hint = suggestion(action, known) or f"expected one of {', '.join(known) or 'none, for there is no domain'}"
         raise InputError(f"there is no action {action!r}; {hint}", position)
-    _check_arguments(schema, tuple(arguments), problem, position)
-    duration = _number(match["duration"], position)
-    if duration is None:
-        duration = modelled_duration(schema, tuple(arguments), initial_knowledge(problem))
-    start = _number(match["time"], position)
-    return PlanStep(action, tuple(arguments), now if start is None else start, duration or 0.0)
-
-
-def _check_arguments(schema: ActionSchema, arguments: tuple[str, ...], problem: Problem, position: Position) -> None:
     if len(arguments) != len(schema.parameters):
         expected = " ".join(variable.name for variable in schema.parameters) or "none"
         raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(arguments)}", position)
@@ -72,6 +60,11 @@ def _check_arguments(schema: ActionSchema, arguments: tuple[str, ...], problem: 
         if argument not in fitting:
             hint = suggestion(argument, fitting) or f"expected one of {', '.join(sorted(fitting)[:8]) or 'none, for there are none'}"
             raise InputError(f"{argument!r} is no object for {variable.name} of {schema.name}; {hint}", position)
+    duration = _number(match["duration"], position)
+    if duration is None:
+        duration = modelled_duration(schema, tuple(arguments), initial_knowledge(problem))
+    start = _number(match["time"], position)
+    return PlanStep(action, tuple(arguments), now if start is None else start, duration or 0.0)
 
 
 def _number(text: str | None, position: Position) -> float | None:

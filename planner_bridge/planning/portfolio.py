@@ -149,22 +149,19 @@ def _first_decisive(
             return PlanningResult(PlanningStatus.CANCELLED, planner=", ".join(searches.values()))
         ended, waiting = wait(waiting, timeout=_POLL, return_when=FIRST_COMPLETED)
         for future in (future for future in searches if future in ended):
-            result = validated(problem, replace(_result(future), planner=searches[future]))
+            try:
+                answer = future.result()
+            except CancelledError:
+                answer = PlanningResult(PlanningStatus.CANCELLED, message="by the executor")
+            except Exception as error:  # whatever befell the planner or the process it ran in
+                answer = PlanningResult(PlanningStatus.CRASHED, message=f"{type(error).__name__}: {error}")
+            result = validated(problem, replace(answer, planner=searches[future]))
             if result.plan is not None or result.status is PlanningStatus.UNSOLVABLE:
                 return replace(result, message="; ".join(filter(None, (*map(_reason, failed), result.message))))
             failed.append(result)
     failed += (PlanningResult(PlanningStatus.TIMED_OUT, planner=name) for future, name in searches.items() if future in waiting)
     status = min((result.status for result in failed), key=_FAILURES.index)
     return PlanningResult(status, message="; ".join(map(_reason, failed)), planner=", ".join(searches.values()))
-
-
-def _result(search: Future[PlanningResult]) -> PlanningResult:
-    try:
-        return search.result()
-    except CancelledError:
-        return PlanningResult(PlanningStatus.CANCELLED, message="by the executor")
-    except Exception as error:  # whatever befell the planner or the process it ran in
-        return PlanningResult(PlanningStatus.CRASHED, message=f"{type(error).__name__}: {error}")
 
 
 def _reason(result: PlanningResult) -> str:

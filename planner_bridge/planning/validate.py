@@ -44,7 +44,7 @@ from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import assignments, possible_assignments
 from pnm.core.logic.evaluation import TOLERANCE, evaluate
 from pnm.core.logic.expressions import UNKNOWN, Constant, Expression, Fluent, State, Unknown, Value, fluent_text, value_of
-from pnm.core.logic.trajectory import Constraint, moments, observed_of
+from pnm.core.logic.trajectory import moments, observed_of
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
 from pnm.errors import PnmError
 
@@ -65,7 +65,14 @@ def why_invalid(problem: Problem, plan: Plan) -> str:
     try:
         constraints = (*problem.domain.constraints, *problem.constraints)
         samples = sorted({time for constraint in constraints for time in moments(constraint)})
-        _check_constraints(constraints, _states(problem, plan, samples))
+        states = _states(problem, plan, samples)
+        time, state = next(states)
+        progression = ConstraintProgression(constraints, state, time)
+        for time, state in states:
+            if violated := progression.advance(state, time):
+                raise InvalidPlan(f"{violated} is violated at {time:g} s: {observed_of(violated, state)}")
+        for constraint in progression.unfulfilled(state, time):
+            raise InvalidPlan(f"{constraint} is not fulfilled at the end: {observed_of(constraint, state)}")
     except InvalidPlan as reason:
         return str(reason)
     return ""
@@ -78,17 +85,6 @@ def trace(problem: Problem, plan: Plan) -> tuple[tuple[float, KnowledgeBase], ..
         InvalidPlan: the plan does not solve the problem.
     """
     return tuple((time, snapshot(state)) for time, state in _states(problem, plan))
-
-
-def _check_constraints(constraints: Iterable[Constraint], states: Iterator[tuple[float, KnowledgeBase]]) -> None:
-    """Go through the states, and refuse a plan that violates a trajectory constraint."""
-    time, state = next(states)
-    progression = ConstraintProgression(constraints, state, time)
-    for time, state in states:
-        if violated := progression.advance(state, time):
-            raise InvalidPlan(f"{violated} is violated at {time:g} s: {observed_of(violated, state)}")
-    for constraint in progression.unfulfilled(state, time):
-        raise InvalidPlan(f"{constraint} is not fulfilled at the end: {observed_of(constraint, state)}")
 
 
 def _states(problem: Problem, plan: Plan, samples: Iterable[float] = ()) -> Iterator[tuple[float, KnowledgeBase]]:

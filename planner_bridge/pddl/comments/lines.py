@@ -29,23 +29,15 @@ class Line:
 
 def render_lines(lines: Iterable[Line], format_comment: Callable[[str], str] = str) -> str:
     """Return the text; `format_comment` turns a comment into one of the file's format."""
-    return "".join(
-        _with_comments(line, column, format_comment)
-        for _, group in groupby(lines, key=lambda line: line.indent)
-        for run in (list(group),)
-        for column in (_comment_column(run),)
-        for line in run
-    )
-
-
-def _comment_column(lines: list[Line]) -> int:
-    """Return the column at which comments beside neighbouring lines begin."""
-    return max((length for line in lines if line.beside and (length := len(line.code)) <= _FAR), default=0) + 2
-
-
-def _with_comments(line: Line, column: int, format_comment: Callable[[str], str]) -> str:
-    if not line.beside:
-        return f"{line.code if line.text else ''}\n"
-    code = line.code.ljust(column - 2)
-    below = f"\n{' ' * len(code)}  "
-    return f"{code}  {below.join(map(format_comment, line.beside))}\n"
+    parts: list[str] = []
+    for _, group in groupby(lines, key=lambda line: line.indent):
+        neighbours = list(group)
+        width = max((length for line in neighbours if line.beside and (length := len(line.code)) <= _FAR), default=0)
+        for line in neighbours:
+            if not line.beside:
+                parts.append(f"{line.code if line.text else ''}\n")
+                continue
+            code = line.code.ljust(width)
+            below = f"\n{' ' * len(code)}  "
+            parts.append(f"{code}  {below.join(map(format_comment, line.beside))}\n")
+    return "".join(parts)

@@ -235,25 +235,21 @@ def _duration(node: Node, scope: TermScope) -> tuple[DurationConstraint, ...]:
         case Group() if _time_specifier(node) == "at end":
             raise Refused.DURATION_AT_END.at(node)
         case Group() if node.head in _COMPARISONS:
-            return (_duration_constraint(node, scope),)
+            left, right = operands(node, 2)
+            operation = _COMPARISONS[node.head]
+            if _is_duration(right) and not _is_duration(left):
+                Leniency.DURATION_SECOND.note(node)
+                left, right, operation = right, left, _CONVERSE[operation]
+            if not _is_duration(left):
+                raise wrong(left, f"expected ?duration, found {left}")
+            if operation != "=":
+                scope.symbols.requirements.need(node, ":duration-inequalities")
+            bound = scope.expression(right)
+            if any(expression_fluents(bound)):
+                scope.symbols.requirements.need(node, ":numeric-fluents")
+            return (DurationConstraint(operation, bound),)
         case _:
             raise wrong(node, f"expected (= ?duration ...), <=, >= or and of these; found {node}")
-
-
-def _duration_constraint(node: Group, scope: TermScope) -> DurationConstraint:
-    left, right = operands(node, 2)
-    operation = _COMPARISONS[node.head]
-    if _is_duration(right) and not _is_duration(left):
-        Leniency.DURATION_SECOND.note(node)
-        left, right, operation = right, left, _CONVERSE[operation]
-    if not _is_duration(left):
-        raise wrong(left, f"expected ?duration, found {left}")
-    if operation != "=":
-        scope.symbols.requirements.need(node, ":duration-inequalities")
-    bound = scope.expression(right)
-    if any(expression_fluents(bound)):
-        scope.symbols.requirements.need(node, ":numeric-fluents")
-    return DurationConstraint(operation, bound)
 
 
 def _is_duration(node: Node) -> bool:

@@ -21,48 +21,40 @@ DERIVED: Final = ":derived"
 
 
 def rules(sections: Iterable[Group], symbols: SymbolTable) -> tuple[DerivationRule, ...]:
-    """Read the rules, in the order of the file.
-
-    Raises:
-        InputError: a head is no declared predicate with variables, or the rules are not stratified.
-    """
-    found: list[tuple[DerivationRule, Group]] = []
+    """Read the rules, which must be stratified, in the order of the file."""
+    read: list[tuple[DerivationRule, Group]] = []
     for section in sections:
         symbols.requirements.need(section, ":derived-predicates")
         head, body = operands(section, 2)
-        declared, variables = _rule_head(head, symbols)
-        found.append((DerivationRule(declared.name, variables, condition(body, TermScope(symbols).inside(variables))), section))
-    _check_stratification(found)
-    return tuple(rule for rule, _ in found)
+        if not isinstance(head, Group):
+            raise wrong(head, f"expected a predicate with variables such as (name ?x - type), found {head}")
+        declared = symbols.predicate(head)
+        given = symbols.variables(head.rest)
+        if len(given) != len(declared.parameters):
+            raise wrong(head, f"expected {declared}, found {counted(len(given), 'variable')}")
+        variables = tuple(_narrowed(own, needed, head, symbols) for own, needed in zip(given, declared.parameters, strict=True))
+        read.append((DerivationRule(declared.name, variables, condition(body, TermScope(symbols).inside(variables))), section))
+    _check_stratification(read)
+    return tuple(rule for rule, _ in read)
 
 
 def derived_predicates(sections: Iterable[Group], symbols: SymbolTable) -> dict[str, Declaration]:
     """Return every derived predicate; one that is declared nowhere else is declared by the head of its first rule."""
-    found: dict[str, Declaration] = {}
+    derived: dict[str, Declaration] = {}
     for section in sections:
         head = section.rest[0] if section.rest else None
         if not isinstance(head, Group) or not head.head or symbols.find_function(head):
             continue  # which is refused when the rule is read
         if symbols.has_predicate(head.head):
             declared = symbols.predicate(head)
-        elif head.head in {name.lower() for name in found}:
+        elif head.head in {name.lower() for name in derived}:
             continue
         else:
             name = new_name(head.items[0], "predicate", CONNECTIVES)
             Leniency.DERIVED_UNDECLARED.note(head, name)
             declared = Declaration(name, symbols.variables(head.rest))
-        found[declared.name] = declared
-    return found
-
-
-def _rule_head(node: Node, symbols: SymbolTable) -> tuple[Declaration, tuple[Variable, ...]]:
-    if not isinstance(node, Group):
-        raise wrong(node, f"expected a predicate with variables such as (name ?x - type), found {node}")
-    declared = symbols.predicate(node)
-    variables = symbols.variables(node.rest)
-    if len(variables) != len(declared.parameters):
-        raise wrong(node, f"expected {declared}, found {counted(len(variables), 'variable')}")
-    return declared, tuple(_narrowed(given, needed, node, symbols) for given, needed in zip(variables, declared.parameters, strict=True))
+        derived[declared.name] = declared
+    return derived
 
 
 def _narrowed(given: Variable, needed: Variable, node: Node, symbols: SymbolTable) -> Variable:

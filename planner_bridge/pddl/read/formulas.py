@@ -41,7 +41,10 @@ def condition(node: Node, scope: TermScope) -> Condition:
             scope.symbols.requirements.need(node, ":disjunctive-preconditions")
             return Any(tuple([condition(part, scope) for part in node.rest]))
         case "not":
-            return _negation(node, scope)
+            (operand,) = operands(node, 1)
+            is_plain = not isinstance(operand, Group) or operand.head not in _COMPOUND
+            scope.symbols.requirements.need(node, *([":negative-preconditions"] if is_plain else []), ":disjunctive-preconditions")
+            return Not(condition(operand, scope))
         case "imply":
             scope.symbols.requirements.need(node, ":disjunctive-preconditions")
             left, right = operands(node, 2)
@@ -60,15 +63,6 @@ def condition(node: Node, scope: TermScope) -> Condition:
             return _flattened_condition(node, scope, _comparison)
         case _:
             return _flattened_condition(node, scope, _fact)
-
-
-def _negation(node: Group, scope: TermScope) -> Not:
-    (operand,) = operands(node, 1)
-    if isinstance(operand, Group) and operand.head in _COMPOUND:
-        scope.symbols.requirements.need(node, ":disjunctive-preconditions")
-    else:
-        scope.symbols.requirements.need(node, ":negative-preconditions", ":disjunctive-preconditions")
-    return Not(condition(operand, scope))
 
 
 def _flattened_condition(node: Group, scope: TermScope, read: Callable[[Group, TermScope], Condition]) -> Condition:

@@ -97,19 +97,19 @@ class SymbolTable:
 
     def object(self, word: Atom, needed: Types) -> tuple[str, Types]:
         """Return the object's name as declared, and its types; a domain may use one of the needed types that its problems declare."""
-        return self.find_object(word.text) or self._borrow(word, needed)
-
-    def find_object(self, name: str) -> tuple[str, Types] | None:
-        """Return an object's name as declared and its types, or None when there is no such object."""
-        return self._objects.get(name.lower())
-
-    def _borrow(self, word: Atom, needed: Types) -> tuple[str, Types]:
+        known = self._objects.get(word.key)
+        if known is not None:
+            return known
         if not self.lenient or not NAME.fullmatch(word.text) or is_number(word) or nearest(word, self.objects):
             raise unknown("object", word, self.objects)
         Leniency.OBJECT_OF_PROBLEMS.note(word, word)
         self.borrowed[word.text] = Borrowed(needed, where(word))
-        self._objects[word.key] = (word.text, needed)
-        return self._objects[word.key]
+        self._objects[word.key] = word.text, needed
+        return word.text, needed
+
+    def find_object(self, name: str) -> tuple[str, Types] | None:
+        """Return an object's name as declared and its types, or None when there is no such object."""
+        return self._objects.get(name.lower())
 
     # --- predicates and functions ---
 

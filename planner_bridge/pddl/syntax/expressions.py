@@ -184,9 +184,13 @@ class _Parser:
                     raise InputError("this ')' closes nothing; expected '(' or the end of the file", self.source.position(offset))
             elif token[0] != ";":
                 add(Atom(token, offset, self.source))
-        if self.stack:
-            raise self._never_closed()
-        return tuple(self.items)
+        if not self.stack:
+            return tuple(self.items)
+        if self.suspect is None:
+            raise InputError("this '(' is never closed; expected ')' before the end of the file", self.source.position(self.stack[-1][0]))
+        start, word = self.suspect
+        message = f"this '(' is not closed before the next section; expected ')' before {word} in line {where(word).line}"
+        raise InputError(message, self.source.position(start))
 
     def _add_word(self, word: Atom) -> None:
         if not self.items and len(self.stack) > 2 and word.text[0] == ":" and not self.suspect:
@@ -201,10 +205,3 @@ class _Parser:
             tolerate(before, f"'? {word.text}' is read as '?{word.text}'")
         else:
             self._add_word(word)
-
-    def _never_closed(self) -> InputError:
-        if self.suspect:
-            offset, word = self.suspect
-            message = f"this '(' is not closed before the next section; expected ')' before {word} in line {where(word).line}"
-            return InputError(message, self.source.position(offset))
-        return InputError("this '(' is never closed; expected ')' before the end of the file", self.source.position(self.stack[-1][0]))

@@ -87,7 +87,13 @@ def _lines(form: Form, indent: int, lead: str = "") -> list[Line]:
         case list():
             is_tall = len(form) > 1 if form and form[0] in _ONE_A_LINE else any(map(_is_tall, form))
             text = "" if is_tall else lead + flat(form)
-            return _broken(form, indent, lead) if is_tall or indent + len(text) > WIDTH else [Line(indent, text)]
+            if not is_tall and indent + len(text) <= WIDTH:
+                return [Line(indent, text)]
+            words = 1 if form[0] in _ONE_A_LINE else sum(1 for _ in takewhile(lambda part: isinstance(part, str), form))
+            opening = f"{lead}({' '.join(map(flat, form[:words]))}"
+            lines = [Line(indent, opening), *(line for part in form[words:] for line in _lines(part, indent + 2))]
+            _close(lines, indent)
+            return lines
         case _:
             return [Line(indent, lead + flat(form))]
 
@@ -95,15 +101,6 @@ def _lines(form: Form, indent: int, lead: str = "") -> list[Line]:
 def _is_tall(form: Form) -> bool:
     """Whether the form needs lines of its own: it is an action's part, or has comments."""
     return not isinstance(form, str) and (not isinstance(form, list) or any(map(_is_tall, form)))
-
-
-def _broken(form: list[Form], indent: int, lead: str) -> list[Line]:
-    """Write the first words on this line and each other part on a line of its own."""
-    words = 1 if form[0] in _ONE_A_LINE else sum(1 for _ in takewhile(lambda part: isinstance(part, str), form))
-    first = " ".join(map(flat, form[:words]))
-    lines = [Line(indent, f"{lead}({first}"), *(line for part in form[words:] for line in _lines(part, indent + 2))]
-    _close(lines, indent)
-    return lines
 
 
 def _close(lines: list[Line], indent: int) -> None:

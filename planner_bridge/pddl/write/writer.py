@@ -21,7 +21,6 @@ from pnm.core.logic.expressions import Constant, Fluent, Value, Variable
 from pnm.core.logic.rules import DerivationRule
 from pnm.core.logic.trajectory import Constraint
 
-_NUMBER: Final = "number"
 NO_COMMENTS: Final[Table] = {}
 
 
@@ -46,7 +45,11 @@ def _domain(domain: Domain, notes: Notes) -> str:
     if domain.predicates:
         sections.append(_declarations(":predicates", map(_declaration, domain.predicates.values()), domain.predicates, notes))
     if domain.functions:
-        sections.append(_declarations(":functions", _functions(tuple(domain.functions.values())), domain.functions, notes))
+        functions = [_declaration(declared) for declared in domain.functions.values()]
+        if any(declared.values for declared in domain.functions.values()):
+            types = (flat(types_form(declared.values or ("number",))) for declared in domain.functions.values())
+            functions = [f"{flat(form)} - {values}" for form, values in zip(functions, types, strict=True)]
+        sections.append(_declarations(":functions", functions, domain.functions, notes))
     for rule in domain.rules:
         key, head, body = form = rule_form(rule)
         own = notes.at(":derived", rule_anchor(form))
@@ -66,7 +69,11 @@ def _problem(problem: Problem, notes: Notes) -> str:
     if problem.network:
         sections.append(_verbatim(problem.network, notes))  # other planners read it only in front of :init
     facts = notes.at(":init")
-    init: list[Form] = [noted(form, facts.at(fact_anchor(form)).take()) if facts else form for form in _initial(problem)]
+    init: list[Form] = [change_form(fluent, value) for fluent, value in problem.init.items() if value is not False]
+    for timed in problem.timed:
+        init += (["at", number_text(timed.time), change_form(fluent, value)] for fluent, value in timed.changes.items())
+    if facts:
+        init = [noted(form, facts.at(fact_anchor(form)).take()) for form in init]
     sections.append(noted([":init", *init], facts.take()))
     goal = notes.at(":goal")
     wanted = _with_preferences(problem.goal, problem.preferences)
@@ -118,21 +125,6 @@ def commented(form: Form, notes: Notes) -> Form:
 
 def _declaration(declared: Declaration) -> Form:
     return [declared.name, *variables_form(declared.parameters)]
-
-
-def _functions(functions: tuple[Declaration, ...]) -> list[Form]:
-    if not any(declared.values for declared in functions):
-        return [_declaration(declared) for declared in functions]
-    return [f"{flat(_declaration(declared))} - {flat(types_form(declared.values or (_NUMBER,)))}" for declared in functions]
-
-
-def _initial(problem: Problem) -> Iterator[Form]:
-    for fluent, value in problem.init.items():
-        if value is not False:
-            yield change_form(fluent, value)
-    for timed in problem.timed:
-        for fluent, value in timed.changes.items():
-            yield ["at", number_text(timed.time), change_form(fluent, value)]
 
 
 def change_form(fluent: Fluent, value: Value) -> Form:
@@ -216,14 +208,10 @@ def _parts(schema: ActionSchema) -> Iterator[tuple[str, Form]]:
     else:
         bounds: list[Form] = [[bound.operation, "?duration", expression_form(bound.bound)] for bound in schema.duration]
         yield ":duration", joined(bounds) if bounds else []
-        yield ":condition", joined(_timed_conditions(schema))
+        conditions = (("at start", schema.precondition), ("over all", schema.invariant), ("at end", schema.end_condition))
+        hard = [_at(moment, condition_form(part)) for moment, condition in conditions for part in conjuncts(condition)]
+        yield ":condition", joined([*hard, *map(preference_form, schema.preferences)])
         yield ":effect", joined([*_timed_effects("start", schema.start_effects), *_timed_effects("end", schema.end_effects)])
-
-
-def _timed_conditions(schema: ActionSchema) -> list[Form]:
-    every = (("at start", schema.precondition), ("over all", schema.invariant), ("at end", schema.end_condition))
-    hard = [_at(moment, condition_form(part)) for moment, condition in every for part in conjuncts(condition)]
-    return [*hard, *map(preference_form, schema.preferences)]
 
 
 def _at(moment: str, form: Form) -> Form:

@@ -17,23 +17,15 @@ from planner_bridge.planning.engine_process import ANSWER, BEGAN, die_with_paren
 def main() -> None:
     """Ask one engine for a plan, and write its answer, atomically, to answer.json."""
     die_with_parent()
-    _stub_config_space()
-    from planner_bridge.planning.unified_planning.engine import (  # here, because it takes long, and the stub must be there before
-        ask,
-        look_up,
-    )
+    stub = ModuleType("ConfigSpace")  # it and scipy would be loaded for one annotation, in 60 % of the time to load unified-planning
+    stub.ConfigurationSpace = object  # type: ignore[attr-defined]
+    sys.modules[stub.__name__] = stub
+    from planner_bridge.planning.unified_planning.engine import ask, look_up  # here, because it takes long and needs the stub
 
     Path(BEGAN).touch()
     answer = ask(sys.argv[1], float(sys.argv[2])) if len(sys.argv) > 2 else look_up(sys.argv[1])
     Path("answer").write_text(json.dumps(answer))
     os.replace("answer", ANSWER)  # atomic: a reader sees no half-written answer
-
-
-def _stub_config_space() -> None:
-    """Keep unified-planning from loading ConfigSpace and scipy for one annotation, which is 60 % of the time to load it."""
-    stub = ModuleType("ConfigSpace")
-    stub.ConfigurationSpace = object  # type: ignore[attr-defined]
-    sys.modules[stub.__name__] = stub
 
 
 if __name__ == "__main__":

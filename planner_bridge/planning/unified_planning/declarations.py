@@ -139,17 +139,16 @@ class Declarations:
         """Yield the conditions that the variables are of their types, where the tree cannot express it."""
         for variable in variables:
             types = frozenset(variable.types)
-            if not self.tree.is_exact(types):
-                yield self._guard(types)(terms[variable.name])
-
-    def _guard(self, types: frozenset[str]) -> Any:
-        if types not in self._guards:
-            guard = up.Fluent(self.named(f"is-{'-or-'.join(sorted(types))}"), up.BoolType(), it=self.type_of(types))
-            self.translated.add_fluent(guard, default_initial_value=False)
-            for name in self.tree.extent(types):
-                self.translated.set_initial_value(guard(self.objects[name]), True)
-            self._guards[types] = guard
-        return self._guards[types]
+            if self.tree.is_exact(types):
+                continue
+            if types not in self._guards:
+                guard = self._guards[types] = up.Fluent(
+                    self.named(f"is-{'-or-'.join(sorted(types))}"), up.BoolType(), it=self.type_of(types)
+                )
+                self.translated.add_fluent(guard, default_initial_value=False)
+                for member in self.tree.extent(types):
+                    self.translated.set_initial_value(guard(self.objects[member]), True)
+            yield self._guards[types](terms[variable.name])
 
     def _declare(self, declared: Declaration, kind: Any, **default: bool) -> None:
         parameters = {f"{variable.name[1:]}-{place}": self.type_of(variable.types) for place, variable in enumerate(declared.parameters)}

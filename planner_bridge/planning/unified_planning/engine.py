@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -77,13 +76,13 @@ def look_up(name: str) -> Answer:
     """Return the error if there is no such engine; nothing if there is."""
     environment = up.get_environment()
     environment.credits_stream = None
-    there = sorted(one for one in environment.factory.engines if environment.factory.engine(one).is_oneshot_planner())
-    if name in there:
+    installed = sorted(engine for engine in environment.factory.engines if environment.factory.engine(engine).is_oneshot_planner())
+    if name in installed:
         return {}
     if name in DEFAULT_ENGINES:
         package = DEFAULT_ENGINES[name][0].partition(".")[0].replace("_", "-")
         return {"unknown": f"the planner {name} is not installed: pip install {package}"}
-    planners = ("kairos", *(one for one in there if "[" not in one))
+    planners = ("kairos", *(engine for engine in installed if "[" not in engine))
     hint = suggestion(name, (*planners, "race", *ENGINES))
     return {"unknown": f"there is no planner {name!r}; installed: {', '.join(planners)}{f'; {hint}' if hint else ''}"}
 
@@ -106,15 +105,21 @@ def _answer(name: str, problem: Problem, deadline: float) -> Answer:
         return _no_plan(PlanningStatus.OUT_OF_MEMORY, str(error))
     if result.plan is None:
         return _reason(name, result)
+    plan: Any = getattr(result.plan, "action_plan", result.plan)  # of a hierarchical plan, what is carried out
+    if hasattr(plan, "timed_actions"):
+        calls = [(call, float(start), float(duration or 0)) for start, call, duration in plan.timed_actions]
+    else:
+        sequential = plan if hasattr(plan, "actions") else next(iter(plan.all_sequential_plans()))
+        calls = [(call, float(index), 0.0) for index, call in enumerate(sequential.actions)]
     steps = [
-        (actions.get(action, action), [objects.get(one, one) for one in arguments], *times)
-        for action, arguments, *times in _steps(result.plan)
+        (actions.get(call.action.name, call.action.name), [objects.get(name, name) for name in map(str, call.actual_parameters)], *times)
+        for call, *times in calls
     ]
     return {"status": PlanningStatus.SOLVED.name, "steps": steps, "message": ""}
 
 
 def _reason(name: str, result: PlanGenerationResult) -> Answer:
-    log = "\n".join(one.message for one in result.log_messages or ())
+    log = "\n".join(message.message for message in result.log_messages or ())
     match _STATUS.get(result.status, PlanningStatus.NO_PLAN):
         case PlanningStatus.UNSOLVABLE if not (name in ENGINES and ENGINES[name].proves_unsolvability):
             return _no_plan(PlanningStatus.NO_PLAN, f"{name} says that there is none, which is not taken for proved")
@@ -137,14 +142,14 @@ def _no_plan(status: PlanningStatus, log: str) -> Answer:
 
 
 def _problem(name: str, problem: Problem) -> tuple[Any, dict[str, str], dict[str, str]]:
-    """Return the problem for the engine, and how its actions and objects are called here.
-
-    Raises:
-        InputError: unified-planning cannot express the problem, or the engine does not support it.
-    """
+    """Return the problem for the engine, which must support it, and how its actions and objects are called here."""
     engine = up.get_environment().factory.engine(name)
     if Feature.TASKS in problem_kind(problem):
-        there, actions, objects = _hierarchical(), dict[str, str](), dict[str, str]()
+        up.get_environment().error_used_name = False
+        try:  # unified-planning reads it itself: tasks and methods are text to us
+            there, actions, objects = PDDLReader().parse_problem("domain.pddl", "problem.pddl"), dict[str, str](), dict[str, str]()
+        except Exception as error:  # the reader raises whatever its grammar raises
+            raise InputError(f"unified-planning cannot read the problem: {error}") from error
     else:
         translation = Translation(problem, (_StatedProblem if issubclass(engine, PDDLPlanner) else up.Problem)(problem.name))
         there, actions, objects = translation.translated, translation.actions, translation.objects
@@ -153,28 +158,3 @@ def _problem(name: str, problem: Problem) -> tuple[Any, dict[str, str], dict[str
     if not engine.supports(ProblemKind(asked, version=there.kind.version)):
         raise InputError(", ".join(sorted(asked - engine.supported_kind().features)).lower().replace("_", " "))
     return there, actions, objects
-
-
-def _hierarchical() -> Any:
-    """Return the problem as unified-planning itself reads it: tasks and methods are text to us."""
-    up.get_environment().error_used_name = False
-    try:
-        return PDDLReader().parse_problem("domain.pddl", "problem.pddl")
-    except Exception as error:  # the reader raises whatever its grammar raises
-        raise InputError(f"unified-planning cannot read the problem: {error}") from error
-
-
-# --- the plan ------------------------------------------------------------------------------
-
-
-def _steps(plan: Any) -> Iterator[tuple[str, list[str], float, float]]:
-    plan = getattr(plan, "action_plan", plan)  # of a hierarchical plan, what is carried out
-    if hasattr(plan, "timed_actions"):
-        return ((*_call(action), float(start), float(duration or 0)) for start, action, duration in plan.timed_actions)
-    if not hasattr(plan, "actions"):
-        plan = next(iter(plan.all_sequential_plans()))
-    return ((*_call(action), float(index), 0.0) for index, action in enumerate(plan.actions))
-
-
-def _call(action: Any) -> tuple[str, list[str]]:
-    return action.action.name, [str(parameter) for parameter in action.actual_parameters]

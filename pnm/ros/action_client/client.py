@@ -58,9 +58,6 @@ class Ros2ActionClient:
         """Connect to the servers of the actions; return the names of those not there within `limit` seconds.
 
         It is no error when a server is missing: it is looked for again when a goal is sent to it.
-
-        Raises:
-            InputError: a binding names a type that is not installed, or a server by what cannot be a name.
         """
         keys = dict.fromkeys(map(self._key, actions))
         links = await self._ros.ask(lambda: [self._link(key) for key in keys])

@@ -36,9 +36,6 @@ class Ros2Person:
     needed any more, also because one has arrived: other subscribers still show it.
 
     The mutable state is the open questions by id, on the event loop's thread, and publisher and subscription.
-
-    Raises:
-        InputError: the package pnm_interfaces is not installed.
     """
 
     def __init__(self, ros: RosThread, name: str = NAME, *, limit: float = LIMIT) -> None:

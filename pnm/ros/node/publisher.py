@@ -24,14 +24,8 @@ class Publisher:
     The mutable state is the publisher of `rclpy`, on the ROS thread, and the number of subscriptions, on the event loop's.
 
     Args:
-        type_name: such as ``pnm_interfaces/msg/Plans``.
-        name: relative to the node's namespace.
-        is_latched: whether late subscribers get the last messages.
         depth: messages that are kept for subscribers that are slow, or late if latched; by default 1 if latched, else `DEPTH`.
         matched: called on the event loop's thread at every new subscription.
-
-    Raises:
-        InputError: the type is not installed.
     """
 
     def __init__(

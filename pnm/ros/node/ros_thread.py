@@ -46,8 +46,6 @@ class RosThread:
     only in functions given to `call`, `wait` or `ask`.
 
     Args:
-        name: the node's name.
-        namespace: the node's namespace; relative names are relative to it.
         args: arguments as a launch file gives them, such as ``["--ros-args", "-r", "__ns:=/r1"]``.
         managed: make a node with a managed life cycle, see `pnm.ros.node.lifecycle`.
         limit: seconds for the node to be made.
@@ -161,7 +159,12 @@ class RosThread:
         try:
             # Signals belong to the program, which ends its runs before it closes the node.
             rclpy.init(args=args, context=context, signal_handler_options=rclpy.SignalHandlerOptions.NO)
-            self.node = self._make(name, namespace, context)
+            if self._managed:
+                from pnm.ros.node.managed_node import ManagedNode  # here, because rclpy is an extra
+
+                self.node = ManagedNode(name, namespace=namespace, context=context)
+            else:
+                self.node = rclpy.create_node(name, namespace=namespace, context=context)
             self._guard = self.node.create_guard_condition(self._drain)
             executor = SingleThreadedExecutor(context=context)
             executor.add_node(self.node)
@@ -178,13 +181,6 @@ class RosThread:
             except Exception:  # a callback that fails must not end the others
                 _log.exception("a ROS 2 callback failed")
         self._end(executor, context)
-
-    def _make(self, name: str, namespace: str, context: Any) -> Any:
-        if self._managed:
-            from pnm.ros.node.managed_node import ManagedNode  # here, because rclpy is an extra
-
-            return ManagedNode(name, namespace=namespace, context=context)
-        return rclpy.create_node(name, namespace=namespace, context=context)
 
     def _drain(self) -> None:
         while self._functions:

@@ -38,13 +38,6 @@ class ServiceClient:
 
     The mutable state is the client, on the ROS thread, whether the service has ever responded, and how many requests may
     still be sent. Until it has, a request may arrive more than once.
-
-    Args:
-        type_name: such as ``std_srvs/srv/Trigger``.
-        name: relative to the node's namespace.
-
-    Raises:
-        InputError: the type is not installed.
     """
 
     def __init__(self, ros: RosThread, type_name: str, name: str) -> None:

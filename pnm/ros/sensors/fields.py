@@ -19,11 +19,7 @@ _TEXT: Final = re.compile(r"w?string(<\d+>)?")
 
 
 def fitted(sensor: Sensor, message_type: Any) -> Sensor:
-    """Return a sensor with the values of the type's constants in the place of their names.
-
-    Raises:
-        InputError: messages of this type do not have a field, or it is of another kind than what it is used for.
-    """
+    """Return a sensor with the values of the type's constants in the place of their names."""
     return replace(sensor, statements=tuple([_fitted(statement, message_type) for statement in sensor.statements]))
 
 

@@ -45,7 +45,9 @@ class SensorRecorder:
         reading = read(self.instance, look, self._knowledge.objects)
         for number, reason in reading.unread.items():
             if number not in self._unread:
-                _log.warning("%s: %s; %s is unknown", self.instance.name, reason, self._about(number))
+                statement = self.instance.sensor.statements[number]
+                fluent = statement.name if hasattr(statement, "name") else fluent_text(statement.fluent)
+                _log.warning("%s: %s; %s is unknown", self.instance.name, reason, fluent)
         self._unread = frozenset(reading.unread)
         self._store(reading)
         self._watchdog.reset()
@@ -73,10 +75,6 @@ class SensorRecorder:
         changed = {name: value for name, value in reading.variables.items() if value != (None if known[name] is MISSING else known[name])}
         if changed:
             self._knowledge.store(changed)
-
-    def _about(self, number: int) -> str:
-        statement = self.instance.sensor.statements[number]
-        return statement.name if hasattr(statement, "name") else fluent_text(statement.fluent)
 
 
 def checked(instance: Instance, name: str) -> tuple[Any, Instance]:

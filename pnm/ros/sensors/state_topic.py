@@ -31,9 +31,6 @@ class SensedReports:
 
     Args:
         listener: called with the names, their true facts and numbers, and the report's sequence number.
-
-    Raises:
-        InputError: the package pnm_interfaces is not installed.
     """
 
     def __init__(self, ros: RosThread, loop: asyncio.AbstractEventLoop, listener: Listener, topic: str = TOPIC) -> None:
@@ -68,7 +65,6 @@ class SensedReports:
             self._ros.call(self._unsubscribe)
 
     async def _has_publisher(self) -> bool:
-        """Return True if there is a publisher, once the graph has settled, or as soon as a report arrives."""
         settled = asyncio.ensure_future(self._ros.settled())
         heard = asyncio.ensure_future(self._heard.wait())
         try:
@@ -86,7 +82,6 @@ class SensedReports:
     # on the ROS thread
 
     def _subscribe(self, state: Any) -> None:
-
         from rclpy.qos import DurabilityPolicy, QoSProfile  # here, because rclpy is an extra
 
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)

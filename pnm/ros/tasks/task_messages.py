@@ -32,11 +32,7 @@ Fields = dict[str, object]
 def result_fields(success: bool, reason: str, message: str, results: Mapping[str, object]) -> Fields:
     """Return the fields of the result of a plan; values that JSON cannot express are left out, and named in the message.
 
-    Args:
-        success: whether the plan has succeeded.
-        reason: a word for programs, as the interface lists them.
-        message: for people.
-        results: the variables that the plan returns.
+    The reason is a word for programs, as the interface lists them; the message is for people.
     """
     written: list[str] = []
     for name, value in results.items():
@@ -89,11 +85,7 @@ def wanted_plan(id: UUID, request: Any) -> Wanted:
 
 
 def wanted_run(plan: str, id: UUID, request: Any) -> Wanted:
-    """Read a goal of the action of a plan.
-
-    Raises:
-        InputError: its parameters are no mapping.
-    """
+    """Read a goal of the action of a plan."""
     return Wanted(id, plan, parameters=read_parameters(request.parameters), is_plan=True)
 
 
@@ -140,18 +132,18 @@ def run_feedback_fields(status: TaskStatus, _steps: Iterable[TaskStep]) -> Field
 
 def plan_fields(task: UUID, goal: str, number: int, steps: Iterable[TaskStep]) -> Fields:
     """Return the fields of a ``Plan``."""
-    return {"task": uuid_field(task), "goal": printable(goal), "number": number, "steps": [_step_fields(step) for step in steps]}
-
-
-def _step_fields(step: TaskStep) -> Fields:
-    return {
-        "action": step.action,
-        "arguments": [printable(argument) for argument in step.arguments],
-        "start": step.start,
-        "duration": step.duration,
-        "state": int(step.state),
-        "after": list(step.after),
-    }
+    step_fields = [
+        {
+            "action": step.action,
+            "arguments": [printable(argument) for argument in step.arguments],
+            "start": step.start,
+            "duration": step.duration,
+            "state": int(step.state),
+            "after": list(step.after),
+        }
+        for step in steps
+    ]
+    return {"task": uuid_field(task), "goal": printable(goal), "number": number, "steps": step_fields}
 
 
 def remaining(steps: Iterable[TaskStep]) -> list[str]:

@@ -21,7 +21,7 @@ from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.simulation import simulated_backend
-from planner_bridge.tasks.replanning import Decision, History, Limits, PlanAgain, Progress, Resume, decide, why_not
+from planner_bridge.tasks.replanning import Decision, History, Limits, PlanAgain, Progress, ResumePlan, decide, why_not
 from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
 from pnm.clock import run_async
@@ -292,7 +292,7 @@ def test_the_rest_of_a_plan_is_resumed_if_its_derived_conditions_still_hold() ->
         result = await stage.run(graph)
         assert [failure.cause for failure in result.failures] == ["aborted"]
         decision = stage.decide(graph, result)
-        assert isinstance(decision, Resume)
+        assert isinstance(decision, ResumePlan)
         assert [str(call.action) for call in decision.rest.calls] == ["go(r1, k, h)"]
         assert (await stage.run(decision.rest)).goal
 
@@ -443,7 +443,7 @@ def test_an_aborted_move_leaves_the_robot_where_it_was_known_to_be() -> None:
         result = await stage.run(graph)
         assert [one.cause for one in result.failures] == ["aborted"]
         assert (stage.truth(R1), stage.knowledge.value(R1)) == ("hall", "hall")
-        assert isinstance(stage.decide(graph, result), Resume)
+        assert isinstance(stage.decide(graph, result), ResumePlan)
 
     faults = Faults((Fault("move", FaultKind.ABORT),))
     play(IN_LAB, script, faults, Bindings({"move": Binding(retries=0)}, assumed=frozenset({"place"})))

@@ -17,7 +17,7 @@ from rclpy.action import CancelResponse
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
-from pnm.ros.action_server.python_server import KnowledgeError, PnmActionServer
+from pnm.ros.action_server import KnowledgeError, PnmActionServer
 from tests.support.e2e.workers import say
 
 

@@ -1,4 +1,4 @@
-"""TODO."""
+"""`pnm serve` with tasks that do as their goals say, and its clients."""
 
 from __future__ import annotations
 

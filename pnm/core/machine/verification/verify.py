@@ -16,8 +16,8 @@ order, and from the innermost steps outwards, each block gets its inputs once an
 once whenever it is entered.
 
 A block takes all of its resources at once, while it has none, gives them back whatever happens, and
-waits neither for other blocks nor for what it holds as long as it has them. So whoever has resources
-comes to an end without anybody else's help, and whoever waits for some gets them in the end; unless a request that was given up
+waits neither for other blocks nor for what it holds as long as it has them. So a call that has resources
+comes to an end without the help of others, and a call that waits for some gets them in the end; unless a request that was given up
 keeps them, and for that case every wait for resources has another way out.
 """
 
@@ -59,7 +59,7 @@ _FOUND_GOOD: Final[dict[object, _Proved]] = {}
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """What was proved, and how much work it was."""
+    """Proof of a machine: what was proved, and how much work it was."""
 
     calls: int
     shapes: int
@@ -135,7 +135,7 @@ def explore(machine: PetriNetMachine) -> int:
 
 
 def _check_withheld(part: Part) -> None:
-    """Check that whoever waits for resources is asked first whether they are withheld, which is looked at for a finite time."""
+    """Check that before each wait for resources stands a guard for withheld ones, which opens after a finite time."""
     for number, step in enumerate(part.steps):
         rest = {place: weight for place, weight in step.inputs.items() if place not in part.resources}
         if rest != step.inputs and not isinstance(step.guard, Adopted):
