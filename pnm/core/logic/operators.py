@@ -30,7 +30,7 @@ def operate(name: str, operands: list[object]) -> object:
 
 
 def bounded(value: object) -> object:
-    """Return the value; raise `Uncomputable` if it is too large or deep: a few lists that hold the one before twice would fill any memory."""
+    """Return the value; raise `Uncomputable` if it is too large or deep: a few lists, each twice in the next, would fill any memory."""
     waiting, size = [(value, 0)], 0
     while waiting:
         part, depth = waiting.pop()
