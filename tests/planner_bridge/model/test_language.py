@@ -48,20 +48,20 @@ class Stage:
     """A simulated world, and what is known of it, for one run after the other."""
 
     problem: Problem
-    site: SimulatedBackend
+    backend: SimulatedBackend
     knowledge: Layered
     bindings: Bindings
 
     async def run(self, graph: PlanGraph) -> RunResult:
         machine = generate(graph, self.bindings)
         verify(machine)
-        fields = self.site.client.goal_fields
+        fields = self.backend.client.goal_fields
         return await Executor(
-            Run(machine, self.knowledge, id=uuid4(), bindings=self.bindings, goal_fields=fields), self.site.client
+            Run(machine, self.knowledge, id=uuid4(), bindings=self.bindings, goal_fields=fields), self.backend.client
         ).execute()
 
     def truth(self, fluent: Fluent) -> object:
-        return self.site.robots.world.truth.value(fluent)
+        return self.backend.robots.world.truth.value(fluent)
 
     def now(self) -> Problem:
         return problem_now(self.problem, self.knowledge.world)
@@ -77,11 +77,11 @@ Script = Callable[[Stage], Coroutine[Anything, Anything, None]]
 def play(problem: Problem, script: Script, faults: Faults = NO_FAULTS, bindings: Bindings = Bindings()) -> None:
     async def main() -> None:
         stage = Stage(problem, simulated_backend(problem, bindings, faults), Layered(initial_knowledge(problem)), bindings)
-        await stage.site.open(stage.knowledge.world)
+        await stage.backend.open(stage.knowledge.world)
         try:
             await script(stage)
         finally:
-            await stage.site.close()
+            await stage.backend.close()
 
     run_async(main(), virtual=True)
 
@@ -304,7 +304,7 @@ def test_a_late_report_about_what_is_below_a_derived_fact_is_waited_for() -> Non
 
     async def script(stage: Stage) -> None:
         stage.knowledge.world.sense({"open"}, lag=3.0)
-        asyncio.get_running_loop().call_later(2.5, stage.site.robots.world.change, {("open", "d1"): True})
+        asyncio.get_running_loop().call_later(2.5, stage.backend.robots.world.change, {("open", "d1"): True})
         result = await stage.run(plan_graph(problem, timed("0 4 go r1 k h")))
         assert result.goal, result.reason
         assert result.calls[0].started == 2.5
@@ -451,7 +451,7 @@ def test_an_aborted_move_leaves_the_robot_where_it_was_known_to_be() -> None:
 
 def test_a_robot_that_was_carried_away_is_found_by_the_precondition() -> None:
     async def script(stage: Stage) -> None:
-        stage.site.robots.world.change({R1: "yard"})
+        stage.backend.robots.world.change({R1: "yard"})
         graph = plan_graph(IN_LAB, TO_LAB)
         result = await stage.run(graph)
         assert [(one.cause, one.observed) for one in result.failures] == [("precondition_false", "(place r1) is yard")]

@@ -79,7 +79,7 @@ def test_goals_share_resources_with_the_capacities_that_plans_give_them() -> Non
     chosen = Settings(bindings=Bindings({"move": Binding(resources=("lift",))}))
 
     async def scene(stage: Stage) -> None:
-        stage.site.robots.capacities = {"lift": 2}
+        stage.backend.robots.capacities = {"lift": 2}
         task = stage.want("(and (at r0 a1) (at r1 a2) (at r2 a3))")
         await stage.reaches(task)
         first, second, third = (one.time for one in stage.seen(task, "sent", "move"))

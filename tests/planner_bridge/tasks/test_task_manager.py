@@ -71,7 +71,7 @@ def on_stage(
 
 def carry(stage: Stage, robot: str, origin: str, place: str) -> None:
     """Have somebody carry a robot from one place to another."""
-    stage.site.robots.world.change({("at", robot, origin): False, ("at", robot, place): True})
+    stage.backend.robots.world.change({("at", robot, origin): False, ("at", robot, place): True})
 
 
 def robots_of(stage: Stage, task: UUID) -> set[str]:
@@ -195,7 +195,7 @@ async def test_no_plan_is_told_only_when_what_others_have_begun_cannot_make_it_p
         await stage.reaches(one)
     else:
         assert await stage.ended_with(one) == [Code.CANCELLED]
-    assert not stage.site.robots.clashes
+    assert not stage.backend.robots.clashes
 
 
 @on_stage(delivery(), chosen=DRIVING)
@@ -453,7 +453,7 @@ async def test_a_pause_gives_the_task_no_more_time_than_it_had(stage: Stage):
     await stage.sees(task, "ended")
     await stage.master.pause(task, at_once=False)
     await asyncio.sleep(100.0)
-    stage.site.robots.faults = Faults((Fault("move", FaultKind.HANG),))
+    stage.backend.robots.faults = Faults((Fault("move", FaultKind.HANG),))
     resumed = asyncio.get_running_loop().time()
     await stage.master.resume(task)
     assert await stage.ended_with(task) == [Code.TIMED_OUT]
@@ -522,7 +522,7 @@ async def test_a_pause_right_after_a_resumption_waits_for_what_that_begins(stage
     await going_on.control.pause("", at_once=False)
     assert stage.state(task) is TaskState.PAUSED
     await asyncio.sleep(0.1)
-    assert not stage.site.robots._jobs
+    assert not stage.backend.robots._jobs
     await stage.master.resume(task)
     await stage.reaches(task)
 

@@ -246,7 +246,7 @@ class People:
     def change(self) -> None:
         change = self.script.setting.change(self.rng)
         self.tell(f"change {change}")
-        self.stage.site.robots.world.change(change)
+        self.stage.backend.robots.world.change(change)
 
 
 # --- what is against the rules --------------------------------------------------------------------
