@@ -336,10 +336,10 @@ def test_p6_runs_that_are_over_are_forgotten(tmp_path: Path) -> None:
 
     async def twice() -> list[object]:
         performer = Performer({"plan": Program.of(plan)}, simulated_backend(plan, plan.bindings), KnowledgeBase())
-        await performer.site.open(performer.world)
+        await performer.backend.open(performer.world)
         for _ in range(2):
             assert (await performer.execute(performer.perform("plan"))).goal
-        await performer.site.close()
+        await performer.backend.close()
         return [*performer.going_on]
 
     assert run_async(twice(), virtual=True) == []

@@ -48,20 +48,20 @@ class Simulation:
     """A simulated world, and what is known of it, for one run after the other."""
 
     problem: Problem
-    site: SimulatedBackend
+    backend: SimulatedBackend
     knowledge: Layered
     bindings: Bindings
 
     async def run(self, graph: PlanGraph) -> RunResult:
         machine = generate(graph, self.bindings)
         verify(machine)
-        fields = self.site.client.goal_fields
+        fields = self.backend.client.goal_fields
         return await Executor(
-            Run(machine, self.knowledge, id=uuid4(), bindings=self.bindings, goal_fields=fields), self.site.client
+            Run(machine, self.knowledge, id=uuid4(), bindings=self.bindings, goal_fields=fields), self.backend.client
         ).execute()
 
     def truth(self, fluent: Fluent) -> object:
-        return self.site.robots.world.truth.value(fluent)
+        return self.backend.robots.world.truth.value(fluent)
 
     def now(self) -> Problem:
         return problem_now(self.problem, self.knowledge.world)
@@ -77,11 +77,11 @@ Scenario = Callable[[Simulation], Coroutine[Anything, Anything, None]]
 def simulate(problem: Problem, scenario: Scenario, faults: Faults = NO_FAULTS, bindings: Bindings = Bindings()) -> None:
     async def main() -> None:
         simulation = Simulation(problem, simulated_backend(problem, bindings, faults), Layered(initial_knowledge(problem)), bindings)
-        await simulation.site.open(simulation.knowledge.world)
+        await simulation.backend.open(simulation.knowledge.world)
         try:
             await scenario(simulation)
         finally:
-            await simulation.site.close()
+            await simulation.backend.close()
 
     run_async(main(), virtual=True)
 
@@ -304,7 +304,7 @@ def test_a_late_report_about_what_is_below_a_derived_fact_is_waited_for() -> Non
 
     async def scenario(simulation: Simulation) -> None:
         simulation.knowledge.world.sense({"open"}, lag=3.0)
-        asyncio.get_running_loop().call_later(2.5, simulation.site.robots.world.change, {("open", "d1"): True})
+        asyncio.get_running_loop().call_later(2.5, simulation.backend.robots.world.change, {("open", "d1"): True})
         result = await simulation.run(plan_graph(problem, timed("0 4 go r1 k h")))
         assert result.goal, result.reason
         assert result.calls[0].started == 2.5
@@ -451,7 +451,7 @@ def test_an_aborted_move_leaves_the_robot_where_it_was_known_to_be() -> None:
 
 def test_a_robot_that_was_carried_away_is_found_by_the_precondition() -> None:
     async def scenario(simulation: Simulation) -> None:
-        simulation.site.robots.world.change({R1: "yard"})
+        simulation.backend.robots.world.change({R1: "yard"})
         graph = plan_graph(IN_LAB, TO_LAB)
         result = await simulation.run(graph)
         assert [(one.cause, one.observed) for one in result.failures] == [("precondition_false", "(place r1) is yard")]

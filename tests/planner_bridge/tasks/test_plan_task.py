@@ -80,7 +80,7 @@ def test_goals_share_resources_with_the_capacities_that_plans_give_them() -> Non
     chosen = Settings(bindings=Bindings({"move": Binding(resources=("lift",))}))
 
     async def scenario(simulation: TaskSimulation) -> None:
-        simulation.site.robots.capacities = {"lift": 2}
+        simulation.backend.robots.capacities = {"lift": 2}
         task = simulation.want("(and (at r0 a1) (at r1 a2) (at r2 a3))")
         await simulation.reaches(task)
         first, second, third = (one.time for one in simulation.seen(task, "sent", "move"))

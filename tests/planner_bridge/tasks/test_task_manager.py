@@ -78,7 +78,7 @@ def simulated(
 
 def carry(simulation: TaskSimulation, robot: str, origin: str, place: str) -> None:
     """Have somebody carry a robot from one place to another."""
-    simulation.site.robots.world.change({("at", robot, origin): False, ("at", robot, place): True})
+    simulation.backend.robots.world.change({("at", robot, origin): False, ("at", robot, place): True})
 
 
 def robots_of(simulation: TaskSimulation, task: UUID) -> set[str]:
@@ -202,7 +202,7 @@ async def test_no_plan_is_told_only_when_what_others_have_begun_cannot_make_it_p
         await simulation.reaches(one)
     else:
         assert await simulation.ended_with(one) == [Code.CANCELLED]
-    assert not simulation.site.robots.clashes
+    assert not simulation.backend.robots.clashes
 
 
 @simulated(delivery(), chosen=DRIVING)
@@ -460,7 +460,7 @@ async def test_a_pause_gives_the_task_no_more_time_than_it_had(simulation: TaskS
     await simulation.sees(task, "ended")
     await simulation.master.pause(task, at_once=False)
     await asyncio.sleep(100.0)
-    simulation.site.robots.faults = Faults((Fault("move", FaultKind.HANG),))
+    simulation.backend.robots.faults = Faults((Fault("move", FaultKind.HANG),))
     resumed = asyncio.get_running_loop().time()
     await simulation.master.resume(task)
     assert await simulation.ended_with(task) == [Code.TIMED_OUT]
@@ -529,7 +529,7 @@ async def test_a_pause_right_after_a_resumption_waits_for_what_that_begins(simul
     await going_on.control.pause("", at_once=False)
     assert simulation.state(task) is TaskState.PAUSED
     await asyncio.sleep(0.1)
-    assert not simulation.site.robots._jobs
+    assert not simulation.backend.robots._jobs
     await simulation.master.resume(task)
     await simulation.reaches(task)
 

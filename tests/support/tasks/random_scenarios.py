@@ -246,7 +246,7 @@ class People:
     def change(self) -> None:
         change = self.scenario.world.change(self.rng)
         self.tell(f"change {change}")
-        self.simulation.site.robots.world.change(change)
+        self.simulation.backend.robots.world.change(change)
 
 
 # --- what is against the rules --------------------------------------------------------------------

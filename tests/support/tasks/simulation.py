@@ -44,11 +44,11 @@ class TaskSimulation(TaskListener):
         make_backend: Callable[[Problem, Bindings, Faults], SimulatedBackend] = simulated_backend,
     ) -> None:
         self.problem = problem
-        self.site = make_backend(problem, chosen.bindings, faults)
+        self.backend = make_backend(problem, chosen.bindings, faults)
         self.knowledge = initial_knowledge(problem)
-        self.performer = None if programs is None else Performer(programs, self.site, self.knowledge, source)
+        self.performer = None if programs is None else Performer(programs, self.backend, self.knowledge, source)
         self.master = TaskManager(
-            problem, self.knowledge, self.site, chosen, self.read, source=source, limits=limits, performer=self.performer
+            problem, self.knowledge, self.backend, chosen, self.read, source=source, limits=limits, performer=self.performer
         )
         self.master.listen(self)
         self.goals: dict[UUID, str] = {}
@@ -89,7 +89,7 @@ class TaskSimulation(TaskListener):
         text = self.goals[task]
         is_goal = text.startswith("(") and not any(text.startswith(f"({name}") for name in self.problem.domain.actions)
         if is_goal and ending.code is Code.GOAL_REACHED:
-            for state in (self.knowledge, self.site.robots.world.truth):
+            for state in (self.knowledge, self.backend.robots.world.truth):
                 if evaluate(self.read(text), state) is not True:
                     self.wrong.append(f"{text} is said to be reached, and is not")
         self.wrong += [f"{one} belongs to no task" for one in self.orphans()]
@@ -104,7 +104,7 @@ class TaskSimulation(TaskListener):
         runs = [one.control.run for one in self.master._tasks.values() if one.control.run]
         runs += [one.executor.run for one in self.performer.going_on] if self.performer else []
         wanted = {request for run in runs for request in run.open_requests}
-        jobs = self.site.robots._jobs
+        jobs = self.backend.robots._jobs
         return [str(job.request.action) for id, job in jobs.items() if id not in wanted and not (job.fault and job.fault.ignores_cancel)]
 
     def _stir(self) -> None:
@@ -158,7 +158,7 @@ class TaskSimulation(TaskListener):
         return self.endings[task].trace[-1].time
 
     def holds(self, text: str) -> bool:
-        return self.site.robots.world.holds(self.read(text))
+        return self.backend.robots.world.holds(self.read(text))
 
 
 def _objects(problem: Problem) -> str:
@@ -194,13 +194,13 @@ def simulate_tasks(
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(lambda _, context: errors.found.append(str(context)))
         simulation = TaskSimulation(problem or fleet(), faults, chosen, limits or TaskLimits(), programs, source, make_backend)
-        await simulation.site.open(simulation.knowledge)
+        await simulation.backend.open(simulation.knowledge)
         try:
             await scenario(simulation)
         finally:
             await asyncio.wait_for(simulation.master.close(), LIMIT)
             left = simulation.orphans()
-            await simulation.site.close()
+            await simulation.backend.close()
         assert simulation.goals.keys() == simulation.endings.keys(), "every task has an end"
         await asyncio.sleep(0)
         gc.collect()
@@ -209,7 +209,7 @@ def simulate_tasks(
         assert not simulation.wrong, simulation.wrong
         assert not left, f"{left} go on after the end"
         assert not others, others
-        clashes = simulation.site.robots.clashes
+        clashes = simulation.backend.robots.clashes
         assert not clashes, clashes
 
     logging.getLogger().addHandler(errors)

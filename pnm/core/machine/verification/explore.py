@@ -42,25 +42,25 @@ class Step(NamedTuple):
 Tokens: TypeAlias = tuple[int, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Part:
     """A part of a machine with what surrounds it: inputs that come once, at any moment."""
 
     places: tuple[str, ...]
     steps: tuple[Step, ...]
     initial: Mapping[str, int]
-    supplies: tuple[tuple[str, ...], ...]
+    supplies: tuple[tuple[str, ...], ...] = ()
     """Sets of places that get their tokens from outside, each set at once."""
-    failures: frozenset[str]
-    records: frozenset[str]
+    failures: frozenset[str] = frozenset()
+    records: frozenset[str] = frozenset()
     """Places that may stay marked."""
-    counters: frozenset[str]
+    counters: frozenset[str] = frozenset()
     """Those of them from which nothing starts: what takes from them is asked for at other places."""
-    cancels: bool
+    cancels: bool = False
     """Whether a failure has running calls cancelled."""
-    outputs: frozenset[str]
+    outputs: frozenset[str] = frozenset()
     """Places that are marked in the end, each once: others take from them."""
-    finals: frozenset[str]
+    finals: frozenset[str] = frozenset()
     """Places of which exactly one is marked in the end, if there are any."""
     early: frozenset[str] = frozenset()
     """Places that must be marked once nothing more can happen without the last supply."""
