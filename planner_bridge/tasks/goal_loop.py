@@ -79,7 +79,7 @@ class GoalLoop:
         """Execute a plan, and those that succeed it while calls are under way; return the one that follows when the run is over."""
         context = self._context
         with suppress(TaskEnded):  # the run reports then that nothing of the plan was begun
-            await self._control.until(context.site.prepare({call.action: None for call in graph.calls}))
+            await self._control.until(context.backend.prepare({call.action: None for call in graph.calls}))
         self._retry_at = None
         async with PlanExecution(context, self._monitor, self._log, graph, self._search.origin) as execution:
             while True:
