@@ -50,8 +50,8 @@ def achieve(
         actions: simulated robots under virtual time, or the action servers of ROS 2.
         faults: what goes wrong in simulation.
         settings: planner, bindings and limits.
-        observer: is told what happens.
-        stopwatch: measures where the time goes; one that has run before goes on.
+        observer: notified of every event.
+        stopwatch: measures the phases; one that has run before goes on.
 
     Raises:
         InputError: an input is wrong; nothing was started.
@@ -73,9 +73,6 @@ async def achieve_at(
     """Pursue the goal of a problem at a site; `achieve` does this with an event loop of its own.
 
     Cancelling this stops the task: what is under way is cancelled and waited for; cancelling it again leaves it alone.
-
-    Raises:
-        InputError: the planner refuses the problem; nothing was started.
     """
     stopwatch, knowledge = stopwatch or Stopwatch(), initial_knowledge(problem)
     try:
@@ -112,10 +109,10 @@ def carry_out(
         actions: simulated robots under virtual time, or the action servers of ROS 2.
         faults: what goes wrong in simulation.
         settings: bindings that come before those of the files, limits, and the planner, for when the plan asks for one.
-        observer: is told what happens.
+        observer: notified of every event.
         on_failure: what running actions do when one has failed, in place of what the plans say.
         knowledge: the file in which global knowledge is kept, in place of what the plan chose.
-        warn: is told what in the files was not as it should be.
+        warn: called with the warnings about the files.
 
     Raises:
         InputError: an input is wrong; nothing was started.

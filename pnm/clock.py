@@ -3,9 +3,8 @@
 Under virtual time a coroutine that sleeps for an hour returns at once: whenever nothing else
 can happen, the clock jumps to the next timer. Work in a thread holds the clock still.
 
-A time that may be used up, but for pauses.
-
-Short pauses: what is there when work begins is kept away from the garbage collector, which would look at all of it again and again.
+Time limits that stand still during pauses; cancellation in two steps; and short pauses for garbage collection: what was allocated
+at start-up is frozen, and the threshold of generation 0 is raised.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ T = TypeVar("T")
 
 
 class TimeLimit:
-    """Calls a function once so many seconds have been used up, on the clock of the event loop.
+    """Time limit that stands still during pauses: calls a function once it is used up, on the clock of the event loop.
 
     Args:
         seconds: how many; infinitely many are never used up.
@@ -47,33 +46,33 @@ class TimeLimit:
         """Whether the function was called."""
 
     def begin(self) -> None:
-        """Have time count from now on, or from the end of the pause."""
+        """Start the clock, now or at the end of a pause."""
         self._has_begun = True
         self._count()
 
     def pause(self) -> None:
-        """Have time not count."""
+        """Stop the clock for a pause."""
         self._stop()
         self._is_paused = True
 
     def go_on(self) -> None:
-        """Have time count again after a pause."""
+        """Start the clock again after a pause."""
         self._is_paused = False
         self._count()
 
     def close(self) -> None:
-        """Call nobody any more."""
+        """Stop the clock for good."""
         self._stop()
         self._has_begun = False
 
     @property
     def left(self) -> float:
-        """How many seconds are left."""
+        """The seconds left."""
         passing = 0.0 if self._since is None else asyncio.get_running_loop().time() - self._since
         return max(0.0, self._seconds - self._used - passing)
 
     def allow(self, seconds: float) -> None:
-        """Have it be so many seconds in all, or as many as were said before if those are more."""
+        """Extend the limit to so many seconds in all; it is never shortened."""
         self._stop()
         self._seconds = max(self._seconds, seconds)
         self._count()
@@ -119,7 +118,7 @@ _SELDOM: Final = 20_000
 
 @contextmanager
 def short_pauses() -> Iterator[None]:
-    """Take what has been loaded so far for what stays, and look seldom: a machine is made of thousands of objects, none of them garbage."""
+    """Keep garbage collection short: freeze what is loaded, and collect seldom. Machines are thousands of objects, none of them garbage."""
     usual = gc.get_threshold()
     gc.collect()
     gc.freeze()

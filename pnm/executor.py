@@ -106,7 +106,7 @@ class Executor:
             run.handle(old.pausing, asyncio.get_running_loop().time())
         self._enter()
         self._handle(Begin())
-        self._inbox.put_nowait(Tick())  # whoever waits for the inbox looks whether that was all
+        self._inbox.put_nowait(Tick())  # so that `paused` is looked at again once the inbox is empty
 
     async def happens(self) -> None:
         """Wait until something has happened to the run, or it is not carried out any more."""
@@ -126,7 +126,7 @@ class Executor:
             while not self.run.over:
                 self._handle(await self._inbox.get())
         except BaseException:
-            for request in self.run.open_requests:  # nobody will hear of them any more
+            for request in self.run.open_requests:  # their reports will not be heard
                 self._client.cancel(request)
             raise
         finally:
@@ -206,7 +206,7 @@ class Executor:
                 answer = await self._source.query(question, self._asker)
         except SourceError as error:
             message = str(error)
-        except (Exception, asyncio.CancelledError):  # of somebody else's knowledge base: the run waits for an answer
+        except (Exception, asyncio.CancelledError):  # of a foreign knowledge base: the run waits for an answer
             if _is_cancelled():
                 raise
             _log.exception("%s cannot be asked", question)
@@ -243,6 +243,6 @@ class Executor:
 
 
 def _is_cancelled() -> bool:
-    """Return whether this talk itself is cancelled; otherwise a source has been, by somebody else."""
+    """Return whether this task itself is cancelled; otherwise the source has been, from elsewhere."""
     task = asyncio.current_task()
     return task is not None and task.cancelling() > 0

@@ -25,9 +25,9 @@ from planner_bridge.cli.options import (
     files_or_plan,
     knowledge_option,
     planning,
+    print_warnings,
     problem_in,
     sensing_option,
-    tell,
     write,
 )
 from pnm.errors import InputError
@@ -68,23 +68,23 @@ def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: boo
     from planner_bridge.model.plan import PlanningStatus
     from planner_bridge.planning.solve import solve
 
-    found = solve(problem_in(domain, problem), planner=planner, timeout=timeout)
+    result = solve(problem_in(domain, problem), planner=planner, timeout=timeout)
     if as_json:
         steps = [
             {"action": step.action, "arguments": list(step.arguments), "start": step.start, "duration": step.duration}
-            for step in (found.plan.steps if found.plan else ())
+            for step in (result.plan.steps if result.plan else ())
         ]
-        told = {"status": found.status.value, "message": found.message, "planner": found.planner}
-        print(json.dumps({**told, "steps": steps if found.plan else None}))
-    elif found.plan:
-        print(f"plan     {found.plan}")
-        if found.planner != planner:
-            print(f"planner  {found.planner}")
-        if found.message:
-            print(f"note     {found.message}")
+        fields = {"status": result.status.value, "message": result.message, "planner": result.planner}
+        print(json.dumps({**fields, "steps": steps if result.plan else None}))
+    elif result.plan:
+        print(f"plan     {result.plan}")
+        if result.planner != planner:
+            print(f"planner  {result.planner}")
+        if result.message:
+            print(f"note     {result.message}")
     else:
-        print(f"no plan: {found.reason}")
-    return 0 if found.plan else 2 if found.status is PlanningStatus.INVALID else 1
+        print(f"no plan: {result.reason}")
+    return 0 if result.plan else 2 if result.status is PlanningStatus.INVALID else 1
 
 
 @app.command()
@@ -121,11 +121,11 @@ def net(
     else:
         loaded = problem_in(*chosen)
         bound = bindings_for(chosen[0], bindings, loaded.vocabulary)
-        found = solve(loaded, planner=planner, timeout=timeout)
-        if found.plan is None:
-            print(f"no plan: {found.reason}", file=sys.stderr)
+        result = solve(loaded, planner=planner, timeout=timeout)
+        if result.plan is None:
+            print(f"no plan: {result.reason}", file=sys.stderr)
             return 1
-        machine = generate(plan_graph(loaded, found.plan), bound)
+        machine = generate(plan_graph(loaded, result.plan), bound)
     write(output, to_json(machine) if written_as == "json" else to_dot(machine))
     return 0
 
@@ -225,12 +225,12 @@ def export(domain: Path, problem: Path | None, output: Path | None, with_plan: b
     """Write a domain, a problem and a plan for it as YAML."""
     from planner_bridge.yaml.convert import exported
 
-    found = exported(domain, problem, with_plan=with_plan, original=original, planner=planner, timeout=timeout)
-    tell(found.warnings)
-    if found.reason:
-        print(f"no plan: {found.reason}", file=sys.stderr)
+    result = exported(domain, problem, with_plan=with_plan, original=original, planner=planner, timeout=timeout)
+    print_warnings(result.warnings)
+    if result.reason:
+        print(f"no plan: {result.reason}", file=sys.stderr)
         return 1
-    write(output, found.text)
+    write(output, result.text)
     return 0
 
 
@@ -242,9 +242,9 @@ def from_yaml(file: Path, output: Path) -> int:
     """Write the domain of a YAML file, and its problem if there is one, as PDDL."""
     from planner_bridge.yaml.convert import imported
 
-    found = imported(file)
-    tell(found.warnings)
-    for name, text in found.texts.items():
+    result = imported(file)
+    print_warnings(result.warnings)
+    for name, text in result.texts.items():
         write(output / name, text)
     return 0
 
@@ -276,7 +276,7 @@ def demo(story: str) -> int:
 
 def main() -> None:
     """Run the command line."""
-    # Shells without job control start background processes with SIGINT ignored; whoever sends it all the same wants us to stop in order.
+    # Shells without job control start background processes with SIGINT ignored; one that is sent all the same asks us to stop in order.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     app()

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from planner_bridge.model.plan import Plan, PlanningResult
-from planner_bridge.tasks.replanning import PlanAgain, Resume
+from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
 from planner_bridge.tasks.result import ConstraintResult, PreferenceResult, TaskResult, Violation
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.core.execution.call_results import Failure, RunResult
@@ -41,7 +41,6 @@ class EventLines:
     """Prints one line per event: the seconds since the beginning, a label, a word and a text.
 
     Args:
-        console: where it prints.
         label: what every line has after the time.
         began: the time from which seconds count; that of the first line when None. Mutable state.
     """
@@ -111,10 +110,10 @@ class ConsoleObserver(TaskObserver):
         """Print that a planner takes over."""
         self._console.print(f"[bold yellow]replan[/]   {escape(reason)}", highlight=False, soft_wrap=True)
 
-    def replanning(self, decision: Resume | PlanAgain, result: RunResult) -> None:
+    def replanning(self, decision: ResumePlan | PlanAgain, result: RunResult) -> None:
         """Print what follows a failed run."""
         match decision:
-            case Resume(rest):
+            case ResumePlan(rest):
                 text = f"the rest of the plan still works: going on with {len(rest.calls)} calls in a new machine"
             case PlanAgain(forbidden, why):
                 without = f"; not again: {', '.join(sorted(map(str, forbidden)))}" if forbidden else ""
@@ -132,10 +131,10 @@ def print_result(console: Console, result: TaskResult) -> None:
     console.print(f"{word}: {escape(result.reason)}" if not result.goal_reached else word, highlight=False, soft_wrap=True)
     sent = sum(call.attempts for call in result.calls)
     assumed = sum(call.assumed for call in result.calls)
-    told = f"; {assumed} calls had effects that nothing reports" if assumed else ""
+    unreported = f"; {assumed} calls had effects that nothing reports" if assumed else ""
     planned = ((result.plans, "plan"), (result.replans, "replan")) if result.plans or not result.episodes else ()
     counts = ", ".join(_count(number, word) for number, word in (*planned, (sent, "request"), (len(result.failures), "failure")))
-    console.print(f"         {counts}{told}", highlight=False, soft_wrap=True)
+    console.print(f"         {counts}{unreported}", highlight=False, soft_wrap=True)
     for line in (*map(_constraint, result.constraints), *map(_preference, result.preferences)):
         console.print(f"         {escape(line)}", highlight=False, soft_wrap=True)
 

@@ -46,14 +46,14 @@ SCRIPT: Final = {
         }
     ],
 }
-_SAID: Final = {"describe_route": "The way to {1} is as follows …", "ask_understood": "Do you know the way to {1} now?", "say": "{0}"}
+_SPEECH: Final = {"describe_route": "The way to {1} is as follows …", "ask_understood": "Do you know the way to {1} now?", "say": "{0}"}
 """What the robot says when it begins an action, given its arguments."""
 _STATES: Final = {"RUNNING": "green", "PAUSED": "yellow", "OVER": "bold green"}
-"""The states of tasks that are told, and their colours."""
+"""The states of tasks that are printed, and their colours."""
 
 
 def show(console: Console) -> int:
-    """Play the script and say what is to be seen."""
+    """Play the script, and print what there is to see."""
     missing = [advice for module, advice in NEEDED.items() if find_spec(module) is None]
     if missing:
         console.print(f"This demo needs ROS 2 and our interfaces: {' && '.join(missing)}", highlight=False, soft_wrap=True, markup=False)
@@ -84,7 +84,7 @@ async def _play(story: Story, stack: AsyncExitStack) -> None:
     node = await _start(stack, "-m", "planner_bridge", "serve", str(domain / "domain.pddl"), str(problem), *world)
     await asyncio.gather(_ready(robot, "the robot"), _ready(node, "the node"))
     visitor = await _start(stack, str(domain / "visitor.py"), str(script))
-    quiet = asyncio.ensure_future(_read(node))  # who is not read from stands still in the end
+    quiet = asyncio.ensure_future(_drain(node))  # a full pipe would block it
     stack.callback(quiet.cancel)
     doing = asyncio.ensure_future(_each(robot, story.done))
     stack.callback(doing.cancel)
@@ -122,7 +122,7 @@ async def _ready(process: Process, who: str) -> None:
     raise ChildProcessError(f"{who} has not started")
 
 
-async def _read(process: Process) -> None:
+async def _drain(process: Process) -> None:
     async for _ in _lines(process):
         pass
 
@@ -135,7 +135,7 @@ async def _each(process: Process, hear: Any) -> None:
 
 @dataclass
 class Story:
-    """Prints who speaks and how the tasks are doing. All fields but the first change."""
+    """Prints who speaks, and the states of tasks. All fields but the first change."""
 
     console: Console
     began: float | None = None
@@ -149,30 +149,30 @@ class Story:
     clashes: int = 0
 
     def done(self, line: Mapping[str, Any]) -> None:
-        """Tell what the robot does."""
+        """Print what the robot does."""
         self.clashes += "clash" in line
-        name, _, told = line["call"].rstrip(")").partition("(")
-        if line["event"] == "start" and name in _SAID:
-            self._tell(line, "[bold cyan]robot[/]", f'"{_SAID[name].format(*told.split(", "))}"')
+        name, _, arguments = line["call"].rstrip(")").partition("(")
+        if line["event"] == "start" and name in _SPEECH:
+            self._print(line, "[bold cyan]robot[/]", f'"{_SPEECH[name].format(*arguments.split(", "))}"')
         elif line["event"] == "start" and name == "point_at":
-            self._tell(line, "[bold cyan]robot[/]", f"points at {told.split(', ')[-1]}")
+            self._print(line, "[bold cyan]robot[/]", f"points at {arguments.split(', ')[-1]}")
         elif line["event"] == "end" and line["outcome"] == "canceled":
-            self._tell(line, "[bold cyan]robot[/]", f"breaks off: {name}({told})")
+            self._print(line, "[bold cyan]robot[/]", f"breaks off: {name}({arguments})")
 
     def seen(self, line: Mapping[str, Any]) -> None:
-        """Tell what the visitor does and sees."""
+        """Print what the visitor does and sees."""
         match line["event"]:
             case "request":
                 self.requests += 1
                 shop = line["about"].startswith("shop")
-                self._tell(
+                self._print(
                     line, "[bold magenta]ann  [/]", f'"Where is {line["about"]}?"' if shop else f'"Let us talk about {line["about"]}!"'
                 )
             case "accepted":
                 self.names[line["task"]] = line["about"]
             case "answer":
                 self.answers += 1
-                self._tell(line, "[bold magenta]ann  [/]", f'"{line["value"].rpartition(" ")[0]}"  (about {line["about"]})')
+                self._print(line, "[bold magenta]ann  [/]", f'"{line["value"].rpartition(" ")[0]}"  (about {line["about"]})')
             case "result":
                 self.reached += line["reason"] == "goal_reached"
             case "state":
@@ -186,14 +186,14 @@ class Story:
         self.states[task] = state
         self.paused += state == "PAUSED"
         word = "resumed" if resumed else state.lower()
-        self._tell(line, "[bold]task [/]", f"[{_STATES[state]}]{self.names.get(task, line['about'])}: {word}[/]", line["reason"])
+        self._print(line, "[bold]task [/]", f"[{_STATES[state]}]{self.names.get(task, line['about'])}: {word}[/]", line["reason"])
 
-    def _tell(self, line: Mapping[str, Any], who: str, text: str, more: str = "") -> None:
+    def _print(self, line: Mapping[str, Any], who: str, text: str, more: str = "") -> None:
         if self.began is None:
             self.began = line["time"]
         text = text if text.startswith("[") else escape(text)
-        said = f"{text}{f', {escape(more)}' if more else ''}"
-        self.console.print(f"  {line['time'] - self.began:6.2f} s  {who}  {said}", highlight=False, soft_wrap=True)
+        text += f", {escape(more)}" if more else ""
+        self.console.print(f"  {line['time'] - self.began:6.2f} s  {who}  {text}", highlight=False, soft_wrap=True)
 
     @property
     def is_fine(self) -> bool:
@@ -201,7 +201,7 @@ class Story:
         return self.reached == self.requests > 0 and not self.clashes
 
     def sum_up(self) -> None:
-        """Say what was to be seen."""
+        """Print the sums."""
         self.console.print(
             f"{self.reached} of {self.requests} tasks reached their goal; {self.paused} times one was paused and resumed by itself; "
             f"{self.answers} answers found their question; {self.clashes} times voice or arm were used by two.",

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from planner_bridge.cli.console import ConsoleObserver, SafeConsole, print_result
-from planner_bridge.cli.options import Files, faults_for, problem_in, tell
+from planner_bridge.cli.options import Files, faults_for, print_warnings, problem_in
 from planner_bridge.loading import bindings_for
 from planner_bridge.pipeline import Where, achieve, carry_out
 from planner_bridge.planning.solve import check_planner
@@ -27,11 +27,7 @@ from pnm.language.plan import chosen_plan, read_plans
 
 
 def run_problem(domain: Path, problem: Path, files: Files, *, actions: Where, settings: Settings, as_json: bool) -> int:
-    """Plan, execute and replan, tell how it went, and return the exit status.
-
-    Raises:
-        InputError: a file is wrong; nothing was started.
-    """
+    """Plan, execute and replan, print the result, and return the exit status."""
     console, stopwatch = SafeConsole(), Stopwatch()
     with stopwatch.of("parse"):
         loaded = problem_in(domain, problem)
@@ -53,11 +49,7 @@ def print_ending(result: TaskResult, console: Console, *, as_json: bool) -> int:
 
 
 def machine_of(file: Path, name: str | None, bindings: Path | None) -> PetriNetMachine:
-    """Return the machine of a hand-written plan.
-
-    Raises:
-        InputError: a file is wrong, or it is not clear which plan is meant.
-    """
+    """Return the machine of a hand-written plan."""
     plans = read_plans(file)
     plan = plans[chosen_plan(plans, name)]
     chosen = read_bindings(bindings).before(plan.bindings) if bindings else plan.bindings
@@ -75,11 +67,7 @@ def run_written(
     on_failure: OnFailure | None,
     as_json: bool,
 ) -> int:
-    """Carry out a hand-written plan, tell how it went, and return the exit status.
-
-    Raises:
-        InputError: a file or a parameter is wrong; nothing was started.
-    """
+    """Carry out a hand-written plan, print the result, and return the exit status."""
     check_planner(settings.planner)  # now, not when a plan is given up that took an hour
     console = SafeConsole()
     if files.bindings:
@@ -96,22 +84,22 @@ def run_written(
         on_failure=on_failure,
         observer=TaskObserver() if as_json else ConsoleObserver(console),
         knowledge=files.knowledge,
-        warn=tell,
+        warn=print_warnings,
     )
     return print_ending(result, console, as_json=as_json)
 
 
 def _parameters(given: tuple[str, ...]) -> dict[str, object]:
     """Read ``name=value``, with values as YAML has them."""
-    found: dict[str, object] = {}
-    for one in given:
-        name, equals, text = one.partition("=")
+    parameters: dict[str, object] = {}
+    for setting in given:
+        name, equals, text = setting.partition("=")
         if not name or not equals:
-            raise InputError(f"expected NAME=VALUE after --set, found {one!r}")
+            raise InputError(f"expected NAME=VALUE after --set, found {setting!r}")
         value = parse_value(text, f"--set {name}")
         try:
             json.dumps(value, allow_nan=False)
         except ValueError as error:
             raise InputError(f"expected finite numbers after --set {name}, found {text!r}") from error
-        found[name] = value
-    return found
+        parameters[name] = value
+    return parameters

@@ -31,15 +31,15 @@ PARAMETERS: Final = (
     NodeParameter("max_queue", 100, "how many tasks may wait besides; more are refused"),
     NodeParameter(
         "on_failure", "continue_others", "what running actions do when another one of the task has failed",
-        choices=tuple(one.value for one in OnFailure),
+        choices=tuple(policy.value for policy in OnFailure),
     ),
     NodeParameter(
         "on_change", "eager", "whether a task plans anew as soon as its plan cannot work any more, or when it gets there",
-        choices=tuple(one.value for one in OnChange),
+        choices=tuple(policy.value for policy in OnChange),
     ),
     NodeParameter(
         "on_conflict", "plan_around", "what becomes of a goal that cannot be pursued beside others, unless the goal says so",
-        choices=tuple(one.value for one in OnConflict),
+        choices=tuple(policy.value for policy in OnConflict),
     ),
     NodeParameter("cancel", 20.0, "seconds in which tasks have to end when the node is shut down"),
     NodeParameter("autostart", True, "whether the node configures and activates itself"),
@@ -72,11 +72,7 @@ class Options:
 
     @classmethod
     def of(cls, values: Mapping[str, ParameterValue]) -> Options:
-        """Convert the values of parameters, which have the right types.
-
-        Raises:
-            InputError: they contradict each other.
-        """
+        """Convert the values of parameters, which have the right types; raise an `InputError` if they contradict each other."""
         given: dict[str, Any] = dict(values)
         for name in ("domain", "problem", "bindings", "sensing", "goals", "problems", "world", "knowledge"):
             given[name] = Path(given[name]).expanduser() if given[name] else None

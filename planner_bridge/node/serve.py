@@ -73,7 +73,7 @@ class NodeApi:
 
 
 class NodeObserver:
-    """Follows the life cycle of a node: one empty method per event. The command line has one that prints."""
+    """Follows the life cycle of a node: one empty method per event."""
 
     def unconfigured(self) -> None:
         """Note that the node waits for a lifecycle manager."""
@@ -138,7 +138,6 @@ def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], observe
     Args:
         given: parameters that differ from their defaults; ROS arguments override them.
         arguments: for ROS 2, beginning with ``--ros-args``, or none.
-        observer: follows the life cycle and the tasks of the node.
 
     Raises:
         InputError: a parameter or a file is wrong; nothing was served.
@@ -219,7 +218,11 @@ class ServingNode:
 
     async def _open_context(self, stack: AsyncExitStack) -> NodeContext:
         options = self._options
-        await _check_planner(options.planner)
+        cancel = threading.Event()
+        try:
+            await asyncio.to_thread(check_planner, options.planner, cancel)
+        finally:
+            cancel.set()
         world = read_world(options.world, options.world_name) if options.world else None
         plans = tuple(world.plans.values()) if world else ()
         problem = load(options.domain, options.problem) if options.domain and options.problem else None
@@ -253,7 +256,12 @@ class ServingNode:
             return performer.knowledge_of(request) or api.knowledge_of(request)
 
         await context.site.share(performer.prefix, knowledge_of, context.sources)
-        await self._prepare(performer, stack)
+        preparing = asyncio.ensure_future(performer.prepare())
+        stack.callback(preparing.cancel)
+        await asyncio.wait((preparing,), timeout=_PREPARED)
+        if preparing.done():
+            preparing.result()  # raises what is wrong
+        preparing.add_done_callback(self._prepared)
         self._node = TaskNode(self._ros, api.tasks, api.make, api.world, plan_actions)
         # The stack closes in reverse: first the node, which gives tasks their time to end and answers all goals;
         # then what prints, so that it has seen every task end; then the task manager.
@@ -261,15 +269,6 @@ class ServingNode:
         stack.callback(api.tasks.listen(self._observer.listener(api.tasks)))
         stack.push_async_callback(self._node.close, context.options.cancel)
         await self._node.open()
-
-    async def _prepare(self, performer: Performer, stack: AsyncExitStack) -> None:
-        """Look for the action servers that the plans need; report later which are missing."""
-        preparing = asyncio.ensure_future(performer.prepare())
-        stack.callback(preparing.cancel)
-        await asyncio.wait((preparing,), timeout=_PREPARED)
-        if preparing.done():
-            preparing.result()  # raises what is wrong
-        preparing.add_done_callback(self._prepared)
 
     def _prepared(self, preparing: asyncio.Future[tuple[str, ...]]) -> None:
         if preparing.cancelled():
@@ -279,14 +278,6 @@ class ServingNode:
             return
         for name in preparing.result():
             self._observer.missing(name)
-
-
-async def _check_planner(planner: str) -> None:
-    cancel = threading.Event()
-    try:
-        await asyncio.to_thread(check_planner, planner, cancel)
-    finally:
-        cancel.set()
 
 
 async def _close_in_time(close: Callable[[], Awaitable[None]]) -> None:

@@ -41,20 +41,11 @@ class SharedWorld:
 
     Args:
         problem: the domain, the objects, and the default goal.
-        knowledge: the facts.
-        goals: texts of goals by name.
         elapsed: returns the seconds since the problem's initial state, by which timed facts of `problem_text` are earlier.
-
-    Raises:
-        InputError: a goal cannot be read.
     """
 
     def __init__(
-        self,
-        problem: Problem,
-        knowledge: KnowledgeBase,
-        goals: Mapping[str, str] | None = None,
-        elapsed: Callable[[], float] = lambda: 0.0,
+        self, problem: Problem, knowledge: KnowledgeBase, goals: Mapping[str, str] | None = None, elapsed: Callable[[], float] = lambda: 0.0
     ) -> None:
         self.problem = problem
         self._knowledge = knowledge
@@ -75,9 +66,6 @@ class SharedWorld:
 
         A question is a condition or a function; ``undefined`` is the value of a function that has no object. Without
         questions, all recorded facts are returned.
-
-        Raises:
-            InputError: a question cannot be read, or there are too many.
         """
         _bounded(questions, "questions")
         if not questions:
@@ -145,7 +133,11 @@ class SharedWorld:
 
     def problem_text(self) -> str:
         """Return the problem with the current state as its initial state, as PDDL."""
-        return write_problem(problem_now(self.problem, self._knowledge, self._elapsed()))
+        return write_problem(self.current_problem())
+
+    def current_problem(self) -> Problem:
+        """Return the problem with the current state as its initial state."""
+        return problem_now(self.problem, self._knowledge, self._elapsed())
 
     def read_goal(self, text: str) -> Condition:
         """Return the goal of a text: a condition, the name of a goal, or nothing for the goal of the problem.
@@ -178,10 +170,10 @@ class SharedWorld:
         return (UNDEFINED if declared.values else UNKNOWN) if value is None else value
 
     def _checked(self, node: Node) -> Condition:
-        found = condition(node, self._scope)
-        if self._choices(found) > MAX_CHOICES:
+        checked = condition(node, self._scope)
+        if self._choices(checked) > MAX_CHOICES:
             raise wrong(node, f"its quantifiers range over more than {MAX_CHOICES} choices of objects")
-        return found
+        return checked
 
     def _choices(self, condition: Condition) -> int:
         """Return how many facts and comparisons the condition becomes without quantifiers."""
@@ -197,10 +189,10 @@ class SharedWorld:
         fluent, types = self._scope.function(target), self._scope.symbols.function(target).values
         if not types:
             return fluent, number(value)
-        found = self._scope.value(value, types)
-        if not isinstance(found, Constant):
+        constant = self._scope.value(value, types)
+        if not isinstance(constant, Constant):
             raise wrong(value, f"expected an object, found {value}")
-        return fluent, found.value
+        return fluent, constant.value
 
     def _removed(self, node: Node) -> tuple[Fluent, Value]:
         if not isinstance(node, Group) or node.head != "=":
@@ -224,22 +216,18 @@ class SharedWorld:
 
 
 def read_goals(path: Path) -> dict[str, str]:
-    """Read a YAML file with the texts of goals by name, under ``goals``.
-
-    Raises:
-        InputError: it is something else.
-    """
+    """Read a YAML file with the texts of goals by name, under ``goals``; raise an `InputError` if it is something else."""
     top = load_yaml(path)
     top.only("goals")
     node = top.node("goals")
-    found: dict[str, str] = {}
+    goals: dict[str, str] = {}
     for name, where, value in node.mapped().entries() if node is not None and not node.is_null else ():
         if not name or name[0] in "(;" or name != name.strip():
             raise InputError(f"{name!r} cannot name a goal; expected a word", where)
         if value.text is None:
             raise value.wrong(f"expected a condition as a text for {name}")
-        found[name] = value.text
-    return found
+        goals[name] = value.text
+    return goals
 
 
 def _bounded(texts: Sequence[str], what: str) -> None:
@@ -256,8 +244,8 @@ def _single(text: str, origin: str) -> Node:
             return node
         case (Group(), extra, *_):
             raise wrong(extra, f"expected the end of the text, found {extra}")
-        case (found, *_):
-            raise wrong(found, f"expected something in parentheses, such as (at r1 kitchen), found {found}")
+        case (word, *_):
+            raise wrong(word, f"expected something in parentheses, such as (at r1 kitchen), found {word}")
         case _:
             raise InputError("the text is empty; expected something such as (at r1 kitchen)", start)
 

@@ -16,7 +16,7 @@ from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.control import TaskEnded
 from planner_bridge.tasks.plan_execution import PlanExecution
 from planner_bridge.tasks.plan_search import NoPlan, PlanSearch
-from planner_bridge.tasks.replanning import Decision, GiveUp, History, PlanAgain, Progress, Resume, decide, shortened, times_that_matter
+from planner_bridge.tasks.replanning import Decision, GiveUp, History, PlanAgain, Progress, ResumePlan, decide, shortened, times_that_matter
 from planner_bridge.tasks.result import TaskLog, TaskResult, code_of_failures, code_of_planning, join_reasons, retry_reason
 from pnm.core.execution.resources import who_keeps
 from pnm.core.logic.evaluation import evaluate
@@ -65,7 +65,10 @@ class GoalLoop:
                 while True:
                     graph = await self._execute(graph)
             except NoPlan as no_plan:
-                ended = self._without_plan(no_plan)
+                withheld = who_keeps(self._context.resources.withheld)  # nobody knows what their servers have made of the world
+                unfulfilled = self._log.unfulfilled(self._monitor.missing)
+                reason = join_reasons(self._log.last_failure, str(no_plan), unfulfilled, withheld)
+                ended = TaskEnded(code_of_planning(no_plan.status, self._log.failures), reason)
             except TaskEnded as error:
                 ended = error
             except (PlanGraphError, Unsound) as error:  # a plan that is valid, but not by causes alone
@@ -210,9 +213,9 @@ class GoalLoop:
         limits, withheld = context.settings.limits, context.withheld(history)
         return decide(self._monitor.now(), progress, context.world, history, limits, withheld)
 
-    async def _follower(self, execution: PlanExecution, decision: Resume | PlanAgain) -> PlanGraph:
+    async def _follower(self, execution: PlanExecution, decision: ResumePlan | PlanAgain) -> PlanGraph:
         """Return the plan that follows a run that is over."""
-        if isinstance(decision, Resume) and not execution.is_blocked:
+        if isinstance(decision, ResumePlan) and not execution.is_blocked:
             return decision.rest
         if self._given is None:
             plan = await self._find_plan(execution, self._context.forbidden(self._log.history))
@@ -222,14 +225,14 @@ class GoalLoop:
             raise TaskEnded(Code.CONDITION_LOST, decision.why)
         return await self._search.in_turn(partial(self._search.rest, decision.rest))
 
-    async def _successor(self, execution: PlanExecution, decision: Resume | PlanAgain, history: History) -> PlanGraph | None:
+    async def _successor(self, execution: PlanExecution, decision: ResumePlan | PlanAgain, history: History) -> PlanGraph | None:
         """Replace a run that goes on by that of another plan. Return the plan; None if the run has to come to its end first.
 
         If it does so meanwhile, the plan is returned all the same.
         """
         machine, result = execution.run.machine, execution.result
         try:
-            if isinstance(decision, Resume):
+            if isinstance(decision, ResumePlan):
                 graph = decision.rest
             else:
                 self._control.enter(TaskState.REPLANNING, decision.why)
@@ -284,12 +287,6 @@ class GoalLoop:
             return plan_graph(self._monitor.now(), plan, [one.call for one in execution.run.under_way()] if execution else [])
 
     # --- the end --------------------------------------------------------------------------------
-
-    def _without_plan(self, no_plan: NoPlan) -> TaskEnded:
-        withheld = who_keeps(self._context.resources.withheld)  # nobody knows what their servers have made of the world
-        unfulfilled = self._log.unfulfilled(self._monitor.missing)
-        reason = join_reasons(self._log.last_failure, str(no_plan), unfulfilled, withheld)
-        return TaskEnded(code_of_planning(no_plan.status, self._log.failures), reason)
 
     def _result(self, ended: TaskEnded) -> TaskResult:
         self._control.reserved = None

@@ -98,7 +98,7 @@ class History:
 
 
 @dataclass(frozen=True, slots=True)
-class Resume:
+class ResumePlan:
     """Go on with the rest of the plan in a new net; no planner is asked."""
 
     rest: PlanGraph
@@ -119,7 +119,7 @@ class GiveUp:
     reason: str
 
 
-Decision = Resume | PlanAgain | GiveUp
+Decision = ResumePlan | PlanAgain | GiveUp
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ def decide(
     if by_the_clock := times_that_matter(now):
         return PlanAgain(forbidden, by_the_clock + whole)
     obstacle = why_not(progress, knowledge, forbidden, (*now.domain.constraints, *now.constraints))
-    return PlanAgain(forbidden, obstacle + whole) if obstacle else Resume(rest_of(now, progress))
+    return PlanAgain(forbidden, obstacle + whole) if obstacle else ResumePlan(rest_of(now, progress))
 
 
 def times_that_matter(now: Problem) -> str:

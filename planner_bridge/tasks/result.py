@@ -10,7 +10,7 @@ from math import isfinite
 from typing import Any, Final, Literal, TypeAlias
 
 from planner_bridge.model.plan import PlanningStatus
-from planner_bridge.tasks.replanning import Decision, GiveUp, History, PlanAgain, Resume
+from planner_bridge.tasks.replanning import Decision, GiveUp, History, PlanAgain, ResumePlan
 from pnm.core.execution.call_results import CallResult, Failure, RunResult
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.machine import CallOutcome, PetriNetMachine
@@ -199,7 +199,7 @@ def _constraint_as_json(result: ConstraintResult) -> dict[str, Any]:
 
 def _decision_as_json(decision: Decision) -> dict[str, Any]:
     match decision:
-        case Resume(rest):
+        case ResumePlan(rest):
             return {"decision": "resume", "calls": [str(call.action) for call in rest.calls]}
         case PlanAgain(forbidden, why):
             return {"decision": "plan again", "why": why, "forbidden": sorted(map(str, forbidden))}

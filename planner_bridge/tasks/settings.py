@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.planning.kairos import DEFAULT_PLANNER
-from planner_bridge.tasks.replanning import Limits, PlanAgain, Resume
+from planner_bridge.tasks.replanning import Limits, PlanAgain, ResumePlan
 from planner_bridge.tasks.result import Violation
 from pnm.core.execution.call_results import RunResult
 from pnm.core.execution.events import Observer
@@ -40,7 +40,7 @@ class TaskObserver(Observer):
     def resigned(self, reason: str) -> None:
         """Note that a hand-written plan has failed, and wants a planner to find another way."""
 
-    def replanning(self, decision: Resume | PlanAgain, result: RunResult) -> None:
+    def replanning(self, decision: ResumePlan | PlanAgain, result: RunResult) -> None:
         """Note that a run failed and what follows."""
 
     def entered(self, state: TaskState, why: str) -> None:

@@ -11,7 +11,7 @@ from uuid import UUID
 
 from planner_bridge.model.plan import Plan, PlanningResult
 from planner_bridge.tasks.control import TaskControl
-from planner_bridge.tasks.replanning import PlanAgain, Resume
+from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
 from planner_bridge.tasks.result import Stopwatch, TaskResult
 from planner_bridge.tasks.settings import TaskObserver
 from pnm.broadcast import broadcast
@@ -204,10 +204,10 @@ class Task(TaskObserver):
         self.note("replanned", "", f"a planner looks for another way: {reason}")
         self.listener.changed(self.id)
 
-    def replanning(self, decision: Resume | PlanAgain, result: RunResult) -> None:
+    def replanning(self, decision: ResumePlan | PlanAgain, result: RunResult) -> None:
         """Note that the plan is replaced."""
         self.replans += 1
-        self.note("replanned", "", "the rest of the plan still works" if isinstance(decision, Resume) else decision.why)
+        self.note("replanned", "", "the rest of the plan still works" if isinstance(decision, ResumePlan) else decision.why)
         self.listener.changed(self.id)
 
     def sent(self, call: ActionCall, request: Request, now: float) -> None:

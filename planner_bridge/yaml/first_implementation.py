@@ -143,9 +143,9 @@ class _UnrolledPlan:
         if _NAME.fullmatch(name) is None or name in _RESERVED or name == "set_knowledge":
             raise InputError(f"the first implementation cannot call {self.place}: {name!r} means something else to it")
         fields = [variable.name[1:] for variable in schema.parameters]
-        params = items([_text(_worded(one)) for one in fields], short=True)
+        params = items([_text(_worded(parameter)) for parameter in fields], short=True)
         entry = Entry(Mapping((Entry(_class(_ROS_ACTION), "type"), Entry(params, "params"))), name)
-        if self.actions.setdefault(name, entry) != entry or len({_worded(one) for one in fields}) < len(fields):
+        if self.actions.setdefault(name, entry) != entry or len({_worded(parameter) for parameter in fields}) < len(fields):
             raise InputError(f"the first implementation cannot call {self.place}: without '-', names in it are there twice")
         return name
 
@@ -227,8 +227,8 @@ class _UnrolledPlan:
                 return self._literal(value)
             case ValueOf(fluent):
                 return _query(self._variable(fluent))
-            case Arithmetic("-", (one,)):
-                return self._temporary(_operation("neg", self._operand(one)))
+            case Arithmetic("-", (operand,)):
+                return self._temporary(_operation("neg", self._operand(operand)))
             case Arithmetic(operation, operands):
                 values = [self._operand(operand) for operand in operands]
                 return reduce(lambda left, right: self._temporary(_operation(_ARITHMETIC[operation], left, right)), values[1:], values[0])

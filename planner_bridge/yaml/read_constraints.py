@@ -30,11 +30,7 @@ _IS_VIOLATED: Final = "is-violated"
 
 
 def read_constraint(node: Node, scope: FormulaScope, variables: tuple[Variable, ...] = ()) -> Constraint:
-    """Read a constraint, around which these variables are bound.
-
-    Raises:
-        InputError: it is malformed, or has names that are not there.
-    """
+    """Read a constraint, around which these variables are bound."""
     found = needed_form(node, (*CONSTRAINT_WORDS, "forall"), "a constraint")
     if found.word == "forall":
         inner, body = read_quantified(found, "constraint", scope)
@@ -63,9 +59,6 @@ def read_preference(node: Node, scope: FormulaScope, *, timed: bool = False) -> 
         node: the preference.
         scope: the names around it.
         timed: whether it stands in a durative action, where it needs a moment.
-
-    Raises:
-        InputError: it is malformed, or has names that are not there.
     """
     entry = node.mapped()
     entry.only("name", "variables", "moment", "condition", "constraints")
@@ -95,11 +88,7 @@ def is_about_states(node: Node) -> bool:
 
 
 def read_metric(entry: Mapped, scope: FormulaScope, preferences: Collection[str]) -> Metric | None:
-    """Read the key ``metric``; the names are those of the preferences that it may count.
-
-    Raises:
-        InputError: it is malformed, or has names that are not there.
-    """
+    """Read the key ``metric``; the names are those of the preferences that it may count."""
     node = entry.filled("metric")
     if node is None:
         return None

@@ -155,10 +155,13 @@ def _left_out(top: Mapped) -> Iterator[Tolerated]:
 
 def _check_names(model: ProblemModel, top: Mapped) -> None:
     """Refuse names that PDDL cannot have or cannot tell apart, and types that are kinds of themselves."""
-    domain = model.domain
+    domain, section = model.domain, top.section("problem")
+    _check_spelling("domain", [domain.name], top.node("name"))
+    _check_spelling("problem", [model.name], section.node("name"))
+    _check_spelling("requirement", [word[1:] for word in _requirements(top)], top.node("requirements"))
     _check_spelling("type", domain.types, top.node("types"))
     _check_spelling("object", domain.constants, top.node("constants"))
-    _check_spelling("object", model.own_objects, top.section("problem").node("objects"))
+    _check_spelling("object", model.own_objects, section.node("objects"))
     _check_spelling("predicate", domain.predicates, top.node("predicates"), CONNECTIVES)
     _check_spelling("function", domain.functions, top.node("functions"), CONNECTIVES)
     _check_spelling("action", domain.actions, top.node("actions"))

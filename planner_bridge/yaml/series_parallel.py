@@ -42,7 +42,7 @@ def reduced(size: int, edges: Iterable[tuple[int, int]]) -> list[tuple[int, ...]
     for first, second in edges:
         before[second].add(first)
     earlier = closure(before)
-    return [tuple(sorted(one for one in own if not any(earlier[other] >> one & 1 for other in own))) for own in before]
+    return [tuple(sorted(element for element in own if not any(earlier[other] >> element & 1 for other in own))) for own in before]
 
 
 def closure(before: Sequence[Iterable[int]]) -> list[int]:
@@ -50,8 +50,8 @@ def closure(before: Sequence[Iterable[int]]) -> list[int]:
     earlier: list[int] = []
     for own in before:
         found = 0
-        for one in own:
-            found |= earlier[one] | 1 << one
+        for element in own:
+            found |= earlier[element] | 1 << element
         earlier.append(found)
     return earlier
 
@@ -61,8 +61,8 @@ def blocks(before: Sequence[tuple[int, ...]]) -> Block:
     earlier = closure(before)
     related = list(earlier)
     for number, found in enumerate(earlier):
-        for one in _members(found):
-            related[one] |= 1 << number
+        for element in _members(found):
+            related[element] |= 1 << number
     return _block((1 << len(before)) - 1, before, earlier, related)
 
 
@@ -76,7 +76,7 @@ def _block(members: int, before: Sequence[tuple[int, ...]], earlier: Sequence[in
     if len(chained) > 1:
         chained.sort(key=lambda part: (earlier[_lowest(part)] & members & ~part).bit_count())
         return Series(tuple([_block(part, before, earlier, related) for part in chained]))
-    return Mesh({one: tuple(other for other in before[one] if members >> other & 1) for one in _members(members)})
+    return Mesh({element: tuple(other for other in before[element] if members >> other & 1) for element in _members(members)})
 
 
 def _components(members: int, neighbours: Sequence[int]) -> list[int]:
@@ -87,8 +87,8 @@ def _components(members: int, neighbours: Sequence[int]) -> list[int]:
         part = frontier = 1 << _lowest(left)
         while frontier:
             reached = 0
-            for one in _members(frontier):
-                reached |= neighbours[one]
+            for element in _members(frontier):
+                reached |= neighbours[element]
             frontier = reached & left & ~part
             part |= frontier
         found.append(part)

@@ -115,7 +115,7 @@ def _rule(rule: DerivationRule, notes: Notes) -> Entry:
 
 def _constraints(whole: Domain | Problem, notes: Notes) -> Entry:
     own = notes.at(":constraints")
-    note = own.take() if whole.constraints or any(isinstance(one.wanted, tuple) for one in whole.preferences) else None
+    note = own.take() if whole.constraints or any(isinstance(preference.wanted, tuple) for preference in whole.preferences) else None
     found = constraints(whole.constraints, own)
     return Entry(found, "constraints", note) if note else Entry(found, "constraints")
 

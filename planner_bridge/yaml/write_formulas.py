@@ -142,7 +142,7 @@ def duration(bounds: tuple[DurationConstraint, ...]) -> Value:
 
 def constraints(found: Iterable[Constraint], notes: Notes) -> Sequence:
     """Write constraints on the course of states, each an item of a list."""
-    return Sequence(tuple([_constraint(one, notes) for one in found]))
+    return Sequence(tuple([_constraint(constraint, notes) for constraint in found]))
 
 
 def _constraint(constraint: Constraint, notes: Notes) -> Entry:
@@ -157,7 +157,7 @@ def _constraint(constraint: Constraint, notes: Notes) -> Entry:
 
 def preferences(found: Iterable[Preference], states: Notes, courses: Notes) -> Sequence:
     """Write preferences, each an item of a list; the notes are those of the sections where PDDL has them."""
-    return Sequence(tuple([_preference(one, courses if isinstance(one.wanted, tuple) else states) for one in found]))
+    return Sequence(tuple([_preference(preference, courses if isinstance(preference.wanted, tuple) else states) for preference in found]))
 
 
 def _preference(preference: Preference, notes: Notes) -> Entry:
@@ -183,4 +183,4 @@ def nested(variables: tuple[Variable, ...]) -> list[tuple[Variable, ...]]:
         if not found or variable.name.lower() in {other.name.lower() for other in found[-1]}:
             found.append([])
         found[-1].append(variable)
-    return [tuple(one) for one in found]
+    return [tuple(group) for group in found]

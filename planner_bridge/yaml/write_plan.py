@@ -36,7 +36,9 @@ class _StepWriter:
 
     def steps(self) -> list[Mapping]:
         orderings = _needed(self.graph)
-        simple = all(one.before.moment is Moment.END and one.after.moment is Moment.START and not one.delay for one in orderings)
+        simple = all(
+            ordering.before.moment is Moment.END and ordering.after.moment is Moment.START and not ordering.delay for ordering in orderings
+        )
         if simple and not any(call.release or call.deadline < inf for call in self.graph.calls):
             return self._in_blocks(orderings)
         return self._explicit(orderings)
@@ -46,12 +48,14 @@ class _StepWriter:
     def _in_blocks(self, orderings: Iterable[Ordering]) -> list[Mapping]:
         order = list(dict.fromkeys(event.call for event in self.graph.in_order()))
         places = {call: place for place, call in enumerate(order)}
-        edges = [(places[one.before.call], places[one.after.call]) for one in orderings]
+        edges = [(places[ordering.before.call], places[ordering.after.call]) for ordering in orderings]
         match blocks(reduced(len(order), edges)):
             case Series(parts):
                 return [self._block(part, order) for part in parts]
             case Mesh(before):
-                return self._mesh({order[one]: tuple(order[other] for other in others) for one, others in before.items()}, in_sequence=True)
+                return self._mesh(
+                    {order[step]: tuple(order[other] for other in others) for step, others in before.items()}, in_sequence=True
+                )
             case whole:
                 return [self._block(whole, order)]
 
@@ -64,7 +68,7 @@ class _StepWriter:
             case Parallel(parts):
                 return _listed("concurrent_actions", [self._block(part, order) for part in parts])
             case Mesh(before):
-                waits = {order[one]: tuple(order[other] for other in others) for one, others in before.items()}
+                waits = {order[step]: tuple(order[other] for other in others) for step, others in before.items()}
                 return _listed("concurrent_actions", self._mesh(waits, in_sequence=False))
             case _:
                 assert_never(block)
@@ -83,13 +87,17 @@ class _StepWriter:
     # --- events ---
 
     def _explicit(self, orderings: list[Ordering]) -> list[Mapping]:
-        named = self._names({one.before.call for one in orderings})
+        named = self._names({ordering.before.call for ordering in orderings})
         steps: list[Mapping] = []
         for call in sorted(self.graph.calls, key=lambda call: call.planned):
-            waits = {moment: [one for one in orderings if one.after == PlanEvent(call.index, moment)] for moment in Moment}
+            waits = {moment: [ordering for ordering in orderings if ordering.after == PlanEvent(call.index, moment)] for moment in Moment}
             options = [
-                Entry(items((_event(one, named) for one in waits[Moment.START]), short=True), "after"),
-                *([Entry(items((_event(one, named) for one in waits[Moment.END]), short=True), "end_after")] if waits[Moment.END] else []),
+                Entry(items((_event(ordering, named) for ordering in waits[Moment.START]), short=True), "after"),
+                *(
+                    [Entry(items((_event(ordering, named) for ordering in waits[Moment.END]), short=True), "end_after")]
+                    if waits[Moment.END]
+                    else []
+                ),
                 *_times(call, self.domain),
             ]
             steps.append(Mapping((self._call(call.index), *_id(named, call.index), *options)))
@@ -147,6 +155,6 @@ def _needed(graph: PlanGraph) -> list[Ordering]:
     order = graph.in_order()
     places = {event: place for place, event in enumerate(order)}
     own = [(places[PlanEvent(call.index, Moment.START)], places[PlanEvent(call.index, Moment.END)]) for call in graph.calls]
-    edges = [(places[one.before], places[one.after]) for one in graph.orderings]
+    edges = [(places[ordering.before], places[ordering.after]) for ordering in graph.orderings]
     before = reduced(len(order), [*own, *edges])
-    return [one for one, (first, second) in zip(graph.orderings, edges, strict=True) if one.delay or first in before[second]]
+    return [ordering for ordering, (first, second) in zip(graph.orderings, edges, strict=True) if ordering.delay or first in before[second]]

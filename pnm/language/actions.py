@@ -122,9 +122,6 @@ def read_schema(name: str, entry: Mapped, scope: FormulaScope) -> ActionSchema:
         name: of the action.
         entry: its keys.
         scope: the names around it; the action's parameters come besides.
-
-    Raises:
-        InputError: it has an unknown key, something malformed, or names that are not there.
     """
     entry.only(*ACTION_KEYS)
     params, duration = entry.filled("params"), entry.filled("duration")
@@ -161,11 +158,7 @@ def _check_moments(schema: ActionSchema, entry: Mapped) -> None:
 
 
 def read_action(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> LanguageAction:
-    """Read how an action is executed.
-
-    Raises:
-        InputError: something is malformed, or has names that are not there.
-    """
+    """Read how an action is executed."""
     if schema.name in RESERVED:
         raise InputError(f"{schema.name!r} is a word of the language; an action cannot be called so", entry.start)
     is_open = entry.filled("params") is None
@@ -208,11 +201,7 @@ def _simulated(entry: Mapped, scope: FormulaScope) -> tuple[tuple[str, Data], ..
 
 
 def read_class(node: Node) -> tuple[str, str]:
-    """Read ``{module: a.b, class: C}``, which names a class for the original implementation; nothing is imported.
-
-    Raises:
-        InputError: it is something else.
-    """
+    """Read ``{module: a.b, class: C}``, which names a class for the original implementation; nothing is imported."""
     entry = node.mapped()
     entry.only("module", "class")
     module, name = entry.string("module"), entry.string("class")

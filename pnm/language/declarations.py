@@ -1,7 +1,8 @@
 """Declarations of the YAML language: types, objects, predicates, functions, derived facts, initial facts.
 
 Types, constants and objects are PDDL's text (``r1 r2 - robot``) or lists of such texts, predicates and functions lists
-of texts such as ``(at ?r - robot ?p - place)`` and ``(location ?r - robot) - place``.
+of texts such as ``(at ?r - robot ?p - place)`` and ``(location ?r - robot) - place``. Every reader raises InputError, with
+the position, for what is malformed or has names that are not there.
 """
 
 from __future__ import annotations
@@ -68,11 +69,7 @@ def _declarations(nodes: Iterable[Node], kind: str, scope: FormulaScope) -> dict
 
 
 def declaration_parts(node: Node) -> tuple[str, str, str]:
-    """Return the name in a declaration, the text of the parameters, and that of the types behind it.
-
-    Raises:
-        InputError: it is something else.
-    """
+    """Return the name in a declaration, the text of the parameters, and that of the types behind it."""
     found = _DECLARED.match(node.text.strip()) if node.text is not None else None
     if found is None:
         raise node.wrong("expected something like (at ?r - robot ?p - place)")
@@ -83,11 +80,7 @@ def declaration_parts(node: Node) -> tuple[str, str, str]:
 
 
 def read_derived(top: Mapped, scope: FormulaScope) -> Rules:
-    """Read ``derived``: a list of ``{fact: (reachable ?p - place), condition: c}``.
-
-    Raises:
-        InputError: it is malformed, or a fact would depend on its own negation.
-    """
+    """Read ``derived``: a list of ``{fact: (reachable ?p - place), condition: c}``."""
     rules = [read_rule(node, scope) for node in top.listed("derived")]
     try:
         return Rules(tuple(rules))
@@ -96,11 +89,7 @@ def read_derived(top: Mapped, scope: FormulaScope) -> Rules:
 
 
 def read_rule(node: Node, scope: FormulaScope) -> DerivationRule:
-    """Read one rule; variables of its head that have no type have that of the declaration.
-
-    Raises:
-        InputError: it is malformed, or has names that are not there.
-    """
+    """Read one rule; variables of its head that have no type have that of the declaration."""
     entry = node.mapped()
     entry.only("fact", "condition")
     fact, condition = entry.needed("fact"), entry.needed("condition")
@@ -132,11 +121,7 @@ def _narrowed(variables: tuple[Variable, ...], declared: Declaration, node: Node
 
 
 def read_facts(nodes: Iterable[Node], scope: FormulaScope) -> dict[Fluent, Value]:
-    """Read facts: texts ``(at r1 hall)``, ``(= (battery r1) 80)``, ``(not (at r1 hall))``.
-
-    Raises:
-        InputError: one is something else, or has names that are not there.
-    """
+    """Read facts: texts ``(at r1 hall)``, ``(= (battery r1) 80)``, ``(not (at r1 hall))``."""
     found: dict[Fluent, Value] = {}
     for node in nodes:
         fluent, value = _statement(node, scope)
@@ -147,11 +132,7 @@ def read_facts(nodes: Iterable[Node], scope: FormulaScope) -> dict[Fluent, Value
 
 
 def read_initial(problem: Mapped, scope: FormulaScope) -> tuple[dict[Fluent, Value], tuple[TimedChange, ...]]:
-    """Read ``init``: the initial facts, and timed ones: ``{at: 5, facts: [...]}``, in seconds.
-
-    Raises:
-        InputError: it is something else, or has names that are not there.
-    """
+    """Read ``init``: the initial facts, and timed ones: ``{at: 5, facts: [...]}``, in seconds."""
     items = problem.listed("init")
     timed: list[TimedChange] = []
     for entry in [item.mapped() for item in items if item.is_mapping]:

@@ -42,11 +42,7 @@ class LanguageDomain:
 
 
 def domain_from(top: Mapped, warnings: tuple[Tolerated, ...] = ()) -> LanguageDomain:
-    """Read a domain from a document that may have other keys as well.
-
-    Raises:
-        InputError: something is malformed, or has names that are not there.
-    """
+    """Read a domain from a document that may have other keys as well."""
     for entry in top.mapping("action_types").values():
         entry.only(*ACTION_KEYS)  # only anchors are made there; their contents are read where they are used
     model, rules = read_model(top)
@@ -67,9 +63,6 @@ def read_model(top: Mapped, *, strict: bool = False) -> tuple[ProblemModel, Rule
     Args:
         top: the document.
         strict: whether planners are to understand it; see `pnm.language.formulas.scope.FormulaScope`.
-
-    Raises:
-        InputError: something is malformed, or has names that are not there.
     """
     section = problem_section(top)
     declared = read_declarations(top, section, strict=strict)
@@ -85,11 +78,7 @@ def read_model(top: Mapped, *, strict: bool = False) -> tuple[ProblemModel, Rule
 
 
 def problem_section(top: Mapped) -> Mapped | None:
-    """Return the section ``problem``, None without one.
-
-    Raises:
-        InputError: it has an unknown key.
-    """
+    """Return the section ``problem``, None without one."""
     node = top.filled("problem")
     if node is None:
         return None

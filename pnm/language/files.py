@@ -220,7 +220,7 @@ def beside(entry: Mapped, key: str, path: str) -> Path:
     """
     found = Path(entry.file).parent / path
     if not found.is_file():
-        others = sorted(one.name for one in found.parent.glob("*.y*ml")) if found.parent.is_dir() else []
+        others = sorted(path.name for path in found.parent.glob("*.y*ml")) if found.parent.is_dir() else []
         hint = suggestion(found.name, others)
         raise InputError(f"there is no file {path!r} beside this one{f'; {hint}' if hint else ''}", entry.position(key))
     return found

@@ -25,7 +25,7 @@ def filled_data(data: Data, values: Mapping[str, Data]) -> Data:
 def filled_operation(operation: KnowledgeOperation, values: Mapping[str, Data]) -> KnowledgeOperation:
     """Put computed values in the place of parameters."""
     if isinstance(operation, Update):
-        name, value, meta = (filled_data(one, values) for one in (operation.name, operation.value, operation.meta))
+        name, value, meta = (filled_data(data, values) for data in (operation.name, operation.value, operation.meta))
         return Update(name, value, operation.layer, meta)
     found = filled_data(operation, values)
     assert isinstance(found, Query | Operation)
@@ -89,7 +89,7 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tu
     Raises:
         InputError: a fact is computed from a parameter that is not known in the plan.
     """
-    given = {name: filled_data(one.data, outer) for name, one in step.given.items()}
+    given = {name: filled_data(value.data, outer) for name, value in step.given.items()}
     for name, data in given.items():
         if left := {parameter for part in parts(data) if isinstance(part, ValueOf) for parameter in parameters_in(part)}:
             raise InputError(

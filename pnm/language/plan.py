@@ -178,7 +178,7 @@ def _check_capacities(entry: Mapped, graph: PlanGraph, actions: Mapping[str, Lan
 
 def _on_failure(entry: Mapped) -> OnFailure:
     name = entry.string("on_failure")
-    known = {one.value: one for one in OnFailure}
+    known = {policy.value: policy for policy in OnFailure}
     if name is not None and name not in known:
         raise unknown("way to end", name, known, entry.position("on_failure"))
     return OnFailure.DRAIN if name is None else known[name]
@@ -229,7 +229,7 @@ def read_world(path: Path, name: str | None = None) -> World:
 def _world(name: str, entry: Mapped, key: str) -> World:
     file = entry.string("domain")
     domain = LanguageDomain() if file is None else read_domain(beside(entry, "domain", file))
-    paths = [beside(entry, key, one) for one in entry.strings(key)]
+    paths = [beside(entry, key, file_name) for file_name in entry.strings(key)]
     if not paths:
         raise InputError(f"the world {name!r} has no plans; expected files under {key!r}", entry.start)
     return World(name, finished([head for path in paths for head in plan_heads(path, domain)]), domain)

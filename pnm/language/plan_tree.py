@@ -157,9 +157,6 @@ def read_recoveries(node: Node, scope: FormulaScope, read_steps: ReadSteps) -> t
         node: a mapping with the keys ``before``, ``during`` and ``after``.
         scope: what conditions may use: the parameters of the call.
         read_steps: reads the chains.
-
-    Raises:
-        InputError: it is something else, or a part is malformed or has names that are not there.
     """
     if node.is_null:
         return ()

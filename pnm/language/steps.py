@@ -56,11 +56,7 @@ class StepReader:
         return FormulaScope(self.declared, dict.fromkeys(self.variables, ("object",)))
 
     def steps(self, node: Node) -> SequenceStep:
-        """Read a list of steps.
-
-        Raises:
-            InputError: it is something else, or a step is malformed or has names that are not there.
-        """
+        """Read a list of steps."""
         if node.items is None and not node.is_null:
             raise node.wrong(f"expected a list of steps, found {shown(node)}")
         return self.sequence(node.items or (), node.position)
@@ -197,7 +193,7 @@ def _check_object(action: LanguageAction, key: str, node: Node, declared: Proble
         return
     types = next(variable.types for variable in action.schema.parameters if variable.name == f"?{key}")
     if declared.all_types(declared.objects.get(name, ())).isdisjoint(types):
-        fitting = {one for kind in types for one in declared.objects_by_type.get(kind, ())}
+        fitting = {fit for kind in types for fit in declared.objects_by_type.get(kind, ())}
         raise unknown(f"object for {key} of {action.name} (one of type {' or '.join(types)})", name, fitting, node.position)
 
 

@@ -99,8 +99,8 @@ class PlanGraphBuilder:
 
     def _without_usual(self, region: _Region) -> Iterator[Step]:
         """Yield the steps; a call whose start others wait for, or whose end waits itself, can only be tried again or fail."""
-        special = {one.before.call for one in region.orderings if one.before.moment is Moment.START}
-        special |= {one.after.call for one in region.orderings if one.after.moment is Moment.END}
+        special = {ordering.before.call for ordering in region.orderings if ordering.before.moment is Moment.START}
+        special |= {ordering.after.call for ordering in region.orderings if ordering.after.moment is Moment.END}
         for step in region.steps:
             if step.index in special and isinstance(step, ActionCall) and step.recoveries:
                 if step.index in self._recovering:
@@ -150,12 +150,18 @@ class PlanGraphBuilder:
             parts = [part for part in parts if part.first]
             waits = [(_After(number - 1),) if number and in_sequence else () for number in range(len(parts))]
         for part, before in zip(parts, waits, strict=True):
-            plain = [parts[one.step] for one in before if one.is_plain]
+            plain = [parts[wait.step] for wait in before if wait.is_plain]
             self._link([last for earlier in plain for last in earlier.last], part.first, region)
-            for one in before:
-                if not one.is_plain:
-                    region.orderings += _special(one, parts[one.step], part)
-        waited = {one.step for before in waits for one in before if one.moment is Moment.END}
+            for wait in before:
+                if not wait.is_plain:
+                    earlier = parts[wait.step].last if wait.moment is Moment.END else parts[wait.step].first
+                    own = part.first if wait.own is Moment.START else part.last
+                    region.orderings += [
+                        Ordering(PlanEvent(first, wait.moment), PlanEvent(second, wait.own), delay=wait.delay)
+                        for first in earlier
+                        for second in own
+                    ]
+        waited = {wait.step for before in waits for wait in before if wait.moment is Moment.END}
         return PartEnds(
             tuple(
                 first
@@ -173,7 +179,9 @@ class PlanGraphBuilder:
             self._link(before, meeting, region)
             self._link(meeting, after, region)
         else:
-            region.orderings += [Ordering(PlanEvent(one, Moment.END), PlanEvent(two, Moment.START)) for one in before for two in after]
+            region.orderings += [
+                Ordering(PlanEvent(first, Moment.END), PlanEvent(second, Moment.START)) for first in before for second in after
+            ]
 
     def _junction(self, position: Position | None, region: _Region) -> PartEnds:
         return self._alone(Junction(self._number(position)), region)
@@ -208,7 +216,7 @@ class PlanGraphBuilder:
         return ActionCall(
             number,
             action,
-            recoveries=(*(self._recovery(one, own, inner) for one in written), *usual_recoveries(step.action)),
+            recoveries=(*(self._recovery(recovery, own, inner) for recovery in written), *usual_recoveries(step.action)),
             release=step.release,
             deadline=step.deadline,
             timeout=step.timeout,
@@ -240,12 +248,6 @@ class _After:
         return self == _After(self.step)
 
 
-def _special(after: _After, earlier: PartEnds, part: PartEnds) -> list[Ordering]:
-    before = earlier.last if after.moment is Moment.END else earlier.first
-    own = part.first if after.own is Moment.START else part.last
-    return [Ordering(PlanEvent(one, after.moment), PlanEvent(two, after.own), delay=after.delay) for one in before for two in own]
-
-
 def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[_After, ...]]:
     """Return for every step of a list what it waits for.
 
@@ -255,16 +257,16 @@ def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[_
     numbers = {step.place.id: number for number, step in enumerate(steps) if step.place.id is not None}
     found: list[tuple[_After, ...]] = []
     for number, step in enumerate(steps):
-        waits = [_After(numbers[one.id], one.moment, one.delay) for one in step.place.after or ()]
+        waits = [_After(numbers[wait.id], wait.moment, wait.delay) for wait in step.place.after or ()]
         if step.place.after is None and number and in_sequence:
             waits = [_After(number - 1)]
-        waits += [_After(numbers[one.id], one.moment, one.delay, Moment.END) for one in step.place.end_after]
-        for one in step.place.end_after:
-            if one.delay:
-                raise InputError("an end cannot be delayed: it comes when the action's time is up", one.position)
-        for one in (*(step.place.after or ()), *step.place.end_after):
-            if one.moment is Moment.START and not isinstance(steps[numbers[one.id]], CallStep):
-                raise InputError(f"{one.id!r} is no call; only the end of such a step can be waited for", one.position)
+        waits += [_After(numbers[wait.id], wait.moment, wait.delay, Moment.END) for wait in step.place.end_after]
+        for wait in step.place.end_after:
+            if wait.delay:
+                raise InputError("an end cannot be delayed: it comes when the action's time is up", wait.position)
+        for wait in (*(step.place.after or ()), *step.place.end_after):
+            if wait.moment is Moment.START and not isinstance(steps[numbers[wait.id]], CallStep):
+                raise InputError(f"{wait.id!r} is no call; only the end of such a step can be waited for", wait.position)
         found.append(tuple(dict.fromkeys(waits)))
     _check_cycles(steps, found)
     return found
@@ -275,13 +277,13 @@ def _check_cycles(steps: tuple[WrittenStep, ...], waits: list[tuple[_After, ...]
     for number, before in enumerate(waits):
         graph.setdefault((number, Moment.START), set())
         graph.setdefault((number, Moment.END), set()).add((number, Moment.START))
-        for one in before:
-            graph.setdefault((number, one.own), set()).add((one.step, one.moment))
+        for wait in before:
+            graph.setdefault((number, wait.own), set()).add((wait.step, wait.moment))
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         cycle = list(dict.fromkeys(step for step, _ in error.args[1]))
-        names = " < ".join(steps[one].place.id or f"the step in line {steps[one].place.position.line}" for one in (*cycle, cycle[0]))
+        names = " < ".join(steps[n].place.id or f"the step in line {steps[n].place.position.line}" for n in (*cycle, cycle[0]))
         raise InputError(f"steps wait for each other: {names}", steps[cycle[0]].place.position) from error
 
 
@@ -300,7 +302,7 @@ def _renumbered(flow: Flow, numbers: Mapping[int, int]) -> Flow:
     def moved(event: PlanEvent) -> PlanEvent:
         return PlanEvent(numbers[event.call], event.moment)
 
-    orderings = tuple(replace(one, before=moved(one.before), after=moved(one.after)) for one in flow.orderings)
+    orderings = tuple(replace(ordering, before=moved(ordering.before), after=moved(ordering.after)) for ordering in flow.orderings)
     return Flow(tuple(_renumbered_step(step, numbers) for step in flow.steps), orderings)
 
 
@@ -308,7 +310,7 @@ def _renumbered_step(step: Step, numbers: Mapping[int, int]) -> Step:
     index = numbers[step.index]
     match step:
         case ActionCall(recoveries=recoveries):
-            chains = tuple(replace(one, chain=_renumbered(one.chain, numbers)) for one in recoveries)
+            chains = tuple(replace(recovery, chain=_renumbered(recovery.chain, numbers)) for recovery in recoveries)
             return replace(step, index=index, recoveries=chains)
         case Loop(body=body):
             return replace(step, index=index, body=_renumbered(body, numbers))

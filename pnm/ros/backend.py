@@ -31,8 +31,6 @@ class Ros2Backend:
     """The action servers found in the ROS 2 graph, the facts published on `knowledge/sensed`, and sensors.
 
     Args:
-        bindings: how actions are bound to servers.
-        sensing: which topics and services speak of what.
         ros: the thread of a node that goes on when the site is closed; by default the site has one of its own.
 
     The mutable state is what `open` and `share` make.
@@ -42,8 +40,8 @@ class Ros2Backend:
     """
 
     def __init__(self, bindings: Bindings, sensing: Sensing = NO_SENSING, ros: RosThread | None = None) -> None:
-        for one in sorted(sensing.names & bindings.assumed):
-            raise InputError(f"there is a sensor for {one}, which is among the 'assumed' of the bindings; expected one of the two")
+        for name in sorted(sensing.names & bindings.assumed):
+            raise InputError(f"there is a sensor for {name}, which is among the 'assumed' of the bindings; expected one of the two")
         self._bindings = bindings
         self._shared = ros
         self._sensing = sensing
@@ -61,12 +59,7 @@ class Ros2Backend:
         return self._client  # type: ignore[no-any-return]
 
     async def open(self, knowledge: KnowledgeBase) -> None:
-        """Join the ROS 2 graph and wait for the first report about the world, if anybody publishes one.
-
-        Raises:
-            InputError: a sensor cannot be used.
-        """
-
+        """Join the ROS 2 graph and wait for the first report about the world, if there is a publisher of reports."""
         loop = asyncio.get_running_loop()
         self.ros = self._shared or RosThread("pnm_run")  # `pnm` is the one that serves
         self._client = Ros2ActionClient(self.ros, self._bindings, loop)
@@ -84,7 +77,6 @@ class Ros2Backend:
 
     async def share(self, mark: bytes, find: FindKnowledge, source: Source) -> None:
         """Offer the two services that action servers find by the identity of their goal."""
-
         self._services.append(KnowledgeServices(self.ros, asyncio.get_running_loop(), service_prefix(mark), find, source))
         await self._services[-1].open()
 
@@ -95,8 +87,7 @@ class Ros2Backend:
 
     async def prepare(self, actions: Iterable[GroundAction]) -> tuple[str, ...]:
         """Look for the servers of these actions; wait for them only while this node itself is new."""
-        missing: tuple[str, ...] = await self._client.prepare(actions, self.ros.joined + DISCOVERY - monotonic())
-        return missing
+        return await self._client.prepare(actions, self.ros.joined + DISCOVERY - monotonic())  # type: ignore[no-any-return]
 
     async def close(self) -> None:
         """Leave the ROS 2 graph."""

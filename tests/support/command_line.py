@@ -1,4 +1,4 @@
-"""TODO."""
+"""The `pnm` command as a process, and the JSON that it prints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the calls of a run are doing: their requests, what they intend to change, and what they have changed.
+"""Requests of the calls of a run: sent, cancelled, and with the effects that they assume.
 
 Decides nothing: `pnm.core.execution.run` says when, and is returned what has to be done outside.
 """
@@ -75,7 +75,7 @@ class Calls:
         self._intended: dict[int, Intention] = {}
         self._begun: dict[int, Changes] = {}
         self.accepted: dict[int, float] = {}
-        """Calls whose requests were accepted and nobody cancels, and when they were."""
+        """Calls whose requests were accepted and are not being cancelled, and the times of acceptance."""
 
     # --- what is asked about a call -----------------------------------------------------------
 
@@ -88,7 +88,7 @@ class Calls:
         return replace(self._plan.calls[call], action=self.action(call))
 
     def arguments(self, call: int) -> tuple[str, ...]:
-        """Return what its parameters would have for values if it were sent now, as far as nobody has to be asked; else their names."""
+        """Return the arguments that the call would be sent with now; parameters without a value by their names."""
         return bind(self._plan.calls[call].action.arguments, self.context_of(call, None).environment())
 
     def binding(self, call: int) -> Binding:
@@ -96,7 +96,7 @@ class Calls:
         return self._bindings.of(self._plan.calls[call].action.name)
 
     def context_of(self, call: int | None, answers: Mapping[Question, object] | None) -> EvaluationContext:
-        """Return what a decision about the call is made from; without answers, when nobody can be asked any more."""
+        """Return the evaluation context of the call; no questions are asked when there are no answers."""
         asks = self._asks and answers is not None
         if call is None or call >= len(self._plan.calls):
             return EvaluationContext(self._knowledge, answers=answers or {}, asks=asks)
@@ -181,7 +181,7 @@ class Calls:
                 assert_never(action)
 
     def adopt(self, call: int, taken: UnderWay) -> None:
-        """Know of the request what its run has known."""
+        """Take over a request with all that its run knew of it."""
         self.open[taken.request] = call
         self._requests[call] = taken.request
         self._actions[call] = taken.call.action
@@ -239,6 +239,8 @@ class Calls:
 
     def _write(self, changes: Changes) -> Performed:
         """Write the assumed effects; sensors report all others."""
+        if not changes:
+            return _NOTHING
         world = self._knowledge.world
         assumed = {fluent: value for fluent, value in changes.items() if not world.is_sensed(fluent)}
         return Performed(changes_knowledge=bool(world.update(assumed)))
@@ -285,7 +287,7 @@ def _ended(identity: UUID, *, changes_knowledge: bool = False) -> Performed:
 
 
 def _unknown_values(operation: KnowledgeOperation, context: EvaluationContext) -> tuple[str, ...]:
-    """Return the variables that an update copies but nobody knows; have everything asked that the operation depends on."""
+    """Return the variables without a value that an update copies; raises `Unanswered` if the operation depends on a question."""
     try:
         match operation:
             case Update(name, data, _, meta):

@@ -1,7 +1,4 @@
-"""The record of a run: what became of every call, and why those that failed did.
-
-How runs, their calls and their failures are told.
-"""
+"""Results of runs, of their calls and of their failures, and how they are recorded as transitions fire."""
 
 from __future__ import annotations
 
@@ -36,7 +33,7 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class CallResult:
-    """What became of a call so far. Times are None until it was sent, and until it was over."""
+    """Result of a call so far; its times are None until it was sent, and until it was over."""
 
     call: ActionCall
     kind: CallOutcome = CallOutcome.WAITING
@@ -72,7 +69,7 @@ class CallResult:
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """How a run ended."""
+    """Result of a run: whether the goal holds, and the results of its calls."""
 
     goal: bool
     reason: str
@@ -125,11 +122,11 @@ class CallResults:
         return (*sorted(reached, key=lambda one: (_first(one), one.call.index)), *others)
 
     def answered(self, call: int, outcome: Outcome) -> None:
-        """Note how a request of the call ended."""
+        """Keep the message of a request of the call that has ended."""
         self._messages[call] = outcome.message or outcome.kind.value
 
     def fired(self, rule: Rule, call: int, now: float, check: Explanation | None, *, missing: tuple[str, ...], assumed: bool) -> None:
-        """Note that a transition of the call fires, which sets the outcome of the call and the cause of a recovery or failure.
+        """Record the firing of a transition: it sets the outcome of its call and the cause of a recovery or failure.
 
         Args:
             rule: of the transition.
@@ -169,15 +166,15 @@ class CallResults:
             self._causes[call] = Explanation(rule.cause, expected, rule.observed.format(message=message) or message)
 
     def adopted(self, call: ActionCall, before: CallResult) -> None:
-        """Note that the call was sent by another run, and what was told of it there."""
+        """Record the result so far of a call that another run has sent."""
         self.current[call.index] = replace(before, call=call)
 
     def sent(self, call: ActionCall) -> None:
-        """Note with which values for its parameters the call was sent."""
+        """Record the call with the arguments that it was sent with."""
         self.current[call.index] = replace(self.current[call.index], call=call)
 
     def failed(self, step: int, now: float, check: Explanation | None, rule: Rule, lacking: tuple[str, ...]) -> Failure:
-        """Note that the step has failed.
+        """Record the failure of a step.
 
         Args:
             step: its number.

@@ -1,4 +1,4 @@
-"""What is checked around a call: pure functions of a ground action and what is known.
+"""Effect checks of a call: pure functions of a ground action and of knowledge.
 
 Before: do its effects hold already? After: are its effects seen? An effect is *seen* when its
 fluent is sensed and has the value; effects on assumed fluents cannot be checked.
@@ -34,7 +34,7 @@ def already_true(action: GroundAction, knowledge: EvaluationContext) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Intention:
-    """What a call is going to change, computed when it is sent: later the sensors already show some of it."""
+    """Intended effects of a call, computed when it is sent: later the sensors already show some of them."""
 
     start: Changes = field(default_factory=dict)
     end: Changes = field(default_factory=dict)

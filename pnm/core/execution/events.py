@@ -1,7 +1,7 @@
 """Σ and its answer: what a run is told, and what it asks for.
 
 A run is told *events* (reports about requests besides) and answers with *commands*. All times
-are seconds on the clock of whoever calls it.
+are seconds on the clock of its caller.
 
 Who listens to a run: one empty method per moment. Progress, traces and journals are observers.
 """
@@ -31,7 +31,7 @@ class KnowledgeChanged:
 
 @dataclass(frozen=True, slots=True)
 class ResourcesChanged:
-    """Somebody who waits for resources may have them now; calls that wait for some ask again."""
+    """A claim in line may be granted now; calls that wait for resources ask again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class Resume:
 
 @dataclass(frozen=True, slots=True)
 class Answered:
-    """What a question of an `Ask` was answered with; `MISSING` when nobody knows, or nobody has answered in time."""
+    """Answer to the question of an `Ask`; `MISSING` if there is none, or none in time."""
 
     id: UUID
     value: object

@@ -32,7 +32,7 @@ class UnderWay:
     """The result of the call so far."""
     intended: Intention
     begun: Changes | None
-    """What was assumed at its start, as it was before."""
+    """Values before its assumed start effects, for a rollback."""
     resources: tuple[str, ...]
 
 

@@ -1,4 +1,4 @@
-"""What one decision of a run is made from: knowledge, what the plan gives the call, and answers from outside.
+"""Evaluation context of guards and requests: knowledge, the arguments of the call, and answers to questions from outside.
 
 A question is asked once per decision, however often its answer is looked at: `Questions` keeps the answers until the
 token leaves the place at which it is being decided.
@@ -23,7 +23,7 @@ _NO_ACTION = GroundAction("")
 
 @dataclass(frozen=True, slots=True)
 class EvaluationContext:
-    """What conditions, goal fields and operations are computed from.
+    """Context in which conditions, goal fields and operations are evaluated.
 
     Asking for what is not known here raises `Unanswered` as long as the question is not among the answers.
     """
@@ -38,7 +38,7 @@ class EvaluationContext:
 
     @property
     def world(self) -> KnowledgeBase:
-        """What all runs share."""
+        """Knowledge that all runs share."""
         return self.knowledge.world
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
@@ -50,7 +50,7 @@ class EvaluationContext:
         return self.knowledge.objects(types)
 
     def because(self, fluent: Fluent, /) -> str:
-        """Say why a derived fact holds or does not."""
+        """Return why a derived fact holds or does not, as text."""
         return self.knowledge.because(fluent)
 
     def local_variable(self, name: str, /) -> object:
@@ -112,7 +112,7 @@ class EvaluationContext:
         return {name: value for name, value in values.items() if value is not MISSING}
 
     def uncomputable(self, names: Iterable[str], /) -> Iterator[str]:
-        """Say for which of the parameters, without ``?``, the plan gives what cannot be computed, and why."""
+        """Yield why the value that the plan gives one of these parameters, named without ``?``, cannot be computed."""
         given = dict(self.action.given)
         for name in given.keys() & {*names}:
             try:
@@ -132,7 +132,7 @@ class Questions:
     """The questions that a run has asked outside, and their answers.
 
     What people have said to a run is known to the one that succeeds it, once for every call of the same action that asks the
-    same; knowledge bases are asked again, for what they know may have changed, and nobody is troubled.
+    same; knowledge bases are asked again, for what they know may have changed, and no person is troubled by that.
 
     The mutable state is the dictionaries and the list.
     """
@@ -146,9 +146,9 @@ class Questions:
         self.count = 0
         """How many questions the run has asked itself."""
         self._inherited: list[tuple[str, Question, object]] = []
-        """What the run before was told and has not used."""
+        """Answers that the run before had and has not used."""
         self._open: dict[UUID, tuple[str, Question]] = {}
-        """What the run before has asked, and this one has not come to yet."""
+        """Questions that the run before has asked, and this one has not come to yet."""
 
     def answers_at(self, place: int) -> Mapping[Question, object]:
         """Return what is known for the decision at a place."""
@@ -164,7 +164,7 @@ class Questions:
         return any(question.layer is Layer.PERSON for _, question in self._asked.values())
 
     def ask(self, identity: UUID, place: int, subject: str, question: Question) -> None:
-        """Note that the question is being asked, for the sake of the subject."""
+        """Record that the question is being asked, for the sake of the subject."""
         self._subjects[place] = subject
         self.count += 1
         self._asked[identity] = (place, question)
@@ -174,7 +174,7 @@ class Questions:
         return () if place is None else self._silence.get(place, ())
 
     def answered(self, identity: UUID, value: object, message: str) -> int | None:
-        """Note an answer, or why there is none; return the place that waits for it, if any still does."""
+        """Record an answer, or why there is none; return the place that waits for it, if any still does."""
         if identity in self._open:
             self._keep(*self._open.pop(identity), value)
         place, question = self._asked.pop(identity, (None, None))
@@ -195,7 +195,7 @@ class Questions:
     # --- from one run to the next ---------------------------------------------------------------
 
     def inherit(self, old: Questions, subjects: frozenset[str]) -> frozenset[UUID]:
-        """Know what people have told the run before for the sake of these subjects; return what they are still being asked."""
+        """Take over the answers of people for the sake of these subjects; return the questions that they are still being asked."""
         given = [(old._subjects[place], *one) for place, answers in old._answers.items() for one in answers.items()]
         for subject, question, value in (*given, *old._inherited):
             if subject in subjects:
@@ -207,7 +207,7 @@ class Questions:
         return frozenset(self._open)
 
     def take_up(self, place: int, subject: str, question: Question) -> bool:
-        """Have the decision at the place know what was asked by the run before; return whether it was."""
+        """Return whether the run before has asked the question; if so, its answer, or the open question, is taken over for the place."""
         for number, (its, known, value) in enumerate(self._inherited):
             if (its, known) == (subject, question):
                 del self._inherited[number]

@@ -1,15 +1,13 @@
-"""Resources that several runs share: who has what, and who stands in line for it.
+"""Resources that several runs share: the claims granted, and those that wait in line.
 
-A claim gets all that it names at once, or nothing; whoever has something waits for nothing else. In line stand
-higher priorities first, then who came first, and a claim takes nothing that one ahead of it waits for. So nobody is
-overtaken for ever by equals, and as long as everybody gives back what they have, everybody gets what they want.
+A claim gets all that it names at once, or nothing; a request that has resources waits for no others. In line stand
+higher priorities first, then earlier claims, and a claim takes nothing that one ahead of it waits for. So no claim is
+overtaken for ever by equals, and as long as resources are given back, every claim is granted in the end.
 
 A request that was given up keeps what it has: its server may still be at work. It is *withheld* until the server reports
-the end of the request, or is gone; whoever waits for it must not do so for ever.
+the end of the request, or is gone; so waits for it have a limit.
 
-What the calls of one run have of resources, and where calls wait for some.
-
-Decides nothing: `pnm.core.execution.run` says when.
+`RunClaims` are the claims of one run. It decides nothing: `pnm.core.execution.run` says when.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ _ONE_EACH: Final[Mapping[str, int]] = {}
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """What a request needs for itself."""
+    """Claim of a request to resources."""
 
     task: UUID
     """Whose request it is."""
@@ -37,7 +35,7 @@ class Claim:
 
 
 class Resources:
-    """How many requests may have each resource at the same time, those that have some, and the line.
+    """Resources with their capacities, the requests that hold some, and the queue of those that wait.
 
     Args:
         capacities: one for those not listed.
@@ -103,7 +101,7 @@ class Resources:
         return True
 
     def keep(self, claim: Claim) -> None:
-        """Note what a request has that is under way already; what it has been granted here stays as it is."""
+        """Grant what a request already holds elsewhere, whatever is free; a claim granted before stays as it is."""
         if claim.request not in self._held:
             self._hold(claim)
 
@@ -116,10 +114,10 @@ class Resources:
             self._tell()
 
     def withhold(self, request: UUID, name: str) -> None:
-        """Keep what the request has until its end is confirmed; nobody waits for that any more.
+        """Keep the resources of a request that was given up until its end is confirmed.
 
         Args:
-            request: which was given up.
+            request: the one given up.
             name: what people know it by.
         """
         if request in self._held:
@@ -128,13 +126,13 @@ class Resources:
                 self._call()
 
     def confirm(self, request: UUID) -> None:
-        """Note that the request is over for its server; what it has kept is free then."""
+        """Release what a request that was given up has kept: its server has confirmed the end."""
         if request in self._withheld:
             self.give(request)
 
     @property
     def withheld(self) -> Mapping[str, str]:
-        """What is withheld altogether, and by whom."""
+        """The resources of which all units are withheld, with the names of the requests."""
         return self.withheld_from(dict.fromkeys(name for request in self._withheld for name in self._held[request].names))
 
     def withheld_from(self, names: Iterable[str]) -> Mapping[str, str]:
@@ -147,7 +145,7 @@ class Resources:
         return found
 
     def withdraw(self, request: UUID) -> None:
-        """Take the claim of the request out of the line: nobody waits for it any more."""
+        """Take the claim of the request out of the line."""
         left = [one for one in self._line if one.request != request]
         if len(left) < len(self._line):
             self._line = left
@@ -163,7 +161,7 @@ class Resources:
         )
 
     def gives(self, claim: Claim) -> bool:
-        """Return whether what was granted is going to be given back: nobody has given up waiting for that."""
+        """Return False if the request of the claim was given up: what it holds may never be released."""
         return claim.request not in self._withheld
 
     def servable(self) -> frozenset[UUID]:
@@ -211,7 +209,7 @@ class Resources:
         self._used.update(claim.names)
 
     def _tell(self) -> None:
-        """Store everybody if there is somebody in line who could be served."""
+        """Notify the listeners if a claim in line could be granted."""
         if any(True for _ in self._servable()):
             self._call()
 
@@ -228,7 +226,7 @@ class Resources:
 
 
 def who_keeps(withheld: Mapping[str, str]) -> str:
-    """Say who keeps what is withheld; empty when nothing is."""
+    """Return as text which requests keep which resources; empty when none is withheld."""
     return "; ".join(f"{name} is kept by {by}, which has not confirmed that it is over" for name, by in withheld.items())
 
 
@@ -236,7 +234,7 @@ class RunClaims:
     """The claims of one run to resources that it shares with others.
 
     Args:
-        resources: who has what.
+        resources: shared with other runs.
         task: on whose behalf they are claimed.
         priority: how they stand among those of others.
 
@@ -266,13 +264,13 @@ class RunClaims:
         return False
 
     def take(self, call: int, claim: Claim) -> None:
-        """Have what is free."""
+        """Hold the resources of a claim that is free."""
         granted = self.resources.take(claim)
         assert granted, "what is not free opens nothing"
         self._had[call] = claim.request
 
     def keep(self, call: int, claim: Claim) -> None:
-        """Have what the request of the call has been granted before."""
+        """Hold the resources that the request of the call was granted before."""
         self.resources.keep(claim)
         self._had[call] = claim.request
 
@@ -285,7 +283,7 @@ class RunClaims:
         return self.resources.withheld_from(names)
 
     def withhold(self, call: int, name: str) -> tuple[str, ...]:
-        """Have the request of the call keep what it has, though nobody waits for its end any more; return what that is."""
+        """Let the request of the call, which was given up, keep its resources; return their names."""
         request = self._had.pop(call)
         self.resources.withhold(request, f"{name} of task {self._task.hex[:8]}")
         return next((claim.names for claim in self.resources.held if claim.request == request), ())

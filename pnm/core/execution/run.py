@@ -275,7 +275,8 @@ class Run(RunView):
                 self._leave_line(place)
         if waiting:
             self._undecided[place] = None
-        self._timers.set(place, again)
+        if again < NEVER:
+            self._timers.set(place, again)
 
     def _ask(self, place: int, call: int | None, question: Question) -> None:
         subject = _subject(self.machine.plan, call)
@@ -314,7 +315,7 @@ class Run(RunView):
         """
         compiled, rule, index, state = self._engine.compiled, self._index.rules[transition], self._index, self._state
         fails = [output for output, _ in compiled.outputs[transition] if output in index.failures]
-        check = self._guards.explain_check(rule, place)
+        check = None if rule.cause is None else self._guards.explain_check(rule, place)
         if transition in index.takes and rule.call is not None:
             self._claims.take(rule.call, self._guards.claim(transition, place))
         if rule.call is not None and rule.call < len(self.machine.plan.calls):

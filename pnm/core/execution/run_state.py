@@ -1,7 +1,4 @@
-"""How a run is doing: the time, what it was told, and whether it can still succeed.
-
-What places and transitions are to whoever executes a machine, by their numbers.
-"""
+"""State of a run besides its marking: the time, stop and pause, timers; and the machine indexed by integers."""
 
 from __future__ import annotations
 
@@ -96,8 +93,8 @@ class Timers:
         self._set: dict[int, float] = {}
 
     def set(self, place: int, time: float) -> None:
-        """Have the place asked again at this time; earlier entries stay, to ask once too often does no harm."""
-        if time < inf and self._set.get(place) != time:
+        """Set the time at which the place is asked again; earlier entries stay, for asking once too often does no harm."""
+        if self._set.get(place) != time:
             self._set[place] = time
             heappush(self._queue, (time, place))
 
@@ -116,7 +113,7 @@ class Timers:
 
 @dataclass
 class RunState:
-    """What guards ask for besides knowledge. The mutable state is what has a default."""
+    """State of a run that guards read besides knowledge. The mutable state is what has a default."""
 
     engine: Engine
     index: MachineIndex
@@ -126,9 +123,9 @@ class RunState:
     has_begun: bool = False
     now: float = -inf
     stop: Stop | None = None
-    """What the run was told about its end."""
+    """The request to stop, if there was one."""
     pause: Pause | None = None
-    """What it was told about a pause that has not ended."""
+    """The request to pause, until the run is resumed."""
     adopted: dict[int, UnderWay] = field(default_factory=dict)
     """Requests of another run that are still to be taken over, by call."""
     marked_at: dict[int, float] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""What can be asked of a run from outside. Nothing here changes it."""
+"""Read-only view of a run: nothing here changes it."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class RunView:
 
     @property
     def pausing(self) -> Pause | None:
-        """What the run was told about a pause that has not ended."""
+        """The request to pause, until the run is resumed."""
         return self._state.pause
 
     @property

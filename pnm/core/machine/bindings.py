@@ -1,4 +1,4 @@
-"""How actions are bound to action servers: which server, which goal fields, which limits.
+"""Bindings of actions to action servers: which server, which goal fields, which limits.
 
 Without a binding the server has the action's name and its goal fields are filled by name:
 the call's arguments first, then local, then global variables. ``action``,
@@ -21,12 +21,12 @@ from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError
 
 ABOUT_THE_CALL: Final = frozenset({"action", "arguments", "duration"})
-"""Goal fields that tell of the call itself; they are filled as long as nobody knows which fields there are."""
+"""Goal fields about the call itself; they are filled as long as the fields of the goal are not known."""
 
 
 @dataclass(frozen=True, slots=True)
 class Binding:
-    """What is said about one action; every field has a default."""
+    """Binding of one action; every field has a default."""
 
     server: str | None = None
     """Name of the action server; ``{robot}`` stands for the argument of parameter ``?robot``."""
@@ -47,7 +47,7 @@ class Binding:
     ask: Mapping[str, str] = field(default_factory=dict)
     """Variables, and what a person is asked when nobody knows them; ``{shop}`` stands for the argument of parameter ``?shop``."""
     resources: tuple[str, ...] = ()
-    """What the action has for itself while it runs, such as ``{robot}/base``."""
+    """Resources that the action has for itself while it runs, such as ``{robot}/base``."""
 
 
 DEFAULT = Binding()
@@ -56,7 +56,7 @@ _NAME = re.compile(r"[A-Za-z][\w-]*\Z")
 
 @dataclass(frozen=True, slots=True)
 class Bindings:
-    """Bindings by action name, and what nobody reports."""
+    """Bindings by action name, and the fluents without sensors."""
 
     actions: Mapping[str, Binding] = field(default_factory=dict)
     assumed: frozenset[str] = frozenset()
@@ -94,7 +94,7 @@ class Bindings:
         return tuple(dict.fromkeys(_filled(pattern, action, "resource") for pattern in patterns)) if patterns else ()
 
     def names_server(self, action: GroundAction) -> bool:
-        """Tell whether the name of the server is known, or has a part that is only known when the call starts."""
+        """Return whether the name of the server is known, or has a part that is only known when the call starts."""
         return not set(placeholders(self.of(action.name).server or "")) & set(open_parameters(action))
 
     def timeout(self, action: GroundAction) -> float:
@@ -118,7 +118,7 @@ def _filled(pattern: str, action: GroundAction, what: str) -> str:
 
 
 class Lookup(Protocol):
-    """What goal fields are filled from besides the call itself."""
+    """Source of values for goal fields, besides the call itself."""
 
     def value(self, fluent: Fluent, /) -> Value | Unknown | None:
         """Return the value of a fluent."""
@@ -139,7 +139,7 @@ def goal_data(
     """Fill the goal fields by name; return them and the names of those for which there is no value.
 
     With a `goal` mapping only its fields are needed; others are filled if a value of their name exists.
-    As long as nobody knows which fields there are, parameters without a value are needed.
+    As long as the fields of the goal are not known, parameters without a value are needed.
     """
     told = dict(zip(action.parameters, action.arguments, strict=True))
     own: dict[str, object] = {

@@ -15,7 +15,7 @@ from pnm.core.net.net import Marking, NetBuilder
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """What a block must know about what is around it."""
+    """Context of a block: what surrounds it."""
 
     repeated: bool = False
     """It may be entered again after it was left."""

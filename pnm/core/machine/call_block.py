@@ -46,6 +46,7 @@ from pnm.core.machine.machine import (
     EffectsSeen,
     Ending,
     Ends,
+    Guard,
     PauseAsked,
     Rule,
     TransitionAction,
@@ -61,7 +62,7 @@ _ANY = frozenset(OutcomeKind)
 _SUCCEEDED = frozenset({OutcomeKind.SUCCEEDED})
 _UNSUCCESSFUL = _ANY - _SUCCEEDED
 _EARLY = {OutcomeKind.REJECTED: Cause.REJECTED, OutcomeKind.UNAVAILABLE: Cause.UNAVAILABLE, OutcomeKind.LOST: Cause.LOST}
-"""How a request may end before anybody has said that it was accepted."""
+"""Ends of a request that may come before its acceptance."""
 _NOT_EARLY = _ANY - frozenset(_EARLY)
 _LATE = {OutcomeKind.ABORTED: Cause.ABORTED, OutcomeKind.CANCELED: Cause.CANCELED, OutcomeKind.LOST: Cause.LOST}
 _ODD = _UNSUCCESSFUL - frozenset(_LATE)
@@ -105,7 +106,7 @@ class CallBlock(Block[ActionCall]):
             was_alive, is_alive = (not self._alive.isdisjoint(places) for places in (taken, marked))
             if is_alive and not was_alive and not isinstance(rule.guard, Adopted):
                 name = title or rule.name
-                withheld = check_rule(Cause.WITHHELD, Withheld(self.step.index, self.binding.accept, rule.action))
+                withheld = check_rule(Cause.WITHHELD, Withheld(self.step.index, self.binding.accept, rule.action), self.step.index)
                 super().add(withheld, taken, self._if_withheld(name), title=f"{withheld.name} before {name}")
             inputs = {**taken, **dict.fromkeys(self._resources, 1)} if is_alive and not was_alive else taken
             outputs = [*marked, *self._resources] if was_alive and not is_alive else marked
@@ -127,7 +128,7 @@ class CallBlock(Block[ActionCall]):
 
     @cached_property
     def _announced(self) -> list[str]:
-        """What the start of the call marks."""
+        """Places that the start of the call marks."""
         return self.builder.out_of.get(PlanEvent(self.step.index, Moment.START), [])
 
     @cached_property
@@ -146,7 +147,7 @@ class CallBlock(Block[ActionCall]):
 
     @property
     def retries(self) -> int:
-        """How often the call is tried again if nothing else is said."""
+        """Retries of the call, from the plan or else from its binding."""
         return self.binding.retries if self.step.retries is None else self.step.retries
 
     @property
@@ -165,33 +166,35 @@ class CallBlock(Block[ActionCall]):
             self.add(rule, [source], outputs, title=phase + rule.name)
 
         if self.step.under_way and announced == self._announced:
-            add(Rule("adopt", Adopted(call), action=TransitionAction.ADOPT), ready, [self.name("running"), *announced])
-        add(Rule("skip", Ending(), outcome=CallOutcome.SKIPPED), ready, out)
+            add(Rule("adopt", Adopted(call), call, action=TransitionAction.ADOPT), ready, [self.name("running"), *announced])
+        add(Rule("skip", Ending(), call, outcome=CallOutcome.SKIPPED), ready, out)
         if not self._must_happen:
-            add(Rule("already_true", AlreadyTrue(call), outcome=CallOutcome.ALREADY_TRUE), ready, out)
+            add(Rule("already_true", AlreadyTrue(call), call, outcome=CallOutcome.ALREADY_TRUE), ready, out)
         self._own_checks(Cause.BEFORE, "ready")
-        add(check_rule(Cause.DATA_MISSING, DataMissing(call)), ready, self._after(Cause.DATA_MISSING, failed))
+        add(check_rule(Cause.DATA_MISSING, DataMissing(call), call), ready, self._after(Cause.DATA_MISSING, failed))
         if isfinite(self.step.deadline):
-            add(check_rule(Cause.TOO_LATE, Due(self.step.deadline)), ready, failed)
-        add(Rule("start", ConditionTrue(may_start), action=TransitionAction.SEND, outcome=CallOutcome.RUNNING), ready, [requested])
-        add(check_rule(Cause.PRECONDITION_FALSE, ConditionFalse(may_start)), ready, self._after(Cause.PRECONDITION_FALSE, failed))
+            add(check_rule(Cause.TOO_LATE, Due(self.step.deadline), call), ready, failed)
+        add(Rule("start", ConditionTrue(may_start), call, action=TransitionAction.SEND, outcome=CallOutcome.RUNNING), ready, [requested])
+        add(check_rule(Cause.PRECONDITION_FALSE, ConditionFalse(may_start), call), ready, self._after(Cause.PRECONDITION_FALSE, failed))
 
-        add(Rule("accepted", Accepts(call), action=TransitionAction.BEGIN), requested, [self.name("running"), *announced])
+        add(Rule("accepted", Accepts(call), call, action=TransitionAction.BEGIN), requested, [self.name("running"), *announced])
         for kind, cause in _EARLY.items():
             name = f"{kind.value}{'_early' if kind is OutcomeKind.LOST else ''}"
-            add(Rule(name, Ends(call, frozenset({kind})), cause=cause), requested, self._after(cause, [recover]))
+            add(Rule(name, Ends(call, frozenset({kind})), call, cause=cause), requested, self._after(cause, [recover]))
         unavailable = self._after(Cause.UNAVAILABLE, [recover])
-        add(Rule("ended_early", Ends(call, _NOT_EARLY), cause=Cause.UNAVAILABLE), requested, unavailable)
-        unanswered = Rule("unanswered", After(self.binding.accept), cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none")
-        add(unanswered._replace(action=TransitionAction.CANCEL), requested, [withdrawing])
-        add(Rule("withdrawn", Ends(call, _ANY)), withdrawing, unavailable)
-        add(unanswered._replace(name="unheard", guard=After(self.binding.cancel), gives_up=True), withdrawing, failed)
+        add(Rule("ended_early", Ends(call, _NOT_EARLY), call, cause=Cause.UNAVAILABLE), requested, unavailable)
+        too_long, in_vain, cancel = After(self.binding.accept), After(self.binding.cancel), TransitionAction.CANCEL
+        unanswered = Rule("unanswered", too_long, call, cancel, cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none")
+        add(unanswered, requested, [withdrawing])
+        add(Rule("withdrawn", Ends(call, _ANY), call), withdrawing, unavailable)
+        unheard = Rule("unheard", in_vain, call, cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none", gives_up=True)
+        add(unheard, withdrawing, failed)
 
         abandon(self, "recover", *announced, phase=phase)
         budget, spent, retries = self.name("budget"), self.name("spent"), self.retries
         if retries:
-            self.add(Rule("retry"), [recover, budget], [ready, spent], title=f"{phase}retry")
-        self.add(Rule("give_up"), {recover: 1, spent: retries} if retries else {recover: 1}, failed, title=f"{phase}give_up")
+            self.add(Rule("retry", call=call), [recover, budget], [ready, spent], title=f"{phase}retry")
+        self.add(Rule("give_up", call=call), {recover: 1, spent: retries} if retries else {recover: 1}, failed, title=f"{phase}give_up")
 
     @property
     def _must_happen(self) -> bool:
@@ -212,54 +215,53 @@ class CallBlock(Block[ActionCall]):
             self.place("returned")
             returned = "returned"
         recover = [self.name(phase + "recover")]
-        self.fire(Rule("succeeded", Ends(call, _SUCCEEDED)), "running", returned)
+        self.fire(Rule("succeeded", Ends(call, _SUCCEEDED), call), "running", returned)
         for kind, cause in _LATE.items():
-            self._outcome(Rule(kind.value, Ends(call, frozenset({kind})), cause=cause), "running", recover)
-        self._outcome(Rule("ended_oddly", Ends(call, _ODD), cause=Cause.ABORTED), "running", recover)
-        self.fire(Rule("stop", CancelAsked(), action=TransitionAction.CANCEL), "running", "stopping")
-        self.fire(Rule("suspend", PauseAsked(), action=TransitionAction.CANCEL), "running", "suspending")
+            self._outcome(kind.value, Ends(call, frozenset({kind})), "running", cause, recover)
+        self._outcome("ended_oddly", Ends(call, _ODD), "running", Cause.ABORTED, recover)
+        self.fire(Rule("stop", CancelAsked(), call, action=TransitionAction.CANCEL), "running", "stopping")
+        self.fire(Rule("suspend", PauseAsked(), call, action=TransitionAction.CANCEL), "running", "suspending")
         if self.step.action.invariant != TRUE:
-            broken = check_rule(Cause.INVARIANT_FALSE, ConditionFalse(self.step.action.invariant), TransitionAction.CANCEL)
+            broken = check_rule(Cause.INVARIANT_FALSE, ConditionFalse(self.step.action.invariant), call, TransitionAction.CANCEL)
             self.fire(broken, "running", "stopping", "failed")
         if isfinite(self.step.deadline):
-            missed = check_rule(Cause.DEADLINE_MISSED, Due(self.step.deadline), TransitionAction.CANCEL)
+            missed = check_rule(Cause.DEADLINE_MISSED, Due(self.step.deadline), call, TransitionAction.CANCEL)
             self.fire(missed, "running", "stopping", "failed")
-        self.fire(Rule("timed_out", After(self._timeout), action=TransitionAction.CANCEL), "running", "overdue")
+        self.fire(Rule("timed_out", After(self._timeout), call, action=TransitionAction.CANCEL), "running", "overdue")
 
-        in_vain = After(self.binding.cancel)
-        self.fire(Rule("late_success", Ends(call, _SUCCEEDED)), "overdue", returned)
-        expired = Rule(
-            "expired", Ends(call, _UNSUCCESSFUL), cause=Cause.TIMED_OUT, expected="an end in time", observed="none; then {message}"
-        )
-        self._outcome(expired, "overdue", recover)
-        unconfirmed = Rule("unconfirmed", in_vain, action=TransitionAction.UNDO, cause=Cause.TIMED_OUT, gives_up=True)
-        neither = unconfirmed._replace(expected="an end, or a confirmed cancellation, in time", observed="neither")
-        self.fire(neither, "overdue", "done", "failed")
+        in_vain, undo = After(self.binding.cancel), TransitionAction.UNDO
+        self.fire(Rule("late_success", Ends(call, _SUCCEEDED), call), "overdue", returned)
+        late = Ends(call, _UNSUCCESSFUL)
+        self._outcome("expired", late, "overdue", Cause.TIMED_OUT, recover, "an end in time", "none; then {message}")
+        either = "an end, or a confirmed cancellation, in time"
+        unconfirmed = Rule("unconfirmed", in_vain, call, undo, None, Cause.TIMED_OUT, either, "neither", gives_up=True)
+        self.fire(unconfirmed, "overdue", "done", "failed")
 
-        self.fire(Rule("stop_suspending", CancelAsked()), "suspending", "stopping")
-        self.fire(Rule("ended_before", Ends(call, _SUCCEEDED)), "suspending", returned)
-        suspended = Rule("suspended", Ends(call, _UNSUCCESSFUL), action=TransitionAction.UNDO, outcome=CallOutcome.SUSPENDED)
+        self.fire(Rule("stop_suspending", CancelAsked(), call), "suspending", "stopping")
+        self.fire(Rule("ended_before", Ends(call, _SUCCEEDED), call), "suspending", returned)
+        suspended = Rule("suspended", Ends(call, _UNSUCCESSFUL), call, undo, CallOutcome.SUSPENDED)
         self.fire(suspended, "suspending", phase + "ready")
-        pause = unconfirmed._replace(name="unconfirmed_pause", expected="a confirmed cancellation in time, for a pause", observed="none")
-        self.fire(pause, "suspending", "done", "failed")
+        confirmation = "a confirmed cancellation in time, for a pause"
+        unconfirmed = Rule("unconfirmed_pause", in_vain, call, undo, None, Cause.TIMED_OUT, confirmation, "none", gives_up=True)
+        self.fire(unconfirmed, "suspending", "done", "failed")
 
-        completed = Rule("completed", Ends(call, _SUCCEEDED), action=TransitionAction.FINISH, outcome=CallOutcome.SUCCEEDED)
+        completed = Rule("completed", Ends(call, _SUCCEEDED), call, action=TransitionAction.FINISH, outcome=CallOutcome.SUCCEEDED)
         self.fire(completed, "stopping", "done")
-        stopped = Rule("stopped", Ends(call, _UNSUCCESSFUL), action=TransitionAction.UNDO, outcome=CallOutcome.CANCELED)
+        stopped = Rule("stopped", Ends(call, _UNSUCCESSFUL), call, undo, CallOutcome.CANCELED)
         self.fire(stopped, "stopping", "done")
-        unconfirmed_stop = Rule("unconfirmed_stop", in_vain, action=TransitionAction.UNDO, outcome=CallOutcome.UNCONFIRMED, gives_up=True)
+        unconfirmed_stop = Rule("unconfirmed_stop", in_vain, call, undo, CallOutcome.UNCONFIRMED, gives_up=True)
         self.fire(unconfirmed_stop, "stopping", "done")
 
     def _finish(self, phase: str) -> None:
         """From success to done, once the effects are seen."""
         call = self.step.index
         if self.awaited:
-            self.add(Rule("await"), [self.name("returned"), *self.awaited], [self.name("finished"), *self.awaited])
+            self.add(Rule("await", call=call), [self.name("returned"), *self.awaited], [self.name("finished"), *self.awaited])
         self._own_checks(Cause.AFTER, "finished")
-        effects_hold = Rule("effects_hold", EffectsSeen(call), action=TransitionAction.FINISH, outcome=CallOutcome.SUCCEEDED)
+        effects_hold = Rule("effects_hold", EffectsSeen(call), call, action=TransitionAction.FINISH, outcome=CallOutcome.SUCCEEDED)
         self.fire(effects_hold, "finished", "done")
-        missing = check_rule(Cause.EFFECTS_MISSING, EffectsMissing(call))._replace(observed="the action succeeded, but that is not so")
-        self._outcome(missing, "finished", [self.name(phase + "recover")])
+        not_so, recover = "the action succeeded, but that is not so", [self.name(phase + "recover")]
+        self._outcome(Cause.EFFECTS_MISSING.value, EffectsMissing(call), "finished", Cause.EFFECTS_MISSING, recover, observed=not_so)
 
     # --- recovery -----------------------------------------------------------------------------
 
@@ -267,11 +269,13 @@ class CallBlock(Block[ActionCall]):
         """Return the places that are marked for this cause: what the plan says about it, or else these."""
         return self.recoveries.places.get(cause, otherwise)
 
-    def _outcome(self, rule: Rule, source: str, otherwise: list[str]) -> None:
+    def _outcome(
+        self, name: str, guard: Guard, source: str, cause: Cause, otherwise: list[str], expected: str = "", observed: str = ""
+    ) -> None:
         """Add an end without success; assumed start effects are taken back unless the plan goes on as if it were one."""
-        assert rule.cause is not None
-        action = None if rule.cause in self.recoveries.kept else TransitionAction.UNDO
-        self.add(rule._replace(action=action), [self.name(source)], self._after(rule.cause, otherwise))
+        action = None if cause in self.recoveries.kept else TransitionAction.UNDO
+        rule = Rule(name, guard, self.step.index, action, None, cause, expected, observed)
+        self.add(rule, [self.name(source)], self._after(cause, otherwise))
 
     def _own_checks(self, wanted: Cause, source: str) -> None:
         """Add the checks that the plan has besides, in its order."""

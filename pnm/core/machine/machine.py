@@ -87,7 +87,7 @@ class Withheld:
     call: int
     seconds: float
     action: TransitionAction | None
-    """What it waits with: a request that is sent is another one than that which goes on, and may need others."""
+    """Action of the transition that waits: a request to be sent may need other resources than one that goes on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,18 +227,18 @@ class Rule(NamedTuple):
     """The whole plan begins anew."""
 
 
-def check_rule(cause: Cause, guard: Guard, action: TransitionAction | None = None) -> Rule:
+def check_rule(cause: Cause, guard: Guard, call: int | None = None, action: TransitionAction | None = None) -> Rule:
     """Return the rule of a check, which goes by the name of the cause that it finds."""
-    return Rule(cause.value, guard, action=action, cause=cause)
+    return Rule(cause.value, guard, call, action, cause=cause)
 
 
 class OnFailure(Enum):
-    """What happens to running calls once a failure place is marked."""
+    """Policy for running calls once a failure place is marked."""
 
     DRAIN = "drain"
     CANCEL = "cancel"
     CONTINUE_OTHERS = "continue_others"
-    """As drain; but whoever has the run carried out does not wait for its end before going on in another way."""
+    """As drain; but the task does not wait for the end of the run before it goes on in another way."""
 
 
 @dataclass(frozen=True, slots=True)

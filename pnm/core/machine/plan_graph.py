@@ -58,7 +58,7 @@ class GroundAction:
     operation: KnowledgeOperation | None = None
     """What is done to knowledge; no server is needed then."""
     resources: tuple[str, ...] = ()
-    """What the action has for itself while it is under way, such as an arm; ``{robot}`` stands for an argument."""
+    """Resources that the action has for itself while it is under way, such as an arm; ``{robot}`` stands for an argument."""
     returns: tuple[tuple[str, Data], ...] = ()
     """What a simulated server answers: result fields, computed from the goal and from the world at the end."""
 
@@ -112,7 +112,7 @@ class Then(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What is done about some causes: a chain of steps, and how to go on after them."""
+    """Recovery from some causes: a chain of steps, and how to go on after them."""
 
     causes: frozenset[Cause]
     then: Then
@@ -160,7 +160,7 @@ class Loop:
     condition: Condition
     body: Flow
     limit: int
-    """How often at most, each time the loop is reached; it fails when the condition still holds then."""
+    """Rounds at most, each time the loop is reached; it fails when the condition still holds then."""
 
     def __str__(self) -> str:
         return f"while({self.condition})#{self.index}"

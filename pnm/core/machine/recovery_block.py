@@ -1,4 +1,4 @@
-"""What a plan says itself about failing calls: chains of steps, and how to go on after them.
+"""Recoveries of a call that the plan itself gives: chains of steps, and how to go on after them.
 
     recovering → (recover) → chain → recovered → ready, finished, done, or done and failed
 
@@ -24,7 +24,7 @@ class Recoveries:
     """Where the tokens of a call go when something is wrong."""
 
     places: Mapping[Cause, list[str]] = field(default_factory=dict)
-    """What is marked in the place of the usual."""
+    """Places marked instead of the usual ones, by cause."""
     kept: frozenset[Cause] = frozenset()
     """Causes after which the call goes on as if it had succeeded: what was done at the start stays."""
     checks: tuple[tuple[Cause, str, Condition, list[str]], ...] = ()
@@ -104,8 +104,8 @@ def abandon(block: Block[ActionCall], place: str, *announced: str, phase: str = 
     source, event = block.name(phase + place), place.rstrip(" 0123456789")
     guard = Failing() if starts_anew else Ending()
     if event == "recover":
-        block.add(Rule("abandon", guard), [source], [done, *announced, failed], title=f"{phase}abandon")
+        block.add(Rule("abandon", guard, block.step.index), [source], [done, *announced, failed], title=f"{phase}abandon")
     else:
         block.add(Rule(f"abandon {event}", guard), [source], [done, *announced, failed], title=f"{phase}abandon {place}")
     if starts_anew:
-        block.add(Rule(f"drop {event}", Ending()), [source], [done, *announced], title=f"{phase}drop {place}")
+        block.add(Rule(f"drop {event}", Ending(), block.step.index), [source], [done, *announced], title=f"{phase}drop {place}")

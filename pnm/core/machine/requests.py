@@ -1,4 +1,4 @@
-"""What the executor asks of anything that carries out actions.
+"""Requests to action servers and their reports: the protocol between executor and action clients.
 
 A *request* is one dispatch of a call to an action server, with a UUID chosen by us. It is
 answered by reports: at most one `Accepted`, then exactly one `Ended` with an `Outcome`. (An
@@ -18,7 +18,7 @@ from pnm.core.machine.plan_graph import GroundAction
 
 
 class OutcomeKind(Enum):
-    """How a request ended."""
+    """Kind of end of a request."""
 
     SUCCEEDED = "succeeded"
     ABORTED = "aborted"
@@ -33,7 +33,7 @@ class OutcomeKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a request ended, the fields of the result by name, and what is known of the reason."""
+    """Outcome of a request: the kind of its end, the fields of the result by name, and a message."""
 
     kind: OutcomeKind
     result: Mapping[str, object] = field(default_factory=dict)

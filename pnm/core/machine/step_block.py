@@ -30,12 +30,12 @@ class Block(Generic[AnyStep]):
 
     @cached_property
     def title(self) -> str:
-        """How the step is called."""
+        """Name of the step, and prefix of its places and transitions."""
         return str(self.step)
 
     @cached_property
     def awaited(self) -> list[str]:
-        """What the end of the step waits for besides the step itself."""
+        """Places that the end of the step waits for besides the step itself."""
         return self.builder.into.get(PlanEvent(self.step.index, Moment.END), [])
 
     def enter(self, ready: str, release: float = 0.0) -> None:
@@ -45,13 +45,13 @@ class Block(Generic[AnyStep]):
         delays = tuple((place, orderings[place].delay) for place in waiting if place in orderings and orderings[place].delay > 0)
         join = Due(release, delays) if release or delays else Always()
         if join != Always():
-            self.add(Rule("overtaken", Ending(), outcome=CallOutcome.WAITING), waiting, [ready])
-        self.add(Rule("join", join, outcome=CallOutcome.WAITING), waiting, [ready])
+            self.add(Rule("overtaken", Ending(), self.step.index, outcome=CallOutcome.WAITING), waiting, [ready])
+        self.add(Rule("join", join, self.step.index, outcome=CallOutcome.WAITING), waiting, [ready])
 
     def leave(self) -> None:
         """Mark the places that wait for the end of the step."""
         leaving = self.builder.out_of[PlanEvent(self.step.index, Moment.END)]
-        self.add(Rule("fork", outcome=CallOutcome.PASSED_OVER), [self.name("done"), *self.awaited], leaving)
+        self.add(Rule("fork", call=self.step.index, outcome=CallOutcome.PASSED_OVER), [self.name("done"), *self.awaited], leaving)
 
     def budget(self, left: str, spent: str, times: int, *, refilled: bool = True) -> None:
         """Make the places that count; when the step may be entered again, what was spent comes back before it is left."""
@@ -72,7 +72,8 @@ class Block(Generic[AnyStep]):
 
     def add(self, rule: Rule, inputs: dict[str, int] | Iterable[str], outputs: Iterable[str], *, title: str = "") -> None:
         """Add a transition of this step between any places, under its title, or the name of its rule if that is unique in the block."""
-        self.builder.transition(self.name(title or rule.name), rule._replace(call=self.step.index), inputs, outputs)
+        owned = rule if rule.call is not None else rule._replace(call=self.step.index)
+        self.builder.transition(self.name(title or rule.name), owned, inputs, outputs)
 
     def place(self, name: str) -> str:
         """Make a place of this block."""

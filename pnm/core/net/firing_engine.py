@@ -44,7 +44,7 @@ class Engine:
             self._add(compiled.place_id[place], count)
 
     def is_enabled(self, transition: int) -> bool:
-        """Tell whether the marking covers the transition's preset."""
+        """Return whether the marking covers the transition's preset."""
         return self.missing[transition] == 0
 
     def lacking(self, transition: int) -> set[int]:

@@ -7,7 +7,7 @@ from pnm.errors import NotEnabled
 
 
 def is_enabled(net: PetriNet, marking: Marking, transition: str, times: int = 1) -> bool:
-    """Tell whether the marking covers the transition's preset, `times` over."""
+    """Return whether the marking covers the transition's preset, `times` over."""
     return marking.covers(net.inputs[transition], times)
 
 

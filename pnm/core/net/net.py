@@ -131,8 +131,10 @@ class NetBuilder:
         return name
 
     def _weights(self, name: str, connected: Weights | Iterable[str]) -> Weights:
-        # lists first: to ask whether something is a mapping takes long
-        weights = dict.fromkeys(connected, 1) if isinstance(connected, list) or not isinstance(connected, Mapping) else dict(connected)
+        if isinstance(connected, list):  # first: to ask whether something is a mapping takes long
+            weights = dict.fromkeys(connected, 1)
+        else:
+            weights = dict(connected) if isinstance(connected, Mapping) else dict.fromkeys(connected, 1)
         for place, weight in weights.items():
             if place not in self._places:
                 raise NetError(f"{name!r} is connected to {place!r}, which is not a place")
@@ -189,5 +191,5 @@ class Marking(Mapping[str, int]):
         return f"Marking({', '.join(f'{place}: {count}' for place, count in sorted(self._tokens.items()))})"
 
     def covers(self, weights: Mapping[str, int], times: int = 1) -> bool:
-        """Tell whether there are at least `times` as many tokens as the weights ask for."""
+        """Return whether there are at least `times` as many tokens as the weights ask for."""
         return all(self[place] >= weight * times for place, weight in weights.items())

@@ -26,11 +26,7 @@ _OPERANDS: Final = {"-": range(1, 3), "/": range(2, 3)}
 
 
 def read_condition(node: Node, scope: FormulaScope = ANYTHING) -> Condition:
-    """Read a condition.
-
-    Raises:
-        InputError: it is something else, malformed, or has names that are not there.
-    """
+    """Read a condition."""
     if node.items is not None:
         return conjunction(read_condition(item, scope) for item in node.items)
     if node.is_mapping:
@@ -48,9 +44,9 @@ def read_condition(node: Node, scope: FormulaScope = ANYTHING) -> Condition:
 def _condition(found: Form, scope: FormulaScope) -> Condition:
     match found.word:
         case "and":
-            return conjunction(read_condition(one, scope) for one in found.operands())
+            return conjunction(read_condition(operand, scope) for operand in found.operands())
         case "or":
-            return Any(tuple(read_condition(one, scope) for one in found.operands()))
+            return Any(tuple(read_condition(operand, scope) for operand in found.operands()))
         case "not":
             return Not(read_condition(found.items(1)[0], scope))
         case "imply":
@@ -136,7 +132,8 @@ def _comparable(name: str, sides: tuple[Expression, Expression]) -> bool:
 def _counts_with_names(expression: Expression) -> bool:
     match expression:
         case Arithmetic(_, operands):
-            return any(_counts_with_names(one) or (isinstance(one, Constant) and isinstance(one.value, str)) for one in operands)
+            names = [operand for operand in operands if isinstance(operand, Constant) and isinstance(operand.value, str)]
+            return bool(names) or any(map(_counts_with_names, operands))
         case _:
             return False
 
@@ -160,11 +157,7 @@ def _check(node: Node, expression: Expression, scope: FormulaScope, *, objects: 
 
 
 def read_expression(node: Node, scope: FormulaScope = ANYTHING) -> Expression:
-    """Read a number, an object, a parameter, ``?duration``, the value of a function, or arithmetic over these.
-
-    Raises:
-        InputError: it is something else, malformed, or has names that are not there.
-    """
+    """Read a number, an object, a parameter, ``?duration``, the value of a function, or arithmetic over these."""
     found = _expression(node)
     if found is None:
         hint = f"; write {node.written!r} with quotes" if node.written and isinstance(node.plain(), bool) else ""

@@ -14,7 +14,7 @@ from pnm.core.logic.computed_values import Layer, Query, parts
 from pnm.core.logic.conditions import TRUE, Condition, conjunction, data_in
 from pnm.core.logic.domain import DurationConstraint
 from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, Set, When
-from pnm.core.logic.expressions import Constant, Expression, ValueOf
+from pnm.core.logic.expressions import UNDEFINED, Constant, Expression, ValueOf
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Node
 from pnm.language.formulas.conditions import read_condition, read_expression, read_quantified
@@ -37,14 +37,10 @@ class WrittenEffects:
 
 
 def read_effects(node: Node, scope: FormulaScope = ANYTHING) -> WrittenEffects:
-    """Read effects: a list, or one of them.
-
-    Raises:
-        InputError: it is something else, malformed, or has names that are not there.
-    """
+    """Read effects: a list, or one of them."""
     found = _parts(node, scope)
-    effects = tuple(one for one in found if isinstance(one, Set | When | ForEach))
-    tests = [one for one in found if not isinstance(one, Set | When | ForEach)]
+    effects = tuple(part for part in found if isinstance(part, Set | When | ForEach))
+    tests = [part for part in found if not isinstance(part, Set | When | ForEach)]
     return WrittenEffects(effects, conjunction(tests))
 
 
@@ -61,10 +57,12 @@ def _parts(node: Node, scope: FormulaScope) -> tuple[Effect | Condition, ...]:
             return tuple(part for item in found.operands() for part in _parts(item, scope))
         case "holds":
             return (_becomes(found.items(1)[0], True, scope),)
-        case "not" if _is_fact(found.items(1)[0]):
-            (fact,) = found.items(1)
-            inner = form(fact, ("holds",))
-            return (_becomes(inner.items(1)[0] if inner else fact, False, scope),)
+        case "not":
+            (negated,) = found.items(1)
+            inner = form(negated, ("holds",))
+            fact = inner.items(1)[0] if inner else negated
+            if inner or (fact.text is not None and fluent_in(fact.text) is not None):
+                return (_becomes(fact, False, scope),)
         case "when":
             return (_when(found, scope),)
         case "forall" if "effects" in found.argument.mapped().nodes:
@@ -72,10 +70,11 @@ def _parts(node: Node, scope: FormulaScope) -> tuple[Effect | Condition, ...]:
             return (ForEach(variables, _only_effects(body, scope.inside(variables))),)
         case word if word in _CHANGES:
             return (_change(found, scope),)
-        case _ if scope.strict:
-            raise node.wrong("expected an effect, such as (at ?r kitchen), or not of a fact")
         case _:
-            return (read_condition(node, scope),)
+            pass
+    if scope.strict:
+        raise node.wrong("expected an effect, such as (at ?r kitchen), or not of a fact")
+    return (read_condition(node, scope),)
 
 
 def _becomes(node: Node, truth: bool, scope: FormulaScope) -> Set:
@@ -87,13 +86,10 @@ def _becomes(node: Node, truth: bool, scope: FormulaScope) -> Set:
     return effect
 
 
-def _is_fact(node: Node) -> bool:
-    return form(node, ("holds",)) is not None or (node.text is not None and fluent_in(node.text) is not None)
-
-
 def _change(found: Form, scope: FormulaScope) -> Set:
     target, value = found.items(2)
-    effect = Set(read_fluent(target), read_expression(value, scope), _CHANGES[found.word])
+    new = Constant(UNDEFINED) if value.text == UNDEFINED else read_expression(value, scope)
+    effect = Set(read_fluent(target), new, _CHANGES[found.word])
     scope.check_change(effect.fluent, target, effect.value, value)
     if scope.strict and effect.operation != "assign" and scope.is_object(ValueOf(effect.fluent)):
         raise target.wrong(f"the values of {effect.fluent[0]!r} are objects; expected assign, found {found.written}")
@@ -130,11 +126,7 @@ class TimedConditions:
 
 
 def read_conditions(node: Node | None, scope: FormulaScope = ANYTHING) -> TimedConditions:
-    """Read preconditions: a condition, or conditions by moment: ``{at_start: c, over_all: c, at_end: c}``.
-
-    Raises:
-        InputError: they are something else, malformed, or have names that are not there.
-    """
+    """Read preconditions: a condition, or conditions by moment: ``{at_start: c, over_all: c, at_end: c}``."""
     if node is None:
         return TimedConditions()
     if not _has_moments(node):
@@ -150,11 +142,7 @@ def read_conditions(node: Node | None, scope: FormulaScope = ANYTHING) -> TimedC
 
 
 def read_timed_effects(node: Node | None, scope: FormulaScope = ANYTHING) -> tuple[Effects, WrittenEffects]:
-    """Read effects: at the end, or by moment: ``{at_start: [...], at_end: [...]}``; return those at the start and the others.
-
-    Raises:
-        InputError: they are something else, malformed, or have names that are not there.
-    """
+    """Read effects: at the end, or by moment: ``{at_start: [...], at_end: [...]}``; return those at the start and the others."""
     if node is None:
         return (), WrittenEffects()
     if not _has_moments(node):
@@ -176,11 +164,7 @@ _BOUNDS: Final[Mapping[str, Literal["=", "<=", ">="]]] = {"=": "=", "<=": "<=", 
 
 
 def read_duration(node: Node, scope: FormulaScope = ANYTHING) -> tuple[DurationConstraint, ...]:
-    """Read a duration: an expression, or a list of bounds ``{"<=": expression}``; an empty list for any duration.
-
-    Raises:
-        InputError: it is something else, malformed, or has names that are not there.
-    """
+    """Read a duration: an expression, or a list of bounds ``{"<=": expression}``; an empty list for any duration."""
     if node.items is None and form(node, _BOUNDS) is None:
         return (DurationConstraint("=", _bound(node, scope)),)
     found = [needed_form(item, _BOUNDS, "a bound") for item in ((node,) if node.items is None else node.items)]

@@ -55,10 +55,12 @@ class FormulaScope:
         known = self.declared.objects
         if name.startswith("?"):
             self.check_variable(name, node)
-        elif name not in known and name != UNDEFINED and (not self.borrows if self.strict else known):
+        elif name not in known and (not self.borrows if self.strict else known and name != UNDEFINED):
             raise unknown("object", name, known, node.position_of(name))
         if not self.strict:
             return
+        if name == DURATION[0]:
+            raise InputError(f"{name} is a number; expected an object", node.position_of(name))
         domain = self.declared.domain
         types = (self.variables or {}).get(name, _ANY) if name.startswith("?") else known.get(name, needed)
         if not (domain.may_match if name.startswith("?") else domain.matches)(types, needed):
@@ -104,14 +106,15 @@ class FormulaScope:
             if any(rule.name == fluent[0] for rule in self.declared.domain.rules):
                 raise InputError(f"{fluent[0]!r} is a derived predicate; it follows from others", node.position_of(fluent[0]))
             return
-        self.check_value(value, self.declared.domain.functions[fluent[0]].values, value_node or node)
+        self.check_value(value, self._values(fluent), value_node or node)
 
     def check_value(self, value: Expression, types: Types, node: Node) -> None:
         """Refuse an expression that is no number, or, where types are given, no object of any of these."""
         match value:
             case Constant(str() as name) if types:
-                self.check_object(name, node, types)
-            case ValueOf(fluent) if types and (own := self.declared.domain.functions[fluent[0]].values):
+                if name != UNDEFINED:
+                    self.check_object(name, node, types)
+            case ValueOf(fluent) if types and (own := self._values(fluent)):
                 if not self.declared.domain.may_match(own, types):
                     raise node.wrong(f"{value} is of type {' or '.join(own)}; expected {' or '.join(types)}")
             case _ if types or self.is_object(value):
@@ -128,9 +131,13 @@ class FormulaScope:
             case Constant(constant):
                 return isinstance(constant, str)
             case ValueOf(fluent):
-                return fluent != DURATION and bool(self.declared.domain.functions[fluent[0]].values)
+                return bool(self._values(fluent))
             case _:
                 return False
+
+    def _values(self, fluent: Fluent) -> Types:
+        """Return the types of the values of a function, if these are objects."""
+        return () if fluent == DURATION else self.declared.domain.functions[fluent[0]].values
 
     def check_type(self, name: str, node: Node) -> None:
         """Refuse a type that is not there."""
@@ -162,11 +169,7 @@ def fluent_in(text: str) -> Fluent | None:
 
 
 def read_fluent(node: Node, scope: FormulaScope = ANYTHING, kind: FluentKind | None = None) -> Fluent:
-    """Read the text of a fact, or of a function with its arguments: ``(at ?r kitchen)``.
-
-    Raises:
-        InputError: it is something else, or has names that are not there.
-    """
+    """Read the text of a fact, or of a function with its arguments: ``(at ?r kitchen)``."""
     found = fluent_in(node.text) if node.text is not None else None
     if found is None:
         raise node.wrong(f"expected something like (at ?r kitchen), found {shown(node)}")
@@ -178,9 +181,6 @@ def read_typed(node: Node, scope: FormulaScope = ANYTHING) -> tuple[Variable, ..
     """Read variables with their types: PDDL's text ``?r - robot ?from ?to - place``, or a list of such texts.
 
     In a list a name may stand without its ``?``.
-
-    Raises:
-        InputError: it is something else, a name is there twice, or a type is not there.
     """
     parts = (node,) if node.items is None else node.items
     return _variables([pair for part in parts if not part.is_null for pair in _typed(_text(part), part, scope)], node)
@@ -223,8 +223,8 @@ def _typed(text: str, node: Node, scope: FormulaScope) -> list[tuple[str, tuple[
         token = tokens.popleft()
         if token == "-" and waiting:
             types = _types(tokens, node)
-            for one in types:
-                scope.check_type(one, node)
+            for kind in types:
+                scope.check_type(kind, node)
             found += [(name, types) for name in waiting]
             waiting = []
         elif token in ("-", "(", ")", "?"):

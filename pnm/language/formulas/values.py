@@ -17,11 +17,7 @@ from pnm.language.formulas.words import ARITHMETIC, QUERIES, UPDATES, VALUES, Fo
 
 
 def read_data(node: Node, scope: FormulaScope = ANYTHING) -> Data:
-    """Read a value.
-
-    Raises:
-        InputError: it is malformed, or has names that are not there.
-    """
+    """Read a value."""
     found = form(node, (*VALUES, *UPDATES), in_value=True)
     if found is not None:
         return read_form(found, scope)
@@ -56,11 +52,7 @@ def _scalar(node: Node, scope: FormulaScope) -> Data:
 
 
 def read_literal(node: Node) -> Literal:
-    """Read a value as it stands.
-
-    Raises:
-        InputError: it has a number that is not finite.
-    """
+    """Read a value as it stands."""
     value = node.plain()
     try:
         json.dumps(value, allow_nan=False)
@@ -76,11 +68,11 @@ def read_form(found: Form, scope: FormulaScope) -> Data:
         return _query(found, scope)
     match word:
         case "and" | "or":
-            return Operation(word, tuple(read_data(one, scope) for one in found.operands()))
+            return Operation(word, tuple(read_data(operand, scope) for operand in found.operands()))
         case "not":
             return Operation("not", (read_data(found.items(1)[0], scope),))
         case "imply":
-            left, right = (read_data(one, scope) for one in found.items(2))
+            left, right = (read_data(operand, scope) for operand in found.items(2))
             return Operation("or", (Operation("not", (left,)), right))
         case "exists":  # ``Exists: [Query: v]`` or ``Exists: {Query: v}``
             return Operation("exists", (_query(needed_form(found.items(1)[0], QUERIES, "a query"), scope),))
@@ -103,7 +95,7 @@ def read_form(found: Form, scope: FormulaScope) -> Data:
 
 def _query(found: Form, scope: FormulaScope) -> Query:
     name, *meta = found.items(1, 2)
-    return Query(_name(name, scope), QUERIES[found.word], *(read_data(one, scope) for one in meta))
+    return Query(_name(name, scope), QUERIES[found.word], *(read_data(option, scope) for option in meta))
 
 
 def _name(node: Node, scope: FormulaScope) -> Data:
@@ -148,7 +140,7 @@ def _operation(found: Form, scope: FormulaScope, *, changing: bool = False) -> O
     name = read_operator(operator, changing=changing)
     if not rest:
         raise operator.wrong(f"{name} has no operands")
-    operands = tuple(read_data(one, scope) for one in rest)
+    operands = tuple(read_data(operand, scope) for operand in rest)
     if name == "sub" and len(operands) == 1 and operator.text == ARITHMETIC["sub"]:
         return Operation("neg", operands)
     if name in ARITHMETIC and len(operands) > 2:
@@ -167,15 +159,11 @@ def _assertion(found: Form, scope: FormulaScope) -> Operation:
 
 
 def read_operation(node: Node, scope: FormulaScope = ANYTHING) -> KnowledgeOperation:
-    """Read an operation on knowledge: an update, a query, or an operator that changes it.
-
-    Raises:
-        InputError: it is something else, malformed, or has names that are not there.
-    """
+    """Read an operation on knowledge: an update, a query, or an operator that changes it."""
     found = needed_form(node, (*UPDATES, *QUERIES, "operation"), "an update, a query or an operation")
     if found.word in UPDATES:
         name, value, *meta = found.items(2, 3)
-        return Update(_name(name, scope), read_data(value, scope), UPDATES[found.word], *(read_data(one, scope) for one in meta))
+        return Update(_name(name, scope), read_data(value, scope), UPDATES[found.word], *(read_data(option, scope) for option in meta))
     if found.word in QUERIES:
         return _query(found, scope)
     return _changing(found, scope)

@@ -71,11 +71,7 @@ class Form:
 
 
 def form(node: Node, words: Collection[str], *, in_value: bool = False) -> Form | None:
-    """Take apart a mapping that is one of the forms; None for anything else.
-
-    Raises:
-        InputError: it has one of the words beside other keys.
-    """
+    """Take apart a mapping that is one of the forms; None for anything else."""
     if not node.is_mapping:
         return None
     entries = node.mapped().entries()
@@ -99,11 +95,7 @@ def _check_spelling(key: str, position: Position, words: Collection[str]) -> Non
 
 
 def needed_form(node: Node, words: Collection[str], what: str) -> Form:
-    """Take apart a mapping that must be one of the forms.
-
-    Raises:
-        InputError: it is something else; the nearest word is named.
-    """
+    """Take apart a mapping that must be one of the forms."""
     found = form(node, words)
     if found is not None:
         return found
@@ -127,11 +119,7 @@ def _spelled(word: str) -> str:
 
 
 def read_operator(node: Node, *, changing: bool = False) -> str:
-    """Read the name of an operator; symbols are replaced by names.
-
-    Raises:
-        InputError: there is no such operator.
-    """
+    """Read the name of an operator; symbols are replaced by names."""
     written = node.text
     name = _NAMES.get(written or "", written or "")
     known = OPERATORS.keys() - (frozenset() if changing else CHANGING)

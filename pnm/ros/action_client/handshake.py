@@ -34,7 +34,6 @@ class Handshake:
     sent, the abandoned goals, and when they were last recalled.
 
     Args:
-        client: of the action.
         changed: called when an answer has arrived, after which goals may be sent.
     """
 
@@ -68,7 +67,8 @@ class Handshake:
             return
         if self._met is None or not present <= self._met:
             if now - self._probed >= AGAIN:
-                self._probe(present, now)
+                self._probed = now
+                self._handle(uuid4()).get_result_async().add_done_callback(partial(self._on_answer, present))
         elif now - self._recalled >= AGAIN:  # only now: before the probes are answered, an answer about a goal would be lost
             self._recalled = now
             for goal, handle in tuple(self._abandoned.items()):
@@ -78,10 +78,6 @@ class Handshake:
     def abandon(self, goal: UUID, handle: Any) -> None:
         """Note an abandoned goal, with its handle if it was ever accepted."""
         self._abandoned[goal] = handle or self._handle(goal)
-
-    def _probe(self, present: frozenset[bytes], now: float) -> None:
-        self._probed = now
-        self._handle(uuid4()).get_result_async().add_done_callback(partial(self._on_answer, present))
 
     def _on_answer(self, present: frozenset[bytes], future: Any) -> None:
         if not future.cancelled():

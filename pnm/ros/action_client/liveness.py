@@ -52,29 +52,23 @@ class Liveness:
         if not self.processes:  # the publisher was not discovered yet when the goal was accepted
             self.processes = present
         if not present & self.processes:
-            return self._gone(bool(present), now)
+            if self.gone_since is None:
+                self.gone_since = now
+            if now - self.gone_since >= GRACE:
+                return Verdict.LOST
+            return self._ask(now) if present else Verdict.FINE
         if self.gone_since is not None:
             self.gone_since, self.asks = None, 0
             return self._ask(now)
         if over:
-            return self._over(now)
+            if self.over_since is None:
+                self.over_since, self.asks = now, 0
+            if now - self.over_since < AGAIN:
+                return Verdict.FINE
+            if self.asks >= ASKS and now - self.asked >= AGAIN:
+                return Verdict.SILENT
+            return self._ask(now)
         return self._ask(now) if present - self.processes else Verdict.FINE
-
-    def _gone(self, replaced: bool, now: float) -> Verdict:
-        if self.gone_since is None:
-            self.gone_since = now
-        if now - self.gone_since >= GRACE:
-            return Verdict.LOST
-        return self._ask(now) if replaced else Verdict.FINE
-
-    def _over(self, now: float) -> Verdict:
-        if self.over_since is None:
-            self.over_since, self.asks = now, 0
-        if now - self.over_since < AGAIN:
-            return Verdict.FINE
-        if self.asks >= ASKS and now - self.asked >= AGAIN:
-            return Verdict.SILENT
-        return self._ask(now)
 
     def _ask(self, now: float) -> Verdict:
         if self.asks >= ASKS or now - self.asked < AGAIN:

@@ -164,17 +164,14 @@ class ServerLink:
             # It was accepted after its time limit, when the run had already gone on without it.
             handle.cancel_goal_async()
         else:
-            self._begin(goal, handle)
+            goal.handle = handle  # kept by us, because `rclpy` refers to handles only weakly
+            goal.liveness = Liveness(processes(self._node, self.name), asked=monotonic())
+            self._accepted.add(goal)
+            goal.report(Accepted(goal.request.id))
+            self._ask_result(goal)
+            if goal.cancel_asked:
+                self._send_cancel(goal)
         self._pump()
-
-    def _begin(self, goal: Goal, handle: Any) -> None:
-        goal.handle = handle  # kept by us, because `rclpy` refers to handles only weakly
-        goal.liveness = Liveness(processes(self._node, self.name), asked=monotonic())
-        self._accepted.add(goal)
-        goal.report(Accepted(goal.request.id))
-        self._ask_result(goal)
-        if goal.cancel_asked:
-            self._send_cancel(goal)
 
     # the end
 

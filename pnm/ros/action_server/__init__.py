@@ -1,1 +1,13 @@
-"""ROS 2 action servers: of goals, of simulated robots, and in Python with the knowledge of a run."""
+"""ROS 2 action servers: of goals, of simulated robots, and for your own servers in Python, with the knowledge of the run that asks."""
+
+from typing import TYPE_CHECKING
+
+from pnm.files.lazy_exports import lazy_exports
+
+if TYPE_CHECKING:
+    from pnm.ros.action_server.python_server import LIMIT as LIMIT
+    from pnm.ros.action_server.python_server import KnowledgeError as KnowledgeError
+    from pnm.ros.action_server.python_server import PnmActionServer as PnmActionServer
+    from pnm.ros.action_server.python_server import PnmSimpleActionServer as PnmSimpleActionServer
+else:
+    __all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

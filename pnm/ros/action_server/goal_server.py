@@ -80,13 +80,6 @@ class GoalServer:
 
     The mutable state is, on the ROS thread, the server, the handles of goals that are open and of those whose results are
     being sent, by goal id, and what begins the goal that was accepted last; on the event loop's, when the last goal ended.
-
-    Args:
-        type_name: such as ``pnm_interfaces/action/RunPlan``.
-        name: relative to the node's namespace.
-
-    Raises:
-        InputError: the type is not installed.
     """
 
     def __init__(self, ros: RosThread, type_name: str, name: str, callbacks: GoalCallbacks) -> None:
@@ -112,7 +105,12 @@ class GoalServer:
 
     def feed(self, goal: UUID, fields: Mapping[str, object]) -> None:
         """Send feedback about a goal, if it is open."""
-        self._ros.call(partial(self._feed, goal, fields))
+
+        def publish() -> None:
+            if goal in self._open:
+                self._open[goal].publish_feedback(to_message(self.type.Feedback, fields))
+
+        self._ros.call(publish)
 
     def end(self, goal: UUID, result: Callable[[], GoalResult]) -> None:
         """End a goal, if it is open; the function is called on the ROS thread."""
@@ -168,10 +166,6 @@ class GoalServer:
         self._loop.call_soon_threadsafe(self._callbacks.cancel, _id(handle))
         return CancelResponse.ACCEPT
 
-    def _feed(self, goal: UUID, fields: Mapping[str, object]) -> None:
-        if goal in self._open:
-            self._open[goal].publish_feedback(to_message(self.type.Feedback, fields))
-
     def _end(self, goal: UUID, result: Callable[[], GoalResult]) -> None:
         if goal not in self._open:
             return
@@ -185,7 +179,6 @@ class GoalServer:
         self._server.notify_execute(handle, partial(self._finish, status=status, result=message))
 
     def _finish(self, handle: Any, status: GoalStatus = GoalStatus.ABORTED, result: Any = None) -> Any:
-        """Set the state of a goal, and return its result, which `rclpy` sends."""
         match status:
             case GoalStatus.SUCCEEDED:
                 handle.succeed()
@@ -206,22 +199,18 @@ class GoalServer:
 
 
 async def check_alone(ros: RosThread, servers: tuple[str, ...]) -> None:
-    """Check that no other process has the name of the node, or of one of these action servers.
+    """Check that no other process has the name of the node, or of one of these action servers."""
 
-    Raises:
-        RosError: another process has it.
-    """
+    def check() -> None:
+        for name in servers:
+            if processes(ros.node, name):
+                raise RosError(f"there is an action server {name} already; another process offers it {_ADVICE}")
+        own = (ros.node.get_name(), ros.node.get_namespace())
+        if ros.node.get_node_names_and_namespaces().count(own) > 1:
+            raise RosError(f"there is a node {ros.node.get_fully_qualified_name()} already; is this being served? {_ADVICE}")
+
     await ros.settled()
-    await ros.ask(partial(_check_alone, ros.node, servers))
-
-
-def _check_alone(node: Any, servers: tuple[str, ...]) -> None:
-    for name in servers:
-        if processes(node, name):
-            raise RosError(f"there is an action server {name} already; another process offers it {_ADVICE}")
-    own = (node.get_name(), node.get_namespace())
-    if node.get_node_names_and_namespaces().count(own) > 1:
-        raise RosError(f"there is a node {node.get_fully_qualified_name()} already; is this being served? {_ADVICE}")
+    await ros.ask(check)
 
 
 def _id(handle: Any) -> UUID:

@@ -73,7 +73,14 @@ class _ServerWithKnowledge(ActionServer):  # type: ignore[misc]
         callback = execute_callback or self._execute_callback
         self._knowledge.connect(goal_handle)
         if inspect.iscoroutinefunction(callback):
-            super().notify_execute(goal_handle, self._guarded(callback))
+
+            async def execute(goal_handle: Any) -> Any:
+                try:
+                    return self._result(await callback(goal_handle))
+                except Exception as error:
+                    return self._failed(error)
+
+            super().notify_execute(goal_handle, execute)
         else:
             self._begin(goal_handle, callback)
 
@@ -88,15 +95,6 @@ class _ServerWithKnowledge(ActionServer):  # type: ignore[misc]
             result = self._failed(error)
         if self._node.executor is not None:  # it may have ended meanwhile
             super().notify_execute(goal_handle, lambda _: result)
-
-    def _guarded(self, callback: _Execute) -> _Execute:
-        async def run(goal_handle: Any) -> Any:
-            try:
-                return self._result(await callback(goal_handle))
-            except Exception as error:
-                return self._failed(error)
-
-        return run
 
     def _result(self, returned: Any) -> Any:
         """Return the callback's result; anything else would end the whole server in `rclpy`."""
@@ -141,15 +139,7 @@ class PnmActionServer(_ServerWithKnowledge):
         """
         self._update(goal_handle, layer, name, value, meta, timeout)
 
-    async def query_kb_async(
-        self,
-        goal_handle: Any,
-        layer: Layer,
-        name: str,
-        meta: object = None,
-        *,
-        timeout: float = LIMIT,  # noqa: ASYNC109 - this is no coroutine of asyncio
-    ) -> object:
+    async def query_kb_async(self, goal_handle: Any, layer: Layer, name: str, meta: object = None, *, timeout: float = LIMIT) -> object:  # noqa: ASYNC109 - this is no coroutine of asyncio
         """Do what `query_kb` does, in a coroutine."""
         return _raised(await self._knowledge.query(goal_handle, layer, name, meta, timeout))
 

@@ -53,9 +53,6 @@ class RunKnowledge:
     """Clients of the executives whose goals are executed on a node.
 
     The mutable state is the clients of each executive, the latest last, and those that have had a response.
-
-    Raises:
-        InputError: the package pnm_interfaces is not installed.
     """
 
     def __init__(self, node: Any) -> None:
@@ -151,16 +148,18 @@ class RunKnowledge:
         """Return the clients of an executive; those of the least recently used one are destroyed."""
         with self._lock:
             if prefix not in self._clients:
-                self._clients[prefix] = {name: self._create_client(kind, f"{prefix}/{name}") for name, kind in self._types.items()}
+                self._clients[prefix] = {
+                    name: self._node.create_client(
+                        kind, f"{prefix}/{name}", qos_profile=QoSProfile(depth=DEPTH), callback_group=self._group
+                    )
+                    for name, kind in self._types.items()
+                }
             self._clients.move_to_end(prefix)
             if len(self._clients) > EXECUTIVES:
                 for client in self._clients.popitem(last=False)[1].values():
                     self._met.discard(client)
                     self._node.destroy_client(client)
             return self._clients[prefix]
-
-    def _create_client(self, kind: Any, name: str) -> Any:
-        return self._node.create_client(kind, name, qos_profile=QoSProfile(depth=DEPTH), callback_group=self._group)
 
 
 async def _yield_until(goal_handle: Any, until: float, otherwise: str) -> None:

@@ -81,11 +81,7 @@ class SimulatedServers:
         self._is_feeding = False
 
     async def open(self, offers: Iterable[Offer]) -> None:
-        """Bring the servers up.
-
-        Raises:
-            InputError: a type is not installed; no server was brought up.
-        """
+        """Bring the servers up."""
         for offer in offers:
             callbacks = GoalCallbacks(partial(self._accept, offer), self._cancel)
             self._servers[offer.server] = GoalServer(self._ros, offer.type, offer.server, callbacks)
@@ -185,7 +181,6 @@ async def publish_state(ros: RosThread, world: SimulatedWorld, names: frozenset[
     Several changes in one turn of the event loop make one report.
 
     Args:
-        names: the predicates and functions.
         matched: called at every new subscription.
     """
     publisher = Publisher(ros, "pnm_interfaces/msg/State", TOPIC, is_latched=True, depth=_REPORTS, matched=matched)

@@ -35,7 +35,6 @@ class KnowledgeServices:
 
     Args:
         name: the services are ``<name>/query`` and ``<name>/update``; see `pnm.ros.knowledge.goal_ids.service_prefix`.
-        find: finds the run by the id of the goal; called on the event loop's thread.
         sources: queried and updated for all layers but the local one.
     """
 
@@ -52,11 +51,7 @@ class KnowledgeServices:
         return f"<KnowledgeServices {self._name}, {len(self._work)} requests at work>"
 
     async def open(self) -> None:
-        """Offer the services.
-
-        Raises:
-            InputError: the package pnm_interfaces is not installed.
-        """
+        """Offer the services."""
         await self._services.open(
             {
                 f"{self._name}/query": ("pnm_interfaces/srv/QueryKnowledge", partial(self._answer_once, self._query)),
@@ -102,11 +97,7 @@ class KnowledgeServices:
         return {}
 
     def _read(self, request: Any) -> tuple[Layer, Question, tuple[Layered, Asker]]:
-        """Return the layer and the variable of a request, the knowledge of its run, and who asks the sources.
-
-        Raises:
-            SourceError: the request is malformed, or its goal is over.
-        """
+        """Return the layer and the variable of a request, the knowledge of its run, and who asks the sources."""
         if request.layer >= len(LAYERS):
             raise SourceError(f"there is no layer {request.layer}; expected one of {dict(enumerate(layer.value for layer in LAYERS))}")
         if not request.name:

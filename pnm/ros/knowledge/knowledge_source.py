@@ -21,11 +21,7 @@ LIMIT: Final = 4.0
 
 
 class Ros2Knowledge:
-    """A client of ``<name>/query`` and ``<name>/update``, of the types ``QueryKnowledge`` and ``UpdateKnowledge``.
-
-    Raises:
-        InputError: the package pnm_interfaces is not installed.
-    """
+    """A client of ``<name>/query`` and ``<name>/update``, of the types ``QueryKnowledge`` and ``UpdateKnowledge``."""
 
     def __init__(self, ros: RosThread, name: str = NAME, *, limit: float = LIMIT) -> None:
         self._name = name
@@ -37,21 +33,13 @@ class Ros2Knowledge:
         return f"<Ros2Knowledge {self._name}>"
 
     async def query(self, question: Question, asker: Asker, /) -> object:
-        """Query the service; return the value, or `MISSING`.
-
-        Raises:
-            SourceError: there is no such service, it does not respond in time, or it refuses.
-        """
+        """Query the service; return the value, or `MISSING`."""
         answer = await self._queries.call(self._request(question, asker), self._limit)
         self._check(answer)
         return read_value(answer.value) if answer.found else MISSING
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
-        """Have the service store the value.
-
-        Raises:
-            SourceError: there is no such service, it does not respond in time, or it refuses.
-        """
+        """Have the service store the value."""
         self._check(await self._updates.call({**self._request(question, asker), "value": write_value(value)}, self._limit))
 
     async def close(self) -> None:
@@ -85,11 +73,7 @@ def ros2(options: Mapping[str, object], surroundings: Surroundings) -> Source:
 
 
 def thread(surroundings: Surroundings) -> RosThread:
-    """Return the thread of the node.
-
-    Raises:
-        InputError: there is none.
-    """
+    """Return the thread of the node; raise an `InputError` if there is none."""
     if not isinstance(surroundings.ros, RosThread):
         raise InputError("needs ROS 2, which is not used here; expected --actions ros2")
     return surroundings.ros

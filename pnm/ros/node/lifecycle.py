@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable
 from functools import partial
 from typing import Any, Protocol
 
@@ -43,7 +42,6 @@ class Lifecycle:
 
     Args:
         ros: the thread of a node that was made with ``managed=True``.
-        transitions: carries them out.
     """
 
     def __init__(self, ros: RosThread, transitions: ManagedTransitions) -> None:
@@ -72,34 +70,20 @@ class Lifecycle:
             PnmError: it has failed; the node is in the state in which it was.
         """
         label = await self._ros.ask(partial(self._ros.node.begin, wanted))
+        transition = getattr(self._transitions, "cleanup" if label == "shutdown" else label)
         try:
-            await self._work(label)()
-        except BaseException as error:
-            await self._fail(error)
+            await transition()
+        except PnmError:
+            await self._ros.ask(partial(self._ros.node.end, "failure"))  # back to the previous state
+            raise
+        except BaseException:
+            await self._ros.ask(partial(self._ros.node.end, "error"))
+            await self._transitions.cleanup()
+            await self._ros.ask(partial(self._ros.node.end, "success"))  # of the state "error processing": unconfigured
             raise
         await self._ros.ask(partial(self._ros.node.end, "success"))
         if label == "shutdown":
             self.finalized.set()
-
-    async def _fail(self, error: BaseException) -> None:
-        """End the transition: as failed, back to the previous state; or, after an unexpected error, unconfigured."""
-        if isinstance(error, PnmError):
-            await self._ros.ask(partial(self._ros.node.end, "failure"))
-            return
-        await self._ros.ask(partial(self._ros.node.end, "error"))
-        await self._transitions.cleanup()
-        await self._ros.ask(partial(self._ros.node.end, "success"))  # of the state "error processing"
-
-    def _work(self, label: str) -> Callable[[], Awaitable[None]]:
-        match label:
-            case "configure":
-                return self._transitions.configure
-            case "activate":
-                return self._transitions.activate
-            case "deactivate":
-                return self._transitions.deactivate
-            case _:  # cleanup and shutdown
-                return self._transitions.cleanup
 
     async def _requested(self, request: Any) -> Fields:
         wanted = request.transition.label or request.transition.id

@@ -32,10 +32,7 @@ _ADVICE: Final = "add a goal mapping to the binding"
 class FieldError(PnmError):
     """A value does not fit the field of a message; nothing was sent.
 
-    Attributes:
-        path: which field, such as ``pose.position.x`` or ``poses[2]``.
-        needs: what the field takes.
-        got: what was given.
+    The path is that of the field, such as ``pose.position.x`` or ``poses[2]``.
     """
 
     def __init__(self, path: str, needs: str, got: str, advice: str = "") -> None:
@@ -73,9 +70,6 @@ def to_message(message_type: Any, data: Mapping[str, object]) -> Any:
 
     Whole numbers are accepted for float fields and the other way round (80.0 for an int32), a number of seconds for a Time
     or a Duration. Nothing else is converted: text is never read as a number.
-
-    Raises:
-        FieldError: a field is unknown, or its value has the wrong type, size or range.
     """
     return _message(message_type, data, "")
 
@@ -138,19 +132,15 @@ def _items(kind: str, size: int | None, exact: bool, value: object, path: str) -
 
 def _nested(kind: str, value: object, path: str) -> object:
     if kind in _SECONDS and isinstance(value, int | float) and not isinstance(value, bool):
-        value = _time(kind, value, path)
+        if not math.isfinite(value):
+            raise FieldError(path, f"the seconds of a {kind}", _show(value))
+        seconds = math.floor(value)
+        nanoseconds = round((value - seconds) * 1e9)
+        value = {"sec": seconds + nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
     if not isinstance(value, Mapping):
         raise FieldError(path, f"the fields of a {kind}", _show(value), _ADVICE if isinstance(value, str) else "")
     package, _, name = kind.rpartition("/")
     return _message(import_type(f"{package}/msg/{name}"), value, path)
-
-
-def _time(kind: str, value: float, path: str) -> dict[str, object]:
-    if not math.isfinite(value):
-        raise FieldError(path, f"the seconds of a {kind}", _show(value))
-    seconds = math.floor(value)
-    nanoseconds = round((value - seconds) * 1e9)
-    return {"sec": seconds + nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
 
 
 def _text(kind: str, size: int | None, value: object, path: str) -> str:
@@ -213,7 +203,6 @@ def _wrong(kind: str, value: object, path: str) -> FieldError:
 
 
 def _show(value: object) -> str:
-    """Return a short text for a value in an error."""
     if value is None:
         return "nothing"
     written = repr(value)

@@ -22,8 +22,6 @@ class NodeParameter:
     Args:
         name: as ROS 2 has it; the option of a command line has ``-`` for ``_``.
         default: an empty text stands for no value.
-        description: for people.
-        least: the smallest valid number.
         choices: the valid texts; empty if all are.
         option: the name of the command line's option, if it differs.
     """

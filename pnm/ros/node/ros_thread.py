@@ -38,6 +38,14 @@ _STILL: Final = 0.5
 _log = logging.getLogger(__name__)
 
 
+def call_on_loop(loop: asyncio.AbstractEventLoop, function: Callable[..., object], *arguments: object) -> None:
+    """Call the function on the event loop's thread; nothing happens once the loop is closed."""
+    try:
+        loop.call_soon_threadsafe(function, *arguments)
+    except RuntimeError:
+        _log.debug("the event loop is closed; %s is not called", function)
+
+
 class RosThread:
     """A ROS 2 node and the daemon thread that spins it.
 
@@ -46,8 +54,6 @@ class RosThread:
     only in functions given to `call`, `wait` or `ask`.
 
     Args:
-        name: the node's name.
-        namespace: the node's namespace; relative names are relative to it.
         args: arguments as a launch file gives them, such as ``["--ros-args", "-r", "__ns:=/r1"]``.
         managed: make a node with a managed life cycle, see `pnm.ros.node.lifecycle`.
         limit: seconds for the node to be made.
@@ -161,7 +167,12 @@ class RosThread:
         try:
             # Signals belong to the program, which ends its runs before it closes the node.
             rclpy.init(args=args, context=context, signal_handler_options=rclpy.SignalHandlerOptions.NO)
-            self.node = self._make(name, namespace, context)
+            if self._managed:
+                from pnm.ros.node.managed_node import ManagedNode  # here, because rclpy is an extra
+
+                self.node = ManagedNode(name, namespace=namespace, context=context)
+            else:
+                self.node = rclpy.create_node(name, namespace=namespace, context=context)
             self._guard = self.node.create_guard_condition(self._drain)
             executor = SingleThreadedExecutor(context=context)
             executor.add_node(self.node)
@@ -178,13 +189,6 @@ class RosThread:
             except Exception:  # a callback that fails must not end the others
                 _log.exception("a ROS 2 callback failed")
         self._end(executor, context)
-
-    def _make(self, name: str, namespace: str, context: Any) -> Any:
-        if self._managed:
-            from pnm.ros.node.managed_node import ManagedNode  # here, because rclpy is an extra
-
-            return ManagedNode(name, namespace=namespace, context=context)
-        return rclpy.create_node(name, namespace=namespace, context=context)
 
     def _drain(self) -> None:
         while self._functions:

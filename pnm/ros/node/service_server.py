@@ -69,11 +69,7 @@ class RequestServices:
     # on the event loop's thread
 
     async def open(self, services: Mapping[str, tuple[str, Handler]]) -> None:
-        """Offer services: by name, relative to the node's namespace, their types and handlers.
-
-        Raises:
-            InputError: a type is not installed.
-        """
+        """Offer services: by name, relative to the node's namespace, their types and handlers."""
         for name, (kind, handler) in services.items():
             await self._ros.ask(partial(self._offer, name, import_type(kind), handler))
 

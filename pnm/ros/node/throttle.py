@@ -10,13 +10,9 @@ K = TypeVar("K", bound=Hashable)
 
 
 class Throttle(Generic[K]):
-    """Calls a function for every key that was noted: in the next turn of the loop, or a period after its last call.
+    """Calls a function for every key that was noted: in the next turn of the loop, or a period (seconds) after its last call.
 
     The mutable state is, by key, the timer of the call that is due and the time of the last call.
-
-    Args:
-        period: the seconds between two calls for the same key.
-        function: called with the key.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, period: float, function: Callable[[K], None]) -> None:

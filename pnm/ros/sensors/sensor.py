@@ -45,7 +45,9 @@ class SensorRecorder:
         reading = read(self.instance, look, self._knowledge.objects)
         for number, reason in reading.unread.items():
             if number not in self._unread:
-                _log.warning("%s: %s; %s is unknown", self.instance.name, reason, self._about(number))
+                statement = self.instance.sensor.statements[number]
+                fluent = statement.name if hasattr(statement, "name") else fluent_text(statement.fluent)
+                _log.warning("%s: %s; %s is unknown", self.instance.name, reason, fluent)
         self._unread = frozenset(reading.unread)
         self._store(reading)
         self._watchdog.reset()
@@ -74,17 +76,9 @@ class SensorRecorder:
         if changed:
             self._knowledge.store(changed)
 
-    def _about(self, number: int) -> str:
-        statement = self.instance.sensor.statements[number]
-        return statement.name if hasattr(statement, "name") else fluent_text(statement.fluent)
-
 
 def checked(instance: Instance, name: str) -> tuple[Any, Instance]:
-    """Return the type, and the sensor with the values of the type's constants.
-
-    Raises:
-        InputError: the type lacks a field of the sensor, or is not installed.
-    """
+    """Return the type, and the sensor with the values of its constants; raise an `InputError` if the type does not fit it."""
     sensor = instance.sensor
     try:
         kind = import_type(name)
@@ -96,11 +90,7 @@ def checked(instance: Instance, name: str) -> tuple[Any, Instance]:
 
 
 def resolved(resolve: Callable[[str], object], instance: Instance, what: str) -> str:
-    """Return the full name of the sensor's topic or service.
-
-    Raises:
-        InputError: it is not a valid name in ROS.
-    """
+    """Return the full name of the sensor's topic or service; raise an `InputError` if it is not valid in ROS."""
     try:
         return str(resolve(instance.name))
     except Exception as error:

@@ -45,7 +45,7 @@ class Sensors:
             raise InputError(f"facts of {name} follow from rules; they are neither set nor sensed")
         for sensor in sensing.sensors:
             if sensor.type is not None:
-                checked(next((one for one in every_instance if one.sensor is sensor), Instance(sensor, {})), sensor.type)
+                checked(next((instance for instance in every_instance if instance.sensor is sensor), Instance(sensor, {})), sensor.type)
         self._recorders = [SensorRecorder(instance, knowledge) for instance in every_instance]
         self._topics: list[TopicSensor] = []
         self._polls: list[ServiceSensor] = []
@@ -69,7 +69,9 @@ class Sensors:
         Raises:
             InputError: a type found in the graph lacks a field of its sensor.
         """
-        await self._ros.ask(self._resolve)
+        sensors: list[TopicSensor | ServiceSensor] = [*self._topics, *self._polls]
+        for sensor in sensors:
+            await self._ros.ask(sensor.resolve)
         if self._topics:
             self._timer = await self._ros.ask(lambda: self._ros.timer(LOOK, self._look))
         self._tasks = [asyncio.create_task(poll.poll()) for poll in self._polls]
@@ -89,7 +91,11 @@ class Sensors:
         await self._ros.ask(self._destroy)
 
     async def _wait_for_first(self) -> None:
-        all_heard = asyncio.ensure_future(self._all_heard())
+        async def hear_all() -> None:
+            for recorder in self._recorders:
+                await recorder.heard.wait()
+
+        all_heard = asyncio.ensure_future(hear_all())
         settled = asyncio.ensure_future(self._ros.settled())
         try:
             await asyncio.wait((all_heard, settled), return_when=asyncio.FIRST_COMPLETED)
@@ -103,17 +109,7 @@ class Sensors:
             if not recorder.heard.is_set():
                 _log.warning("nothing has been heard on %s yet", recorder.instance.name)
 
-    async def _all_heard(self) -> None:
-        for recorder in self._recorders:
-            await recorder.heard.wait()
-
     # on the ROS thread
-
-    def _resolve(self) -> None:
-        for topic in self._topics:
-            topic.resolve()
-        for poll in self._polls:
-            poll.resolve()
 
     def _look(self) -> None:
         for topic in self._topics:

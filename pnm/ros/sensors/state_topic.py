@@ -13,7 +13,7 @@ from pnm.core.knowledge_base import parse_fluent, parse_statement, statement_tex
 from pnm.core.logic.expressions import UNKNOWN, Fluent, Unknown, Value, fluent_text
 from pnm.errors import InputError
 from pnm.ros.node.messages import import_type
-from pnm.ros.node.ros_thread import RosThread
+from pnm.ros.node.ros_thread import RosThread, call_on_loop
 
 TOPIC = "knowledge/sensed"
 
@@ -31,9 +31,6 @@ class SensedReports:
 
     Args:
         listener: called with the names, their true facts and numbers, and the report's sequence number.
-
-    Raises:
-        InputError: the package pnm_interfaces is not installed.
     """
 
     def __init__(self, ros: RosThread, loop: asyncio.AbstractEventLoop, listener: Listener, topic: str = TOPIC) -> None:
@@ -68,7 +65,6 @@ class SensedReports:
             self._ros.call(self._unsubscribe)
 
     async def _has_publisher(self) -> bool:
-        """Return True if there is a publisher, once the graph has settled, or as soon as a report arrives."""
         settled = asyncio.ensure_future(self._ros.settled())
         heard = asyncio.ensure_future(self._heard.wait())
         try:
@@ -86,7 +82,6 @@ class SensedReports:
     # on the ROS thread
 
     def _subscribe(self, state: Any) -> None:
-
         from rclpy.qos import DurabilityPolicy, QoSProfile  # here, because rclpy is an extra
 
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -102,10 +97,7 @@ class SensedReports:
         except InputError as error:
             _log.warning("ignored a report on %s: %s", self._topic, error)
             return
-        try:
-            self._loop.call_soon_threadsafe(self._pass_on, *report)
-        except RuntimeError:
-            _log.debug("the event loop is closed; nobody hears of the report")
+        call_on_loop(self._loop, self._pass_on, *report)
 
 
 def read_state(message: Any) -> Facts:

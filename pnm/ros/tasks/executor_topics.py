@@ -22,10 +22,6 @@ class TaskTopics(TaskListener):
 
     Nets and markings are large, so they are computed only while there are subscriptions. The mutable state is the messages
     that are due, the nets that were published, by task, and the number of knowledge changes.
-
-    Args:
-        world: the knowledge, whose changes are published.
-        paused: returns whether all tasks are paused.
     """
 
     def __init__(self, ros: RosThread, tasks: Tasks, world: ServedWorld, paused: Callable[[], bool]) -> None:

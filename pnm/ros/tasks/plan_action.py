@@ -27,7 +27,6 @@ class PlanningServer:
     """The action server for plan requests. The mutable state is the searches by goal, and those whose clients have cancelled them.
 
     Args:
-        make: answers a plan request.
         closed: returns why goals are rejected; empty while they are accepted.
     """
 

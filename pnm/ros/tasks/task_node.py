@@ -30,9 +30,6 @@ class TaskNode:
     `deactivate` has paused them.
 
     Args:
-        tasks: the task manager.
-        make: answers plan requests.
-        world: the knowledge and the problem.
         plans: the plans that have an action server of their own, and its full name.
     """
 
@@ -178,6 +175,5 @@ def action_names(ros: RosThread, plans: Iterable[str]) -> tuple[tuple[str, ...],
 
 
 def _id(message: Any) -> UUID | None:
-    """Return the id of a task; None for all tasks."""
     task = UUID(bytes=bytes(message.uuid))
-    return task if task.int else None
+    return task if task.int else None  # for all tasks

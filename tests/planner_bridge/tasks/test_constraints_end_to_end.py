@@ -11,7 +11,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline import achieve, achieve_at
 from planner_bridge.simulation import simulated_backend
-from planner_bridge.tasks.replanning import PlanAgain, Resume
+from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
 from planner_bridge.tasks.result import TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
@@ -222,7 +222,7 @@ ARIES = Settings(planner="aries")
 def test_a_network_is_not_done_when_its_goal_holds_but_when_its_tasks_are_done() -> None:
     result, truth = pursued(parse_problem(TIDY, parse_domain(TIDYING)), Faults((Fault("sweep(c)", FaultKind.ABORT, times=2),)), ARIES)
     assert result.goal_reached, result.reason
-    assert [type(episode.decision) for episode in result.episodes] == [Resume, type(None)]
+    assert [type(episode.decision) for episode in result.episodes] == [ResumePlan, type(None)]
     assert truth.value(("clean", "c")) is True
 
 

@@ -13,7 +13,7 @@ from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pipeline import achieve, achieve_at
 from planner_bridge.simulation import simulated_backend
-from planner_bridge.tasks.replanning import Decision, GiveUp, History, Limits, PlanAgain, Progress, Resume, decide
+from planner_bridge.tasks.replanning import Decision, GiveUp, History, Limits, PlanAgain, Progress, ResumePlan, decide
 from planner_bridge.tasks.result import TaskResult
 from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
@@ -67,13 +67,13 @@ def test_the_rest_of_the_plan_is_used_before_a_planner_is_asked() -> None:
     result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc"), aborts("move(r1, b, c)", times=2))
     assert result.goal_reached
     assert result.plans == 1
-    assert decisions(result) == [Resume]
+    assert decisions(result) == [ResumePlan]
 
 
 def test_a_ground_action_that_failed_twice_is_planned_around() -> None:
     result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc ba ad dc"), aborts("move(r1, b, c)"))
     assert result.goal_reached
-    assert decisions(result) == [Resume, PlanAgain]
+    assert decisions(result) == [ResumePlan, PlanAgain]
     assert [str(call) for call in result.episodes[1].decision.forbidden] == ["move(r1, b, c)"]  # type: ignore[union-attr]
     assert ("move(r1, d, c)", "succeeded") in [(str(call.call.action), call.outcome) for call in result.calls]
 
@@ -110,7 +110,7 @@ def test_the_limit_of_replans_ends_a_task_by_name() -> None:
         result.reason
         == "the limit of 2 replans is reached; last failure: move(r1, a, b)#0: aborted: expected success; observed the action failed"
     )
-    assert decisions(result) == [Resume, Resume, GiveUp]
+    assert decisions(result) == [ResumePlan, ResumePlan, GiveUp]
 
 
 def test_the_limit_in_seconds_ends_a_task_by_name() -> None:
@@ -242,7 +242,7 @@ BROKEN = [
 @pytest.mark.parametrize("constraint", KEPT, ids=str)
 def test_the_rest_of_a_plan_that_keeps_the_constraints_is_used(constraint: Constraint) -> None:
     problem = replace(rooms(init="(at r1 a)", goal="(at r1 c)"), constraints=(constraint,))
-    assert isinstance(decided(problem, OVER_B), Resume)
+    assert isinstance(decided(problem, OVER_B), ResumePlan)
 
 
 @pytest.mark.parametrize(("constraint", "why"), BROKEN, ids=lambda value: str(value) if isinstance(value, Constraint) else "")
@@ -261,7 +261,7 @@ def test_a_goal_that_holds_is_planned_for_again_as_long_as_something_is_missing(
 def test_the_rest_of_a_network_of_tasks_is_used_and_otherwise_the_whole_network_is_planned_for() -> None:
     network = replace(rooms(init="(at r1 b)", goal="(at r1 c)"), network="(:htn)")
     rest = decided(network, OVER_B, done=1)
-    assert isinstance(rest, Resume)
+    assert isinstance(rest, ResumePlan)
     assert [str(call) for call in rest.rest.calls] == ["move(r1, b, c)#0"]
     elsewhere = replace(rooms(init="(at r1 d)", goal="(at r1 c)"), network="(:htn)")
     assert decided(elsewhere, OVER_B, done=1) == PlanAgain(

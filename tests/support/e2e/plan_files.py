@@ -1,4 +1,4 @@
-"""TODO."""
+"""A world of plans in files, and the global knowledge that its actions use."""
 
 from __future__ import annotations
 

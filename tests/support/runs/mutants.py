@@ -1,4 +1,4 @@
-"""TODO."""
+"""Machines that are not quite right: each mutant that exploration refutes, the proof block by block has to refute."""
 
 from __future__ import annotations
 

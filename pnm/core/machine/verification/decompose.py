@@ -266,7 +266,7 @@ def _resources(steps: Iterable[Step], resources: frozenset[str]) -> dict[str, in
 def _counted(steps: tuple[Step, ...], initial: dict[str, int], counters: frozenset[str]) -> tuple[tuple[Step, ...], dict[str, int]]:
     """Return steps and tokens with large counters made small, which changes nothing that can happen but how often.
 
-    A counter is a pair of places whose tokens move one at a time from one to the other and back; whoever asks for more than one
+    A counter is a pair of places whose tokens move one at a time from one to the other and back; a guard that asks for more than one
     asks for all of them.
     """
     large = {tokens for place, tokens in initial.items() if place in counters and tokens > ENOUGH}

@@ -12,7 +12,7 @@ _ANY = frozenset(OutcomeKind)
 
 
 def missing_exit(guards: Collection[Guard]) -> str:
-    """Say for which answer of the world none of these guards opens in finite time; empty when one always does."""
+    """Return for which answer of the world none of these guards opens in finite time; empty when one always does."""
     outcomes = [guard.kinds for guard in guards if isinstance(guard, Ends)]
     if outcomes and (others := _ANY.difference(*outcomes)):
         return f"has no exit for {set(others)}"
@@ -32,7 +32,7 @@ def missing_exit(guards: Collection[Guard]) -> str:
 
 
 def is_timed(guard: object) -> bool:
-    """Tell whether the guard opens by itself, in finite time."""
+    """Return whether the guard opens by itself, in finite time."""
     match guard:
         case After(seconds):
             return isfinite(seconds)
@@ -43,7 +43,7 @@ def is_timed(guard: object) -> bool:
 
 
 def _completes(guard: Guard, guards: Collection[Guard]) -> bool:
-    """Tell whether the guard opens, in finite time, whenever another one does not."""
+    """Return whether the guard opens, in finite time, whenever another one does not."""
     match guard:
         case ConditionFalse(condition):
             return ConditionTrue(condition) in guards

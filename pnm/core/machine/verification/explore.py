@@ -42,25 +42,25 @@ class Step(NamedTuple):
 Tokens: TypeAlias = tuple[int, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Part:
     """A part of a machine with what surrounds it: inputs that come once, at any moment."""
 
     places: tuple[str, ...]
     steps: tuple[Step, ...]
     initial: Mapping[str, int]
-    supplies: tuple[tuple[str, ...], ...]
+    supplies: tuple[tuple[str, ...], ...] = ()
     """Sets of places that get their tokens from outside, each set at once."""
-    failures: frozenset[str]
-    records: frozenset[str]
+    failures: frozenset[str] = frozenset()
+    records: frozenset[str] = frozenset()
     """Places that may stay marked."""
-    counters: frozenset[str]
+    counters: frozenset[str] = frozenset()
     """Those of them from which nothing starts: what takes from them is asked for at other places."""
-    cancels: bool
+    cancels: bool = False
     """Whether a failure has running calls cancelled."""
-    outputs: frozenset[str]
+    outputs: frozenset[str] = frozenset()
     """Places that are marked in the end, each once: others take from them."""
-    finals: frozenset[str]
+    finals: frozenset[str] = frozenset()
     """Places of which exactly one is marked in the end, if there are any."""
     early: frozenset[str] = frozenset()
     """Places that must be marked once nothing more can happen without the last supply."""
@@ -127,7 +127,7 @@ class _Explorer:
                 yield _STOPS[stop], _State(state.tokens, stop, state.supplied)
 
     def _moods(self, state: _State) -> tuple[bool, bool, bool]:
-        """Tell whether the run is failing, ending, and cancelling what runs."""
+        """Return whether the run is failing, ending, and cancelling what runs."""
         failing = state.stop > 1 or any(state.tokens[place] for place in self.failures)
         ending = failing or state.stop > 0 or any(state.tokens[place] for place in self.restarts)
         return failing, ending, state.stop == 3 or (ending and self.part.cancels)
@@ -170,7 +170,7 @@ class _Explorer:
         return found, False
 
     def _starves(self, state: _State) -> bool:
-        """Tell whether resources are waited for, and nothing else is sure to happen."""
+        """Return whether resources are waited for, and nothing else is sure to happen."""
         moods, waits, enabled = self._moods(state), False, dict[int, bool]()
         for place, tokens in enumerate(state.tokens):
             if tokens and place not in self.records:
@@ -182,7 +182,7 @@ class _Explorer:
         return waits
 
     def _may_be_unanswered(self, place: int) -> bool:
-        """Tell whether the world is asked at the place, and the exits that need nothing else are not enough."""
+        """Return whether the world is asked at the place, and the exits that need nothing else are not enough."""
         name, steps = self.part.places[place], [self.part.steps[number] for number in self.consumers[place]]
         alone = [step.guard for step in steps if step.inputs == {name: 1} and not isinstance(step.guard, Inside)]
         others = [step.guard for step in steps if step.inputs != {name: 1}]
@@ -191,7 +191,7 @@ class _Explorer:
         return any(isinstance(guard, Ends) for guard in others) or bool(missing_exit(list(filter(_asks_the_world, alone))))
 
     def _unanswered(self, place: int, state: _State) -> str:
-        """Tell for which answer of the world no exit opens in finite time, if one is waited for and for no resources."""
+        """Return for which answer of the world no exit opens in finite time, if one is waited for and for no resources."""
         steps = [self.part.steps[number] for number in self.consumers[place]]
         guards = [step.guard for step in steps if self._is_enabled(step, state)]
         asking = [guard for guard in guards if not isinstance(guard, Inside) and _asks_the_world(guard)]
@@ -207,7 +207,7 @@ class _Explorer:
         return all(state.tokens[self.index[one]] >= weight for one, weight in step.inputs.items())
 
     def _lacks_resources(self, step: Step, state: _State) -> bool:
-        """Tell whether the step would be enabled if nobody had what it needs for itself."""
+        """Return whether the step would be enabled if all resources were free."""
         if self.resources.keys().isdisjoint(self.index[one] for one in step.inputs):
             return False
         own = ((self.index[one], weight) for one, weight in step.inputs.items())
@@ -226,7 +226,7 @@ class _Explorer:
         return any(state.tokens[place] < tokens for place, tokens in self.resources.items())
 
     def check(self, state: _State, stuck: bool) -> str:
-        """Tell what is wrong with a state; empty when nothing is."""
+        """Return what is wrong with a state; empty when nothing is."""
         for number, tokens in enumerate(state.tokens):
             if tokens > self.most[number]:
                 return f"{self.part.places[number]} holds {tokens} tokens"
@@ -250,7 +250,7 @@ class _Explorer:
         return self._why_improper(left)
 
     def _why_improper(self, left: Mapping[str, int]) -> str:
-        """Tell what is wrong with a final marking of all but record places; empty when it is proper."""
+        """Return what is wrong with a final marking of all but record places; empty when it is proper."""
         part = self.part
         kept = {place: part.initial[place] for place in part.resources - part.records if place in part.initial}
         ends = [place for place in left if place in part.finals]
@@ -261,7 +261,7 @@ class _Explorer:
 
 
 _Trace: TypeAlias = "tuple[_Trace, str] | None"
-"""What has led somewhere: the last step, and what has led to it."""
+"""Trace to a state: the last step, and the trace before it."""
 _Reached: TypeAlias = tuple[_State, _Trace]
 
 _STOPS: Final = ("", "restart elsewhere", "stop", "cancel")
@@ -272,7 +272,7 @@ _FROM_OUTSIDE: Final = frozenset((*_STOPS, _AGAIN, _SUPPLY))
 
 
 def _is_open(guard: Guard | Inside, failing: bool, ending: bool, cancel: bool) -> bool | None:
-    """Tell whether the guard is open, closed, or either, depending on the world."""
+    """Return whether the guard is open, closed, or either, depending on the world."""
     match guard:
         case Always():
             return True
@@ -287,7 +287,7 @@ def _is_open(guard: Guard | Inside, failing: bool, ending: bool, cancel: bool) -
 
 
 def _asks_the_world(guard: Guard | Inside) -> bool:
-    """Tell whether the guard opens when the world, or somebody, says so, or a time has come."""
+    """Return whether the guard opens because of the world, of a request from outside, or of time."""
     return not isinstance(guard, Inside) and _is_open(guard, False, False, False) is None
 
 
@@ -300,7 +300,7 @@ def explore_part(part: Part) -> int:
     if confusing := [step.name for step in part.steps if step.name in _FROM_OUTSIDE]:
         raise Unsound(f"a step is called {confusing[0]!r}, as is what happens from outside")
     explorer = _Explorer(part)
-    # how often it is paused, or entered, whoever does that says: what follows from there is walked through apart
+    # pauses and entries come from outside, as often as they like: what follows from there is walked through apart
     apart = {step.name for step in part.steps if isinstance(step.guard, PauseAsked)} | {_AGAIN}
     start = _State(tuple(part.initial.get(place, 0) for place in part.places))
     roots: list[_Reached] = [(start, None)]

@@ -16,14 +16,13 @@ order, and from the innermost steps outwards, each block gets its inputs once an
 once whenever it is entered.
 
 A block takes all of its resources at once, while it has none, gives them back whatever happens, and
-waits neither for other blocks nor for what it holds as long as it has them. So whoever has resources
-comes to an end without anybody else's help, and whoever waits for some gets them in the end; unless a request that was given up
+waits neither for other blocks nor for what it holds as long as it has them. So a call that has resources
+comes to an end without the help of others, and a call that waits for some gets them in the end; unless a request that was given up
 keeps them, and for that case every wait for resources has another way out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from math import isfinite
@@ -59,7 +58,7 @@ _FOUND_GOOD: Final[dict[object, _Proved]] = {}
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """What was proved, and how much work it was."""
+    """Proof of a machine: what was proved, and how much work it was."""
 
     calls: int
     shapes: int
@@ -80,13 +79,18 @@ def verify(machine: PetriNetMachine) -> Proof:
     anatomy = Anatomy(machine)
     proved: set[_Proved] = set()
     waits: dict[Event, set[Event]] = {}
-    _check_failures(anatomy)
+    for place, call in anatomy.machine.failure_places.items():
+        if anatomy.writers[place] - {call}:
+            raise Unsound(f"{place} marks the failure of another call than its own")
     for owner, names in anatomy.transitions.items():
         _check_rules(anatomy, owner, names)
         block = anatomy.block(owner)
         anatomy.note_waits(block, waits)
         proved.add(_proved(block.part))
-    _check_order(waits)
+    try:
+        TopologicalSorter(waits).prepare()
+    except CycleError as error:
+        raise Unsound(f"blocks wait for each other: {error.args[1]}") from error
     return Proof(len(machine.plan.calls), len(proved), sum(shape.states for shape in proved))
 
 
@@ -95,7 +99,12 @@ def _proved(part: Part) -> _Proved:
     shape = shape_of(part)
     found = _FOUND_GOOD.get(shape)
     if found is None:
-        _check_withheld(part)
+        for number, step in enumerate(part.steps):
+            rest = {place: weight for place, weight in step.inputs.items() if place not in part.resources}
+            if rest != step.inputs and not isinstance(step.guard, Adopted):
+                before = part.steps[:number]
+                if not any(isinstance(one.guard, Withheld) and isfinite(one.guard.seconds) and one.inputs == rest for one in before):
+                    raise Unsound(f"{step.name} has no way out for when resources that it needs are withheld")
         found = _Proved(explore_part(part))
         if len(_FOUND_GOOD) == _REMEMBERED:
             _FOUND_GOOD.pop(next(iter(_FOUND_GOOD)))
@@ -109,22 +118,16 @@ def explore(machine: PetriNetMachine) -> int:
     Raises:
         Unsound: some state is wrong, or there are more than `MAX_STATES`.
     """
-    goal, failed = machine.goal_place, machine.failed_place
-
-    steps = tuple(step_of(machine, name) for name in machine.rules)
-    records = machine.record_places
     return explore_part(
         Part(
-            machine.net.places,
-            steps,
-            machine.initial,
-            (),
-            frozenset(machine.failure_places),
-            records,
-            machine.counter_places,
-            machine.on_failure is OnFailure.CANCEL,
-            frozenset(),
-            frozenset((goal, failed)),
+            places=machine.net.places,
+            steps=tuple(step_of(machine, name) for name in machine.rules),
+            initial=machine.initial,
+            failures=frozenset(machine.failure_places),
+            records=machine.record_places,
+            counters=machine.counter_places,
+            cancels=machine.on_failure is OnFailure.CANCEL,
+            finals=frozenset((machine.goal_place, machine.failed_place)),
             restarts=frozenset(machine.restart_places),
             resources=frozenset(machine.resource_places),
         )
@@ -132,16 +135,6 @@ def explore(machine: PetriNetMachine) -> int:
 
 
 # --- checks --------------------------------------------------------------------------------
-
-
-def _check_withheld(part: Part) -> None:
-    """Check that whoever waits for resources is asked first whether they are withheld, which is looked at for a finite time."""
-    for number, step in enumerate(part.steps):
-        rest = {place: weight for place, weight in step.inputs.items() if place not in part.resources}
-        if rest != step.inputs and not isinstance(step.guard, Adopted):
-            before = part.steps[:number]
-            if not any(isinstance(one.guard, Withheld) and isfinite(one.guard.seconds) and one.inputs == rest for one in before):
-                raise Unsound(f"{step.name} has no way out for when resources that it needs are withheld")
 
 
 def _check_rules(anatomy: Anatomy, call: int | None, names: list[str]) -> None:
@@ -160,16 +153,3 @@ def _check_rules(anatomy: Anatomy, call: int | None, names: list[str]) -> None:
                 raise Unsound(f"{name} counts from the marking of {place}, which it does not take from")
         if goal in outputs and rule.guard != ConditionTrue(machine.plan.goal):
             raise Unsound(f"{name} marks the goal place without asking for the goal")
-
-
-def _check_failures(anatomy: Anatomy) -> None:
-    for place, call in anatomy.machine.failure_places.items():
-        if anatomy.writers[place] - {call}:
-            raise Unsound(f"{place} marks the failure of another call than its own")
-
-
-def _check_order(waits: Mapping[Event, set[Event]]) -> None:
-    try:
-        TopologicalSorter(waits).prepare()
-    except CycleError as error:
-        raise Unsound(f"blocks wait for each other: {error.args[1]}") from error

@@ -156,9 +156,8 @@ def test_what_nobody_may_ever_do_is_no_exit(guard: Guard) -> None:
 
 def ending_in(*finals: str, guard: Guard = Always()) -> Part:
     """A part that ends in these places, all at once."""
-    nothing = frozenset[str]()
     step = Step("end", guard, {"start": 1}, dict.fromkeys(finals, 1))
-    return Part(("start", *finals), (step,), {"start": 1}, (), nothing, nothing, nothing, False, nothing, frozenset(finals))
+    return Part(places=("start", *finals), steps=(step,), initial={"start": 1}, finals=frozenset(finals))
 
 
 def test_a_missing_outcome_is_refuted_by_name() -> None:

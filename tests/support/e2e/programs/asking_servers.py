@@ -17,8 +17,8 @@ from rclpy.action import CancelResponse
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
-from pnm.ros.action_server.python_server import KnowledgeError, PnmActionServer
-from tests.support.e2e.workers import say
+from pnm.ros.action_server import KnowledgeError, PnmActionServer
+from tests.support.e2e.programs.plain_servers import say
 
 
 class Knowing(Node):  # type: ignore[misc]

@@ -1,4 +1,4 @@
-"""TODO."""
+"""PDDL files of others, where their folder is present beside the project."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Listings 1 and 2 of the paper, as they are printed."""
+"""Domains and plans in YAML: listings 1 and 2 of the paper as they are printed, and others that several tests use."""
 
 PAPER_DOMAIN = """\
 ...

@@ -1,4 +1,4 @@
-"""TODO."""
+"""Strategies for hypothesis: PDDL models as they are read, of a domain with robots, rooms and docks."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ LIMIT = 20000.0
 """Virtual seconds within which everything must be over."""
 
 
-class Stage(TaskListener):
+class TaskSimulation(TaskListener):
     """A master of tasks over simulated robots; what is wanted of it and what has come of that."""
 
     def __init__(
@@ -111,7 +111,7 @@ class Stage(TaskListener):
         self._news.set()
         self._news = asyncio.Event()
 
-    # --- what scenes do and wait for --------------------------------------------------------------
+    # --- what scenarios do and wait for -----------------------------------------------------------
 
     def want(self, text: str, **how: object) -> UUID:
         wanted = Wanted(uuid4(), text, **how)  # type: ignore[arg-type]
@@ -176,8 +176,8 @@ class _Errors(logging.Handler):
         self.found.append(self.format(record))
 
 
-def play(
-    scene: Callable[[Stage], Awaitable[None]],
+def simulate_tasks(
+    scenario: Callable[[TaskSimulation], Awaitable[None]],
     problem: Problem | None = None,
     *,
     faults: Faults = NO_FAULTS,
@@ -187,29 +187,29 @@ def play(
     source: Source | None = None,
     make_backend: Callable[[Problem, Bindings, Faults], SimulatedBackend] = simulated_backend,
 ) -> None:
-    """Play a scene, close the master, and see that nothing was against the rules."""
+    """Run a scenario, close the task manager, and check that nothing was against the rules."""
     errors = _Errors()
 
     async def whole() -> None:
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(lambda _, context: errors.found.append(str(context)))
-        stage = Stage(problem or fleet(), faults, chosen, limits or TaskLimits(), programs, source, make_backend)
-        await stage.site.open(stage.knowledge)
+        simulation = TaskSimulation(problem or fleet(), faults, chosen, limits or TaskLimits(), programs, source, make_backend)
+        await simulation.site.open(simulation.knowledge)
         try:
-            await scene(stage)
+            await scenario(simulation)
         finally:
-            await asyncio.wait_for(stage.master.close(), LIMIT)
-            left = stage.orphans()
-            await stage.site.close()
-        assert stage.goals.keys() == stage.endings.keys(), "every task has an end"
+            await asyncio.wait_for(simulation.master.close(), LIMIT)
+            left = simulation.orphans()
+            await simulation.site.close()
+        assert simulation.goals.keys() == simulation.endings.keys(), "every task has an end"
         await asyncio.sleep(0)
         gc.collect()
         await asyncio.sleep(0)
         others = [one for one in asyncio.all_tasks() if one is not asyncio.current_task()]
-        assert not stage.wrong, stage.wrong
+        assert not simulation.wrong, simulation.wrong
         assert not left, f"{left} go on after the end"
         assert not others, others
-        clashes = stage.site.robots.clashes
+        clashes = simulation.site.robots.clashes
         assert not clashes, clashes
 
     logging.getLogger().addHandler(errors)

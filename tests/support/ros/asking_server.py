@@ -1,4 +1,4 @@
-"""An action server that asks for knowledge as its goals tell it to. Run as a script.
+"""An action server that asks for knowledge as its goals tell it to. Run as a module.
 
 Of a GroundAction goal the action says what to do, and the arguments, each a JSON text, with what:
 
@@ -25,7 +25,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 
 from pnm.core.logic.computed_values import MISSING, Layer
-from pnm.ros.action_server.python_server import LIMIT, KnowledgeError, PnmActionServer, PnmSimpleActionServer
+from pnm.ros.action_server import LIMIT, KnowledgeError, PnmActionServer, PnmSimpleActionServer
 
 
 class Knowing:

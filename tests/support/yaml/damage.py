@@ -1,4 +1,4 @@
-"""TODO."""
+"""What a person may do to a good YAML file."""
 
 from __future__ import annotations
 
