@@ -39,13 +39,7 @@ def load(domain: Path | str | Domain | None, problem: Path | str | Problem | Any
 def bindings_for(domain: Path | None, file: Path | None, known: Vocabulary | None) -> Bindings:
     """Return bindings from a file; without one, from ``bindings.yaml`` beside the domain if that exists.
 
-    Args:
-        domain: the file of the domain, None if there is no domain.
-        file: the file of the bindings.
-        known: the declared names that bindings may use, None for any.
-
-    Raises:
-        InputError: the file is wrong, or cannot be read.
+    Bindings may use only the names in `known`; any, if it is None.
     """
     beside = domain.parent / "bindings.yaml" if domain else None
     chosen = file or (beside if beside and beside.is_file() else None)

@@ -60,31 +60,31 @@ def achieve(
     seconds = stopwatch or Stopwatch()
     with seconds.of("parse"):
         loaded = load(domain, problem)
-    site: Backend = (
+    backend: Backend = (
         Ros2Backend(chosen.bindings, sensing=chosen.sensing) if actions == "ros2" else simulated_backend(loaded, chosen.bindings, faults)
     )
-    task = achieve_at(site, loaded, chosen, observer or TaskObserver(), seconds)
+    task = achieve_at(backend, loaded, chosen, observer or TaskObserver(), seconds)
     return run_async(task, virtual=actions == "simulated")
 
 
 async def achieve_at(
-    site: Backend, problem: Problem, settings: Settings, observer: TaskObserver | None = None, stopwatch: Stopwatch | None = None
+    backend: Backend, problem: Problem, settings: Settings, observer: TaskObserver | None = None, stopwatch: Stopwatch | None = None
 ) -> TaskResult:
-    """Pursue the goal of a problem at a site; `achieve` does this with an event loop of its own.
+    """Pursue the goal of a problem on a backend; `achieve` does this with an event loop of its own.
 
     Cancelling this stops the task: what is under way is cancelled and waited for; cancelling it again leaves it alone.
     """
     stopwatch, knowledge = stopwatch or Stopwatch(), initial_knowledge(problem)
     try:
         try:
-            await site.open(knowledge)
+            await backend.open(knowledge)
         except asyncio.CancelledError:
             cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
             return TaskResult(Code.CANCELLED, "cancelled", 0, (), stopwatch.seconds)
-        manager = TaskManager(problem, knowledge, site, settings, lambda _: problem.goal)
+        manager = TaskManager(problem, knowledge, backend, settings, lambda _: problem.goal)
         return await manager.run(Wanted(uuid4(), ""), observer or TaskObserver(), stopwatch)
     finally:
-        await site.close()
+        await backend.close()
 
 
 def carry_out(
@@ -127,7 +127,7 @@ def carry_out(
     with stopwatch.of("translate"):
         programs = {name: Program.of(plans[name]) for name in called_plans(plans, chosen)}
     bindings = merge_bindings(plans.values())
-    site: Backend = (
+    backend: Backend = (
         Ros2Backend(bindings, sensing=settings.sensing) if actions == "ros2" else simulated_backend(plans[chosen], bindings, faults)
     )
 
@@ -135,16 +135,16 @@ def carry_out(
         plan = plans[chosen]
         world = initial_knowledge(plan)
         try:
-            await site.open(world)
-            sources = open_sources(sources_of(plans.values()), Surroundings(getattr(site, "ros", None), file.parent), knowledge)
+            await backend.open(world)
+            sources = open_sources(sources_of(plans.values()), Surroundings(getattr(backend, "ros", None), file.parent), knowledge)
             try:
-                performer = Performer(programs, site, world, sources)
+                performer = Performer(programs, backend, world, sources)
                 wanted = Wanted(uuid4(), chosen, parameters=parameters or {}, is_plan=True)
                 return await _carry_out_at(performer, wanted, replace(settings, bindings=bindings), observer or TaskObserver(), stopwatch)
             finally:
                 await sources.close()
         finally:
-            await site.close()
+            await backend.close()
 
     return run_async(task(), virtual=actions == "simulated")
 
@@ -153,10 +153,10 @@ async def _carry_out_at(
     performer: Performer, wanted: Wanted, settings: Settings, observer: TaskObserver, stopwatch: Stopwatch
 ) -> PlanResult:
     await performer.check(performer.perform(wanted.text, wanted.parameters))  # before anything is prepared
-    await performer.site.share(performer.prefix, performer.knowledge_of, performer.source or Sources())
+    await performer.backend.share(performer.prefix, performer.knowledge_of, performer.source or Sources())
     await performer.prepare()
     nothing = Problem(wanted.text, Domain(wanted.text))
-    manager = TaskManager(nothing, performer.world, performer.site, settings, _no_goal, source=performer.source, performer=performer)
+    manager = TaskManager(nothing, performer.world, performer.backend, settings, _no_goal, source=performer.source, performer=performer)
     stop_time = schedule(performer.world, performer.programs[wanted.text].plan.timed, asyncio.get_running_loop().time())
     try:
         return cast("PlanResult", await manager.run(wanted, observer, stopwatch))

@@ -25,9 +25,9 @@ from planner_bridge.cli.options import (
     files_or_plan,
     knowledge_option,
     planning,
+    print_warnings,
     problem_in,
     sensing_option,
-    tell,
     write,
 )
 from pnm.errors import InputError
@@ -226,7 +226,7 @@ def export(domain: Path, problem: Path | None, output: Path | None, with_plan: b
     from planner_bridge.yaml.convert import exported
 
     result = exported(domain, problem, with_plan=with_plan, original=original, planner=planner, timeout=timeout)
-    tell(result.warnings)
+    print_warnings(result.warnings)
     if result.reason:
         print(f"no plan: {result.reason}", file=sys.stderr)
         return 1
@@ -243,7 +243,7 @@ def from_yaml(file: Path, output: Path) -> int:
     from planner_bridge.yaml.convert import imported
 
     result = imported(file)
-    tell(result.warnings)
+    print_warnings(result.warnings)
     for name, text in result.texts.items():
         write(output / name, text)
     return 0

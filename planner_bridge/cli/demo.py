@@ -31,8 +31,8 @@ def show(console: Console) -> int:
     problem = load(domain / "domain.pddl", problems / "p01.pddl")
     settings = Settings(bindings=read_bindings(domain / "bindings.yaml", problem.vocabulary))
     faults = read_faults(problems / "faults.yaml", problem.vocabulary)
-    site = simulated_backend(problem, settings.bindings, faults)
-    world = site.robots.world
+    backend = simulated_backend(problem, settings.bindings, faults)
+    world = backend.robots.world
 
     console.print("Two robots and a goal, written in PDDL. A planner finds the plan; the plan becomes a Petri Net Machine.", soft_wrap=True)
     for fault in faults.faults:
@@ -40,7 +40,7 @@ def show(console: Console) -> int:
             f"The robots are simulated, and something will go wrong: {fault.what} fails, {fault.message}.", highlight=False, soft_wrap=True
         )
     console.print(f"[bold]goal[/]     {' '.join(map(str, conjuncts(problem.goal)))}", highlight=False, soft_wrap=True)
-    result = run_async(achieve_at(site, problem, settings, ConsoleObserver(console)), virtual=True)
+    result = run_async(achieve_at(backend, problem, settings, ConsoleObserver(console)), virtual=True)
     print_result(console, result)
     console.print("In the simulated world, which nobody but the simulation sees:", soft_wrap=True)
     for part in conjuncts(problem.goal):

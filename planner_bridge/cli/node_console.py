@@ -11,7 +11,7 @@ from uuid import UUID
 from rich.console import Console
 
 from planner_bridge.cli.console import EventLines
-from planner_bridge.cli.options import tell
+from planner_bridge.cli.options import print_warnings
 from planner_bridge.node.serve import NodeObserver
 from pnm.core.machine.verification.verify import Proof
 from pnm.errors import Tolerated
@@ -33,7 +33,7 @@ class NodeConsole(NodeObserver):
 
     def tolerated(self, warnings: Iterable[Tolerated]) -> None:
         """Print warnings on stderr."""
-        tell(warnings)
+        print_warnings(warnings)
 
     def proved(self, plan: str, proof: Proof) -> None:
         """Print the proof of a plan."""

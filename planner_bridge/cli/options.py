@@ -98,11 +98,7 @@ faults_option = click.option("--faults", type=FILE, help="what goes wrong in sim
 
 
 def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | None) -> Path | tuple[Path, Path]:
-    """Return the file of a hand-written plan, or DOMAIN and PROBLEM.
-
-    Raises:
-        InputError: neither is given, or both.
-    """
+    """Return the file of a hand-written plan, or DOMAIN and PROBLEM; raise an `InputError` if neither is given, or both."""
     if plan_file is not None:
         if domain is not None:
             raise InputError("--plan comes in the place of DOMAIN and PROBLEM")
@@ -115,16 +111,12 @@ def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | No
 def problem_in(domain: Path, problem: Path) -> Problem:
     """Read a problem; warnings about its files go to stderr."""
     loaded = load(domain, problem)
-    tell(loaded.warnings)
+    print_warnings(loaded.warnings)
     return loaded
 
 
 def write(path: Path | None, text: str) -> None:
-    """Write a text to a file, or to stdout without one.
-
-    Raises:
-        InputError: it cannot be written.
-    """
+    """Write a text to a file, or to stdout without one; raise an `InputError` if it cannot be written."""
     if path is None:
         print(text, end="")
         return
@@ -135,7 +127,7 @@ def write(path: Path | None, text: str) -> None:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def tell(warnings: Iterable[Tolerated]) -> None:
+def print_warnings(warnings: Iterable[Tolerated]) -> None:
     """Print warnings about files on stderr."""
     for line in warning_lines(warnings):
         print(line, file=sys.stderr)

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from planner_bridge.cli.console import ConsoleObserver, SafeConsole, print_result
-from planner_bridge.cli.options import Files, faults_for, problem_in, tell
+from planner_bridge.cli.options import Files, faults_for, print_warnings, problem_in
 from planner_bridge.loading import bindings_for
 from planner_bridge.pipeline import Where, achieve, carry_out
 from planner_bridge.planning.solve import check_planner
@@ -84,7 +84,7 @@ def run_written(
         on_failure=on_failure,
         observer=TaskObserver() if as_json else ConsoleObserver(console),
         knowledge=files.knowledge,
-        warn=tell,
+        warn=print_warnings,
     )
     return print_ending(result, console, as_json=as_json)
 

@@ -63,14 +63,14 @@ def forbid(problem: Problem, forbidden: frozenset[ForbiddenCall]) -> Problem:
 
 def calls_acquiring(domain: Domain, bindings: Bindings, names: Collection[str]) -> frozenset[ForbiddenCall]:
     """Return the calls that acquire one of these resources, by the patterns of the bindings."""
-    found: set[ForbiddenCall] = set()
+    calls: set[ForbiddenCall] = set()
     for schema in domain.actions.values():
         for pattern in bindings.of(schema.name).resources:
             for name in names:
                 if (values := _match_pattern(pattern, name)) is not None:
                     arguments = (values.get(variable.name.removeprefix("?"), ANY) for variable in schema.parameters)
-                    found.add(ForbiddenCall(schema.name, tuple(arguments)))
-    return frozenset(found)
+                    calls.add(ForbiddenCall(schema.name, tuple(arguments)))
+    return frozenset(calls)
 
 
 def _match_pattern(pattern: str, name: str) -> dict[str, str] | None:
@@ -81,7 +81,7 @@ def _match_pattern(pattern: str, name: str) -> dict[str, str] | None:
     if match is None:
         return None
     values: dict[str, str] = {}
-    for parameter, value in zip((one for _, one, _, _ in parts if one is not None), match.groups(), strict=True):
+    for parameter, value in zip((name for _, name, _, _ in parts if name is not None), match.groups(), strict=True):
         if values.setdefault(parameter, value) != value:
             return None
     return values

@@ -22,11 +22,7 @@ if TYPE_CHECKING:
 
 
 def ground_action(schema: ActionSchema, arguments: tuple[str, ...], duration: float | None = None) -> GroundAction:
-    """Substitute the arguments for the parameters; `duration` is the planned one, in seconds.
-
-    Raises:
-        InputError: the number of arguments is not that of the parameters.
-    """
+    """Substitute the arguments, of which there must be as many, for the parameters; `duration` is the planned one, in seconds."""
     if len(arguments) != len(schema.parameters):
         expected = " ".join(variable.name for variable in schema.parameters) or "none"
         raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(arguments)}")
@@ -46,12 +42,8 @@ def modelled_duration(schema: ActionSchema, arguments: tuple[str, ...], state: S
 
 
 def initial_knowledge(*described: Problem | HandWrittenPlan) -> KnowledgeBase:
-    """Return the initial state: facts, objects and rules of a problem or a plan, or of several that share one world.
-
-    Raises:
-        InputError: two of them begin with different values of a fluent.
-    """
-    beginnings = [_beginning(one) for one in described]
+    """Return the initial state: facts, objects and rules of a problem or a plan, or of several that share one world and agree on it."""
+    beginnings = [_beginning(source) for source in described]
     if len(beginnings) == 1:
         _, facts, objects, rules = beginnings[0]
         return KnowledgeBase(facts, objects=objects, rules=rules)
@@ -70,10 +62,10 @@ def initial_knowledge(*described: Problem | HandWrittenPlan) -> KnowledgeBase:
     return KnowledgeBase(facts, objects=members, rules=Rules(tuple(shared.values())))
 
 
-def _beginning(one: Problem | HandWrittenPlan) -> tuple[str, Mapping[Fluent, Value], Mapping[str, tuple[str, ...]], Rules]:
-    if isinstance(one, Problem):
-        return one.name, one.init, one.objects_by_type, Rules(one.domain.rules)
-    return one.name, one.facts, one.objects, one.rules
+def _beginning(source: Problem | HandWrittenPlan) -> tuple[str, Mapping[Fluent, Value], Mapping[str, tuple[str, ...]], Rules]:
+    if isinstance(source, Problem):
+        return source.name, source.init, source.objects_by_type, Rules(source.domain.rules)
+    return source.name, source.facts, source.objects, source.rules
 
 
 def dynamic_names(problem: Problem) -> frozenset[str]:

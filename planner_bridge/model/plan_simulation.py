@@ -95,11 +95,7 @@ class NotProjectable(PnmError):
 
 
 def projected_state(state: KnowledgeBase, running: Iterable[UnderWay]) -> KnowledgeBase:
-    """Return the state once these calls have ended with their modelled effects.
-
-    Raises:
-        NotProjectable: one of them cannot end well.
-    """
+    """Return the state once these calls have ended with their modelled effects; `NotProjectable` if one of them cannot."""
     actions = {request.call.index: request.call.action for request in running}
     simulation = PlanSimulation(snapshot(state), dict(actions))
     try:

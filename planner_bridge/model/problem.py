@@ -61,3 +61,13 @@ class Problem(ProblemModel):
     """The problem's own; those of the domain come besides."""
     warnings: tuple[Tolerated, ...] = field(default=(), compare=False, repr=False)
     """What in the file, and in that of the domain, was tolerated though it is not as it should be."""
+
+    @property
+    def has_preferences(self) -> bool:
+        """Whether there are preferences: here, in the domain, or in an action."""
+        return bool(self.preferences or self.domain.preferences or any(schema.preferences for schema in self.domain.actions.values()))
+
+    @property
+    def has_tasks(self) -> bool:
+        """Whether there is a task network, or methods (HDDL)."""
+        return bool(self.network or self.domain.hierarchy)

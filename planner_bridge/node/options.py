@@ -72,11 +72,7 @@ class Options:
 
     @classmethod
     def of(cls, values: Mapping[str, ParameterValue]) -> Options:
-        """Convert the values of parameters, which have the right types.
-
-        Raises:
-            InputError: they contradict each other.
-        """
+        """Convert the values of parameters, which have the right types; raise an `InputError` if they contradict each other."""
         given: dict[str, Any] = dict(values)
         for name in ("domain", "problem", "bindings", "sensing", "goals", "problems", "world", "knowledge"):
             given[name] = Path(given[name]).expanduser() if given[name] else None

@@ -4,58 +4,33 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 
-from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
+from planner_bridge.node.world_queries import SharedWorld
 from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.result import code_of_planning
 from planner_bridge.tasks.settings import Settings
-from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import Condition
 from pnm.tasks import Code, MadePlan, StepState, TaskStep
 
 
-@dataclass(frozen=True)
-class Maker:
-    """Answers plan requests, as `pnm.tasks.Make`.
+async def make_plan(world: SharedWorld, settings: Settings, goal: str, planner: str, seconds: float | None) -> MadePlan:
+    """Search for a plan for a goal of the world, as its text or its name; cancelling this ends the planner.
 
-    Args:
-        settings: planner and time limit of requests that name none.
-        read_goal: reads a text as a goal; raises InputError.
-        began: the time of the problem's initial state, on the clock of the event loop.
+    The settings have the planner and the time limit of requests that name none.
     """
-
-    problem: Problem
-    knowledge: KnowledgeBase
-    settings: Settings
-    read_goal: Callable[[str], Condition]
-    began: float
-
-    async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:
-        """Search for a plan; cancelling this ends the planner."""
-        elapsed = asyncio.get_running_loop().time() - self.began
-        problem = replace(problem_now(self.problem, self.knowledge, elapsed), goal=self.read_goal(goal))
-        stop = threading.Event()
-        search = partial(
-            solve,
-            problem,
-            planner=planner or self.settings.planner,
-            timeout=seconds or self.settings.planner_timeout,
-            cancel=stop,
-            executor=self.settings.executor,
-        )
-        try:
-            result = await asyncio.to_thread(search)
-        finally:
-            stop.set()
-        if result.plan is None:
-            return MadePlan(code_of_planning(result.status, ()), result.reason, str(problem.goal))
-        return MadePlan(Code.GOAL_REACHED, f"found by {result.planner}", str(problem.goal), _steps(problem, result.plan))
+    problem = replace(world.current_problem(), goal=world.read_goal(goal))
+    cancel = threading.Event()
+    planner, timeout = planner or settings.planner, seconds or settings.planner_timeout
+    try:
+        result = await asyncio.to_thread(solve, problem, planner=planner, timeout=timeout, cancel=cancel, executor=settings.executor)
+    finally:
+        cancel.set()
+    if result.plan is None:
+        return MadePlan(code_of_planning(result.status, ()), result.reason, str(problem.goal))
+    return MadePlan(Code.GOAL_REACHED, f"found by {result.planner}", str(problem.goal), _steps(problem, result.plan))
 
 
 def _steps(problem: Problem, plan: Plan) -> tuple[TaskStep, ...]:

@@ -16,7 +16,7 @@ from typing import Final
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.node.initial_world import with_names_of, world_of_plans
-from planner_bridge.node.plan_request import Maker
+from planner_bridge.node.plan_request import make_plan
 from planner_bridge.node.world_queries import SharedWorld
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
 from planner_bridge.pddl.read.reader import MAX_BYTES
@@ -29,11 +29,7 @@ from pnm.tasks import MadePlan
 
 
 def inside(folder: Path, name: str) -> Path:
-    """Return the path of a file in the folder, symbolic links resolved.
-
-    Raises:
-        InputError: this is no path, or one outside of the folder.
-    """
+    """Return the path of a file in the folder, symbolic links resolved; raise an `InputError` for any other."""
     root = folder.resolve()
     if not name.strip() or "\0" in name:
         raise InputError(f"not a path: {name!r}; expected the path of a file in {root}")
@@ -47,11 +43,7 @@ def inside(folder: Path, name: str) -> Path:
 
 
 def write_inside(folder: Path, name: str, text: str) -> Path:
-    """Write a file in the folder atomically, and return its path.
-
-    Raises:
-        InputError: the path leads out of the folder, or cannot be written.
-    """
+    """Write a file in the folder atomically, and return its path; raise an `InputError` if it is outside, or cannot be written."""
     path = inside(folder, name)
     try:
         if path.is_dir():
@@ -77,10 +69,7 @@ def write_inside(folder: Path, name: str, text: str) -> Path:
 def load_texts(domain: str, problem: str, folder: Path, loaded: Domain) -> Problem:
     """Return a problem, given as a domain and a problem: each as PDDL, or as the path of a file in the folder.
 
-    An empty domain stands for `loaded`, the current one.
-
-    Raises:
-        InputError: one of them cannot be read.
+    An empty domain stands for `loaded`, the current one. Raises an `InputError` if one of them cannot be read.
     """
     for text in (domain, problem):
         if len(text) > MAX_BYTES:
@@ -102,7 +91,7 @@ NOTHING: Final = Problem("nothing", Domain("nothing"))
 class LoadedProblem:
     """The problem that is loaded: goals are read in it, plan requests answered, facts queried and updated.
 
-    The mutable state is the problem, in `world` and `_maker`, and when it began.
+    The mutable state is the problem, and its `world`.
 
     Args:
         settings: planner and time limit of plan requests.
@@ -132,15 +121,10 @@ class LoadedProblem:
         goals = self.goals if self._is_loaded else {}
         world = problem if self._is_loaded else world_of_plans(self._plans)
         self.world = SharedWorld(world, self.knowledge, goals, elapsed=lambda: loop.time() - began)
-        self._maker = Maker(problem, self.knowledge, self._settings, self.read_goal, began)
 
     @property
     def problem_world(self) -> SharedWorld:
-        """The world, if it is that of a problem.
-
-        Raises:
-            InputError: there are only plans, no problem.
-        """
+        """The world of the problem; an `InputError` if there are only plans."""
         if not self._is_loaded:
             raise InputError("no domain and problem are loaded, only plans; expected them when the node starts, or by problem/load")
         return self.world
@@ -157,7 +141,7 @@ class LoadedProblem:
 
     async def make(self, goal: str, planner: str, seconds: float | None) -> MadePlan:
         """Answer a plan request."""
-        return await self._maker.make(goal, planner, seconds)
+        return await make_plan(self.problem_world, self._settings, goal, planner, seconds)
 
 
 class ServedProblem:
@@ -200,7 +184,7 @@ class ServedProblem:
         loaded.knowledge.begin_anew(initial.facts(), initial.objects_by_type(), initial.rules)
         loaded.begin(new)
 
-    def follow(self, tell: Callable[[Mapping[str, object]], None], /) -> Callable[[], None]:
+    def follow(self, listener: Callable[[Mapping[str, object]], None], /) -> Callable[[], None]:
         """Pass on every change from now on, as fields of a message; return a function that ends that."""
         self._loaded.world.attend()
-        return self._loaded.knowledge.listen(lambda batch: tell(self._loaded.world.changes(batch)) if batch else None)
+        return self._loaded.knowledge.listen(lambda batch: listener(self._loaded.world.changes(batch)) if batch else None)

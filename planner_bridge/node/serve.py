@@ -55,7 +55,7 @@ class NodeContext:
     performer: Performer
     """Runs the plans of the world."""
     bindings: Bindings
-    site: Ros2Backend
+    backend: Ros2Backend
     knowledge: KnowledgeBase
     sources: Sources
 
@@ -121,7 +121,7 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
     manager = TaskManager(
         loaded.problem,
         context.knowledge,
-        context.site,
+        context.backend,
         settings,
         loaded.read_goal,
         source=context.sources,
@@ -234,13 +234,13 @@ class ServingNode:
         bindings = bindings_for(options.domain, options.bindings, problem.vocabulary if problem else None).before(merge_bindings(plans))
         knowledge = initial_knowledge(*((problem,) if problem else ()), *plans)
         sensing = read_sensing(options.sensing, problem.vocabulary if problem else None) if options.sensing else NO_SENSING
-        site = Ros2Backend(bindings, sensing, self._ros)
-        stack.push_async_callback(site.close)
-        await site.open(knowledge)
+        backend = Ros2Backend(bindings, sensing, self._ros)
+        stack.push_async_callback(backend.close)
+        await backend.open(knowledge)
         folder = (options.world or options.domain or Path()).parent
         sources = open_sources(sources_of(plans), Surroundings(self._ros, folder), options.knowledge)
         stack.push_async_callback(sources.close)
-        return NodeContext(options, problem, Performer(programs, site, knowledge, sources), bindings, site, knowledge, sources)
+        return NodeContext(options, problem, Performer(programs, backend, knowledge, sources), bindings, backend, knowledge, sources)
 
     async def _open_node(self, context: NodeContext, stack: AsyncExitStack) -> None:
         from pnm.ros.action_server.goal_server import check_alone  # here, because rclpy is an extra
@@ -255,7 +255,7 @@ class ServingNode:
         def knowledge_of(request: UUID) -> tuple[Layered, Asker] | None:
             return performer.knowledge_of(request) or api.knowledge_of(request)
 
-        await context.site.share(performer.prefix, knowledge_of, context.sources)
+        await context.backend.share(performer.prefix, knowledge_of, context.sources)
         preparing = asyncio.ensure_future(performer.prepare())
         stack.callback(preparing.cancel)
         await asyncio.wait((preparing,), timeout=_PREPARED)

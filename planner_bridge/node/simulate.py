@@ -32,11 +32,7 @@ DEFAULT_TYPE = "pnm_interfaces/action/GroundAction"
 
 
 def play(problem: Problem, bindings: Bindings, faults: Faults, speed: float, log: Path | None) -> int:
-    """Serve until SIGINT or SIGTERM.
-
-    Raises:
-        InputError: the log cannot be written; nothing was started.
-    """
+    """Serve until SIGINT or SIGTERM; raise an `InputError`, before anything is started, if the log cannot be written."""
     try:
         stream = log.open("w", encoding="utf-8") if log else None
     except OSError as error:

@@ -133,7 +133,11 @@ class SharedWorld:
 
     def problem_text(self) -> str:
         """Return the problem with the current state as its initial state, as PDDL."""
-        return write_problem(problem_now(self.problem, self._knowledge, self._elapsed()))
+        return write_problem(self.current_problem())
+
+    def current_problem(self) -> Problem:
+        """Return the problem with the current state as its initial state."""
+        return problem_now(self.problem, self._knowledge, self._elapsed())
 
     def read_goal(self, text: str) -> Condition:
         """Return the goal of a text: a condition, the name of a goal, or nothing for the goal of the problem.
@@ -212,11 +216,7 @@ class SharedWorld:
 
 
 def read_goals(path: Path) -> dict[str, str]:
-    """Read a YAML file with the texts of goals by name, under ``goals``.
-
-    Raises:
-        InputError: it is something else.
-    """
+    """Read a YAML file with the texts of goals by name, under ``goals``; raise an `InputError` if it is something else."""
     top = load_yaml(path)
     top.only("goals")
     node = top.node("goals")

@@ -112,10 +112,10 @@ class CausalLinks:
             case _ if action.duration is None:
                 if kind is not HappeningKind.START:
                     return
-                self._add_point(start_event, end_event, self._reads(action.precondition, ending), self._writes(ending), now)
+                self._add_point(start_event, end_event, self._reads(action.precondition, ending), written(ending, self.knowledge), now)
             case HappeningKind.START:
                 reads = self._reads(action.precondition, start) | self.knowledge.rests_on(read_early(ending, self.knowledge))
-                self._add_point(start_event, start_event, reads, self._writes(start), now)
+                self._add_point(start_event, start_event, reads, written(start, self.knowledge), now)
             case HappeningKind.OPEN:
                 for fluent in self._relevant(self._reads(action.invariant)):
                     self._after_writer(fluent, start_event)
@@ -125,15 +125,12 @@ class CausalLinks:
                     if len(group) > 1:
                         self.open_conditions.append((call, group, end))
             case HappeningKind.END:
-                own = (fluent for fluent in self._writes(start) if self.writer.get(fluent) == start_event)
+                own = (fluent for fluent in written(start, self.knowledge) if self.writer.get(fluent) == start_event)
                 self.lasting[call] = frozenset(own)
-                self._add_point(end_event, end_event, self._reads(action.end_condition, ending), self._writes(ending), now)
+                self._add_point(end_event, end_event, self._reads(action.end_condition, ending), written(ending, self.knowledge), now)
 
     def _reads(self, condition: Condition, effects: Effects = ()) -> frozenset[Fluent]:
         return self.knowledge.rests_on(fluents(condition, self.knowledge) | read(effects, self.knowledge))
-
-    def _writes(self, effects: Effects) -> frozenset[Fluent]:
-        return written(effects, self.knowledge)
 
     def _relevant(self, fluents: frozenset[Fluent]) -> list[Fluent]:
         return sorted(fluent for fluent in fluents if fluent[0] in self.relevant)

@@ -90,18 +90,18 @@ class _EventGraph:
 
     def last_before(self, event: PlanEvent, start: PlanEvent) -> list[PlanEvent]:
         """Return the last events that lead to this one and that the plan had before the start."""
-        found: set[PlanEvent] = set()
+        last: set[PlanEvent] = set()
         seen = {event}
         waiting = [event]
         while waiting:
             candidate = waiting.pop()
             if self.time(candidate) <= self.time(start):
-                found.add(candidate)
+                last.add(candidate)
             else:
                 earlier = self.before.get(candidate, set()) - seen
                 seen |= earlier
                 waiting.extend(earlier)
-        return _sorted(found)
+        return _sorted(last)
 
     def is_released(self, event: PlanEvent, start: PlanEvent) -> bool:
         """Whether the event comes after the start because of the release time of a call that leads to it."""
@@ -115,11 +115,11 @@ def _sorted(events: set[PlanEvent]) -> list[PlanEvent]:
 
 def _reachable(event: PlanEvent, neighbours: dict[PlanEvent, set[PlanEvent]]) -> set[PlanEvent]:
     """Return the events reachable from this one, itself left out."""
-    found: set[PlanEvent] = set()
+    reachable: set[PlanEvent] = set()
     waiting = [event]
     while waiting:
         for other in neighbours.get(waiting.pop(), ()):
-            if other not in found:
-                found.add(other)
+            if other not in reachable:
+                reachable.add(other)
                 waiting.append(other)
-    return found
+    return reachable

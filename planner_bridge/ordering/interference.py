@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 from planner_bridge.model.forbidden_actions import guarded, unused_name, with_guards
 from planner_bridge.model.grounding import initial_knowledge
@@ -68,7 +69,7 @@ def read_write_sets(calls: Iterable[ActionCall], goal: Condition, knowledge: Kno
         reads |= knowledge.rests_on(read(effects, knowledge)) - written.keys()
         for fluent, values in written.items():
             writes.setdefault(fluent, set()).update(values)
-    for fluent, needed in (one for condition in conditions for one in _values_needed(condition, True, knowledge)):
+    for fluent, needed in chain.from_iterable(_values_needed(condition, True, knowledge) for condition in conditions):
         if needed is None or fluent[0] in derived:
             reads |= knowledge.rests_on(frozenset({fluent}))
         else:
@@ -101,11 +102,11 @@ def _values_needed(condition: Condition, value: bool, state: State, env: Environ
 
 
 def _written(effects: Effects, state: State) -> dict[Fluent, set[bool | None]]:
-    found: dict[Fluent, set[bool | None]] = {}
+    written: dict[Fluent, set[bool | None]] = {}
     for fluent, effect, _ in possible_assignments(effects, state):
         value = effect.value.value if isinstance(effect.value, Constant) else None
-        found.setdefault(fluent, set()).add(value if isinstance(value, bool) else None)
-    return found
+        written.setdefault(fluent, set()).add(value if isinstance(value, bool) else None)
+    return written
 
 
 def avoid_interference(problem: Problem, others: Iterable[ReadWriteSets]) -> Problem:
@@ -133,7 +134,7 @@ def optimistic_state(problem: Problem, under_way: Iterable[ActionCall]) -> Probl
     init, world = dict(problem.init), initial_knowledge(problem)
     for call in under_way:
         begun, ended = (_written(effects, world) for effects in (call.action.start_effects, call.action.end_effects))
-        for fluent in (one for one, values in (begun | ended).items() if None not in values):
+        for fluent in (fluent for fluent, values in (begun | ended).items() if None not in values):
             if_undone = False in begun[fluent] if fluent in begun else problem.init.get(fluent) is True
             init[fluent] = if_undone or True in ended.get(fluent, begun.get(fluent, ()))
     return replace(problem, init=init)
@@ -163,13 +164,13 @@ def _protect(problem: Problem, other: ReadWriteSets) -> Problem:
 
 def _arguments_written(predicate: str, value: bool, effects: Effects) -> list[tuple[str, ...]]:
     """Return the arguments for which effects may give the predicate this value, whatever their conditions."""
-    found: list[tuple[str, ...]] = []
+    arguments: list[tuple[str, ...]] = []
     for effect in effects:
         match effect:
             case Set(fluent, Constant(new)) if fluent[0] == predicate and new is value:
-                found.append(fluent[1:])
+                arguments.append(fluent[1:])
             case When(_, inner):
-                found += _arguments_written(predicate, value, inner)
+                arguments += _arguments_written(predicate, value, inner)
             case Set() | ForEach():
                 pass
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(arguments))

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Final
 
 from planner_bridge.model.grounding import dynamic_names, ground_action, initial_knowledge
-from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.plan import Plan
 from planner_bridge.model.problem import Problem
 from planner_bridge.ordering.causal_links import CausalLinks, HappeningKind, OrderKept
 from planner_bridge.ordering.enclosing_actions import delay_enclosing_starts
@@ -36,10 +36,7 @@ _NETWORK: Final[Fluent] = ("order of tasks",)
 def plan_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = ()) -> PlanGraph:
     """Return the calls of the plan with the orderings that its causal links demand.
 
-    Args:
-        problem: what the plan solves.
-        plan: a valid plan for it.
-        under_way: running calls of an earlier plan; the problem begins with the state after their ends.
+    Where calls of an earlier plan are still under way, the problem begins with the state after their ends.
     """
     running = [replace(call, index=index, planned=0.0, under_way=True) for index, call in enumerate(under_way)]
     steps = calls_of(problem, plan, len(running))
@@ -73,7 +70,11 @@ def deordered(problem: Problem, calls: tuple[ActionCall, ...], order: Iterable[P
 
 def calls_of(problem: Problem, plan: Plan, first: int = 0) -> list[ActionCall]:
     """Return the calls of the plan, with numbers from `first`."""
-    return [ActionCall(first + index, ground_step(problem, plan, step), step.start) for index, step in enumerate(plan.steps)]
+    calls: list[ActionCall] = []
+    for index, step in enumerate(plan.steps, first):
+        duration = step.duration if plan.temporal else None
+        calls.append(ActionCall(index, ground_action(problem.domain.actions[step.action], step.arguments, duration), step.start))
+    return calls
 
 
 def total_order(problem: Problem, plan: Plan) -> PlanGraph:
@@ -83,23 +84,19 @@ def total_order(problem: Problem, plan: Plan) -> PlanGraph:
     return PlanGraph(tuple(calls), tuple(ends), problem.goal, Rules(problem.domain.rules))
 
 
-def ground_step(problem: Problem, plan: Plan, step: PlanStep) -> GroundAction:
-    """Return the ground action of a step."""
-    return ground_action(problem.domain.actions[step.action], step.arguments, step.duration if plan.temporal else None)
-
-
 def _happenings(problem: Problem, plan: Plan) -> list[tuple[float, HappeningKind, int, HappeningKind]]:
     """Return (time, rank, index, kind) of every happening."""
-    found = [(round(change.time, _DIGITS), HappeningKind.TIMED, index, HappeningKind.TIMED) for index, change in enumerate(problem.timed)]
+    timed = HappeningKind.TIMED
+    happenings = [(round(change.time, _DIGITS), timed, index, timed) for index, change in enumerate(problem.timed)]
     for index, step in enumerate(plan.steps):
         start = round(step.start if plan.temporal else float(index), _DIGITS)
-        found.append((start, HappeningKind.START, index, HappeningKind.START))
+        happenings.append((start, HappeningKind.START, index, HappeningKind.START))
         if problem.domain.actions[step.action].duration is None:
             continue
         end = round(step.start + step.duration, _DIGITS)
-        found.append((end, HappeningKind.END if end > start else HappeningKind.INSTANT_END, index, HappeningKind.END))
-        found.append((start, HappeningKind.OPEN if end > start else HappeningKind.START, index, HappeningKind.OPEN))
-    return found
+        happenings.append((end, HappeningKind.END if end > start else HappeningKind.INSTANT_END, index, HappeningKind.END))
+        happenings.append((start, HappeningKind.OPEN if end > start else HappeningKind.START, index, HappeningKind.OPEN))
+    return happenings
 
 
 def _causal_links(problem: Problem, actions: Iterable[GroundAction]) -> CausalLinks:

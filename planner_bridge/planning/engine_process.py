@@ -42,11 +42,7 @@ _TMPDIR: Final = "TMPDIR"
 
 
 def search_with_engine(problem: Problem, engine: str, timeout: float, cancel: CancelToken) -> PlanningResult:
-    """Search with an engine of unified-planning, at most `timeout` seconds besides the time to load it.
-
-    Raises:
-        InputError: there is no engine of that name, or something has to be installed first.
-    """
+    """Search with an engine of unified-planning, at most `timeout` seconds besides the time to load it."""
     require_installed(engine)
     files = {"domain.pddl": write_domain(problem.domain), "problem.pddl": write_problem(problem)}
     ended = _run([engine, str(timeout)], files, timeout, cancel)
@@ -78,11 +74,7 @@ def search_with_engine(problem: Problem, engine: str, timeout: float, cancel: Ca
 
 
 def check_engine(engine: str, cancel: CancelToken) -> None:
-    """Refuse an engine that does not exist; one that is not among `ENGINES` is looked up in a process with unified-planning.
-
-    Raises:
-        InputError: there is none, or something has to be installed first.
-    """
+    """Refuse an engine that does not exist; one that is not among `ENGINES` is looked up in a process with unified-planning."""
     if engine in ENGINES:
         require_installed(engine)
         return
@@ -126,9 +118,6 @@ def _run(arguments: list[str], files: Mapping[str, str], timeout: float, cancel:
             (folder / BEGAN).exists(),
             " ".join((folder / _OUTPUT).read_text(errors="replace").split())[-300:],
         )
-
-
-# --- processes -----------------------------------------------------------------------------
 
 
 @contextmanager
@@ -189,9 +178,6 @@ def die_with_parent() -> None:
         _signal_all(signal.SIGKILL, os.getpgrp(), Path(os.environ[_TMPDIR]))
 
     threading.Thread(target=wait, daemon=True).start()
-
-
-# --- the answer ----------------------------------------------------------------------------
 
 
 def _refuse_unknown(answer: dict[str, Any]) -> None:

@@ -48,15 +48,10 @@ def problem_kind(problem: Problem) -> frozenset[Feature]:
         Feature.CONDITIONAL_EFFECTS: not all(change.is_plain for change in relevant),
         Feature.DERIVED: bool(domain.rules),
         Feature.CONSTRAINTS: bool(domain.constraints or problem.constraints),
-        Feature.PREFERENCES: has_preferences(problem),
-        Feature.TASKS: bool(domain.hierarchy or problem.network),
+        Feature.PREFERENCES: problem.has_preferences,
+        Feature.TASKS: problem.has_tasks,
     }
     return frozenset(feature for feature, is_present in present.items() if is_present)
-
-
-def has_preferences(problem: Problem) -> bool:
-    """Whether there are preferences in the problem, the domain or an action."""
-    return bool(problem.preferences or problem.domain.preferences or any(schema.preferences for schema in problem.domain.actions.values()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +97,7 @@ ENGINES: Final = {
 
 
 def require_installed(name: str) -> None:
-    """Refuse one of `ENGINES` that is not installed, as far as that shows without starting it.
-
-    Raises:
-        InputError: something has to be installed first.
-    """
+    """Refuse one of `ENGINES` that is not installed, as far as that shows without starting it."""
     engine = ENGINES.get(name)
     if engine is None or engine.is_installed:
         return

@@ -39,11 +39,7 @@ _STATUS: Final[Mapping[kairos.Status, PlanningStatus]] = {
 
 
 def parse_for_kairos(problem: Problem) -> kairos.Problem:
-    """Return the problem as Kairos reads it, without its task network.
-
-    Raises:
-        InputError: Kairos refuses what our reader accepted.
-    """
+    """Return the problem as Kairos reads it, without its task network; it may refuse what our reader accepted."""
     try:
         return _parsed(problem)
     except kairos.PddlError as error:
@@ -68,32 +64,24 @@ def _parsed(problem: Problem) -> kairos.Problem:
     return kairos.parse_problem(write_problem(replace(problem, domain=primitive, network="")), domain, f"{problem.name}.pddl")
 
 
-def has_task_network(problem: Problem) -> bool:
-    """Whether the problem has a task network or methods (HDDL)."""
-    return bool(problem.network or problem.domain.hierarchy)
-
-
 def search_with_kairos(problem: Problem, parsed: kairos.Problem, timeout: float, cancel: CancelToken) -> PlanningResult:
     """Search for a plan until the timeout, or until the search is cancelled.
 
     The first plan is taken, for robots wait; where preferences are weighed, the best one once no better one comes for `_PATIENCE`.
     """
-    domain = problem.domain
-    weighs = bool(problem.preferences or domain.preferences or any(schema.preferences for schema in domain.actions.values()))
-    search = kairos.Planner().start(  # type: ignore[no-untyped-call]
-        parsed, timeout=timeout, anytime=weighs, threads=_THREADS
-    )
+    weighs = problem.has_preferences
+    search = kairos.Planner().start(parsed, timeout=timeout, anytime=weighs, threads=_THREADS)  # type: ignore[no-untyped-call]
     deadline = inf
     while search.running() and not cancel.is_set() and time.monotonic() < deadline:
         if search.next_plan(_POLL):
             deadline = time.monotonic() + (_PATIENCE if weighs else 0.0)
     search.stop()
     best = search.best()
-    if best is not None:  # its end, which takes Kairos some milliseconds more, would not tell us anything
+    if best is not None:  # the search ends some milliseconds later, which changes nothing
         return PlanningResult(PlanningStatus.SOLVED, _plan(best, problem), planner=DEFAULT_PLANNER)
     result = search.wait()
     status = _STATUS[result.status]
-    if status is PlanningStatus.UNSOLVABLE and any(function.values for function in domain.functions.values()):
+    if status is PlanningStatus.UNSOLVABLE and any(function.values for function in problem.domain.functions.values()):
         status = PlanningStatus.NO_PLAN  # Kairos 1.0.6 calls some such problems unsolvable although its validator accepts a plan
     message = "" if status is PlanningStatus.CANCELLED else _joined(result.diagnostics)
     return PlanningResult(status, message=message, planner=DEFAULT_PLANNER)

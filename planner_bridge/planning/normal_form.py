@@ -9,16 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain, count
-from typing import Final
 
 from planner_bridge.model.problem import Metric, Problem
 from pnm.core.logic.conditions import TRUE, All, Compare, Condition, Exists, Not, conjuncts, every_part, ground, names
 from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import Effects, ForEach, Set, When, ground_effects
 from pnm.core.logic.expressions import Arithmetic, Constant, Expression, Fluent, ValueOf, Variable, bind, expression_fluents
-
-_TRUE: Final = Constant(True)
-_FALSE: Final = Constant(False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +44,8 @@ def assignments(effects: Effects, parameters: Iterable[Variable] = ()) -> tuple[
     """
     taken = {variable.name for variable in parameters}
     flat = list(_flat(effects, (), TRUE, False, taken))
-    adds = [change for change in flat if change.value == _TRUE]
-    needed = (_unless_added(change, adds) if change.value == _FALSE else change for change in flat)
+    adds = [change for change in flat if change.value == Constant(True)]
+    needed = (_unless_added(change, adds) if change.value == Constant(False) else change for change in flat)
     return tuple(change for change in needed if change is not None)
 
 
@@ -108,9 +104,6 @@ def schema_assignments(schema: ActionSchema) -> tuple[tuple[Assignment, ...], tu
 def action_assignments(problem: Problem) -> Iterator[Assignment]:
     """Yield the assignments of all actions, at their starts and ends."""
     return (change for schema in problem.domain.actions.values() for moment in schema_assignments(schema) for change in moment)
-
-
-# --- functions and numbers -----------------------------------------------------------------
 
 
 def functions_in_use(problem: Problem) -> frozenset[str]:

@@ -19,16 +19,7 @@ LONGEST: Final = 1_000_000
 
 
 def read_plan(text: str, problem: Problem, name: str = "plan") -> Plan:
-    """Read a plan for the problem.
-
-    Args:
-        text: the lines; comments, from a semicolon on, and empty lines do not count.
-        problem: has the actions and objects.
-        name: the name of the text in errors.
-
-    Raises:
-        InputError: a line is not a call, or names an action or object that the problem does not have.
-    """
+    """Read a plan with the actions and objects of the problem; empty lines and comments, from a semicolon on, do not count."""
     if len(text) > LONGEST:
         raise InputError(f"{name}: {len(text)} characters; a plan may have {LONGEST}")
     steps: list[PlanStep] = []

@@ -16,9 +16,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -63,15 +62,8 @@ def solve_with_portfolio(
 ) -> PlanningResult:
     """Let planners search at the same time, at most `timeout` seconds, and return the first valid plan.
 
-    Args:
-        problem: what is to be solved.
-        planners: the members; by default Kairos and the engines of `ENGINES` that are installed and suit the problem.
-        timeout: seconds that each may search, besides the time to load it.
-        executor: runs them; by default each gets a process of its own, which is gone when this returns.
-        cancel: set from another thread to end the search.
-
-    Raises:
-        InputError: a planner is not known, or is not installed here and would run here.
+    By default the members are Kairos and the engines of `ENGINES` that are installed and suit the problem, and each gets
+    a process of its own, which is gone when this returns. The time to load a planner does not count.
     """
     names = suitable_planners(problem) if planners is None else _known(planners)
     if not names:
@@ -85,7 +77,12 @@ def solve_with_portfolio(
     searches: dict[Future[PlanningResult], str] = {}
     try:
         for name in names:
-            searches[_submit(pool, search_in_worker, *texts, name, timeout, str(stop_file))] = name
+            try:
+                future = pool.submit(search_in_worker, *texts, name, timeout, str(stop_file))
+            except RuntimeError as error:  # an executor that takes no more calls is as bad as one that fails
+                future = Future()
+                future.set_exception(error)
+            searches[future] = name
         return _first_decisive(problem, searches, time.monotonic() + timeout + START_LIMIT, cancel or threading.Event())
     finally:
         stop_file.touch()
@@ -104,11 +101,7 @@ def suitable_planners(problem: Problem) -> tuple[str, ...]:
 
 
 def check_members(planners: tuple[str, ...]) -> None:
-    """Refuse a portfolio one of whose planners cannot search here.
-
-    Raises:
-        InputError: one of them is not known, or is not installed here.
-    """
+    """Refuse a portfolio one of whose planners is not known, or is not installed here."""
     for name in _known(planners):
         require_installed(name)
 
@@ -122,20 +115,13 @@ def search_in_worker(domain: str, problem: str, planner: str, timeout: float, st
 
 
 def _known(planners: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the planners, each once.
-
-    Raises:
-        InputError: one of them is not known.
-    """
+    """Return the planners, each once; refuse one that is not known."""
     for name in planners:
         if name != DEFAULT_PLANNER and name not in ENGINES:
             known = (DEFAULT_PLANNER, *ENGINES)
             hint = suggestion(name, known)
             raise InputError(f"{name!r} cannot take part in a race; these can: {', '.join(known)}{f'; {hint}' if hint else ''}")
     return tuple(dict.fromkeys(planners))
-
-
-# --- results -------------------------------------------------------------------------------
 
 
 def _first_decisive(
@@ -168,9 +154,6 @@ def _reason(result: PlanningResult) -> str:
     return f"{result.planner}: {result.reason}"
 
 
-# --- processes -----------------------------------------------------------------------------
-
-
 class _StopFile:
     """A cancel token: set once the file exists or its folder is gone; never on a machine that has not seen the folder."""
 
@@ -196,23 +179,16 @@ class _ProcessPerJob(Executor):
         spawn = multiprocessing.get_context("spawn")  # we may have threads, which do not survive a fork
         pool = ProcessPoolExecutor(1, mp_context=spawn, initializer=_begin_process, initargs=(str(self._stop_file),))
         self._pools.append(pool)
-        with _no_main_module():
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = ModuleType("__main__")  # lest the process run the caller's script again
+        try:
             return pool.submit(fn, *args, **kwargs)
+        finally:
+            sys.modules["__main__"] = main
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         for pool in self._pools:
             pool.shutdown(wait, cancel_futures=cancel_futures)
-
-
-@contextmanager
-def _no_main_module() -> Iterator[None]:
-    """Keep new processes from running the caller's script again, as they would to find what is defined in it."""
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = main
 
 
 def _begin_process(stop_file: str) -> None:
@@ -228,16 +204,6 @@ def _exit_when_stopped(stop_file: Path) -> None:
     if parent:
         parent.join(_GRACE)
     os._exit(1)
-
-
-def _submit(pool: Executor, *call: Any) -> Future[PlanningResult]:
-    """Submit a call; an executor that takes none any more is as bad as one that fails."""
-    try:
-        return pool.submit(*call)
-    except RuntimeError as error:
-        failed = Future[PlanningResult]()
-        failed.set_exception(error)
-        return failed
 
 
 def _when_all_have_ended(futures: set[Future[PlanningResult]], then: Callable[[], None]) -> None:

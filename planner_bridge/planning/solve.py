@@ -56,12 +56,7 @@ def solve(
 def check_planner(planner: str, cancel: CancelToken | None = None) -> None:
     """Refuse a planner that is not known or not installed, before it is needed; looking up an unfamiliar name takes some seconds.
 
-    Args:
-        planner: as for `solve`.
-        cancel: set from another thread to end the check.
-
-    Raises:
-        InputError: it is not known, or something has to be installed first.
+    The check can be cancelled from another thread.
     """
     if planner in (DEFAULT_PLANNER, PORTFOLIO):
         return

@@ -79,11 +79,7 @@ def why_invalid(problem: Problem, plan: Plan) -> str:
 
 
 def trace(problem: Problem, plan: Plan) -> tuple[tuple[float, KnowledgeBase], ...]:
-    """Return the initial state and the state after each happening, with their times in seconds.
-
-    Raises:
-        InvalidPlan: the plan does not solve the problem.
-    """
+    """Return the initial state and the state after each happening, with their times in seconds; the plan must be valid."""
     return tuple((time, snapshot(state)) for time, state in _states(problem, plan))
 
 
@@ -114,9 +110,6 @@ def _states(problem: Problem, plan: Plan, samples: Iterable[float] = ()) -> Iter
         yield happening.time, simulation.state
     if evaluate(problem.goal, simulation.state) is not True:
         raise InvalidPlan(f"the goal does not hold at the end: {expected_and_observed(problem.goal, simulation.state)}")
-
-
-# --- steps ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,9 +164,6 @@ def _wrong(step: PlanStep, problem: Problem, objects: Mapping[str, frozenset[str
             known = argument in objects["object"]
             return f"has {argument} for {variable}: {'it is of another type' if known else 'there is no such object'}"
     return ""
-
-
-# --- happenings ----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,16 +246,10 @@ def _kind_of_change(operation: str, value: Expression) -> str:
     return "assign" if operation != "assign" or not isinstance(value, Constant) or not isinstance(value.value, bool) else str(value.value)
 
 
-# --- all validators ------------------------------------------------------------------------
-
-
 def validated(problem: Problem, result: PlanningResult, parsed: kairos.Problem | None = None) -> PlanningResult:
     """Return the result if it has no plan or both validators, Kairos' and ours, accept the plan; else one without a plan.
 
-    Args:
-        problem: what was to be solved.
-        result: the answer of a planner.
-        parsed: the problem as Kairos reads it, if that is there already.
+    `parsed` is the problem as Kairos reads it, if that is there already.
     """
     if result.plan is None:
         return result

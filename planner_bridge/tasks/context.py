@@ -94,7 +94,7 @@ class TaskContext:
         task: the task.
         problem: its goal is pursued.
         knowledge: of the runs of the task, over the world that all tasks share.
-        site: where actions are carried out.
+        backend: carries the actions out.
         settings: planner, bindings, limits and policies.
         resources: shared by the calls of all tasks.
         source: answers what runs do not know; None for none.
@@ -106,7 +106,7 @@ class TaskContext:
     task: Task
     problem: Problem
     knowledge: Layered
-    site: Backend
+    backend: Backend
     settings: Settings
     resources: Resources
     source: Source | None

@@ -132,16 +132,13 @@ class TaskControl:
             if self.has_begun:
                 self.enter(TaskState.PAUSING, reason)
             if self.execution:
-                await self._pause_execution(self.execution.executor, at_once=at_once)
+                self.execution.executor.pause(at_once=at_once)
+                while self.is_paused and not (self.execution.executor.paused or self.execution.executor.ended):
+                    await self.execution.executor.happens()
             if self.is_paused:
                 self.enter(TaskState.PAUSED, reason)
         if self.state is TaskState.CANCELLING:
             await self.over.wait()
-
-    async def _pause_execution(self, executor: Executor, *, at_once: bool) -> None:
-        executor.pause(at_once=at_once)
-        while self.is_paused and not (executor.paused or executor.ended):
-            await executor.happens()
 
     def resume(self) -> None:
         """Go on after a pause: with the rest of the plan if that still works."""

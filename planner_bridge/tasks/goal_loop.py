@@ -65,7 +65,10 @@ class GoalLoop:
                 while True:
                     graph = await self._execute(graph)
             except NoPlan as no_plan:
-                ended = self._without_plan(no_plan)
+                withheld = who_keeps(self._context.resources.withheld)  # nobody knows what their servers have made of the world
+                unfulfilled = self._log.unfulfilled(self._monitor.missing)
+                reason = join_reasons(self._log.last_failure, str(no_plan), unfulfilled, withheld)
+                ended = TaskEnded(code_of_planning(no_plan.status, self._log.failures), reason)
             except TaskEnded as error:
                 ended = error
             except (PlanGraphError, Unsound) as error:  # a plan that is valid, but not by causes alone
@@ -76,7 +79,7 @@ class GoalLoop:
         """Execute a plan, and those that succeed it while calls are under way; return the one that follows when the run is over."""
         context = self._context
         with suppress(TaskEnded):  # the run reports then that nothing of the plan was begun
-            await self._control.until(context.site.prepare({call.action: None for call in graph.calls}))
+            await self._control.until(context.backend.prepare({call.action: None for call in graph.calls}))
         self._retry_at = None
         async with PlanExecution(context, self._monitor, self._log, graph, self._search.origin) as execution:
             while True:
@@ -284,12 +287,6 @@ class GoalLoop:
             return plan_graph(self._monitor.now(), plan, [one.call for one in execution.run.under_way()] if execution else [])
 
     # --- the end --------------------------------------------------------------------------------
-
-    def _without_plan(self, no_plan: NoPlan) -> TaskEnded:
-        withheld = who_keeps(self._context.resources.withheld)  # nobody knows what their servers have made of the world
-        unfulfilled = self._log.unfulfilled(self._monitor.missing)
-        reason = join_reasons(self._log.last_failure, str(no_plan), unfulfilled, withheld)
-        return TaskEnded(code_of_planning(no_plan.status, self._log.failures), reason)
 
     def _result(self, ended: TaskEnded) -> TaskResult:
         self._control.reserved = None

@@ -58,7 +58,7 @@ class PlanExecution(Observer):
         self.is_blocked = False
         """Whether others have begun, during a pause, with what the rest of the plan is in conflict with; its run ends then, even
         if they are over before it is."""
-        self.executor = Executor(self._run_of(graph, {}), context.site.client, context.source, context.task.wanted.text)
+        self.executor = Executor(self._run_of(graph, {}), context.backend.client, context.source, context.task.wanted.text)
         self._future: asyncio.Future[RunResult] = asyncio.get_running_loop().create_future()
 
     async def __aenter__(self) -> PlanExecution:
@@ -227,7 +227,7 @@ class PlanExecution(Observer):
             context.knowledge,
             id=context.new_run_id(),
             bindings=context.settings.bindings,
-            goal_fields=context.site.client.goal_fields,
+            goal_fields=context.backend.client.goal_fields,
             asks=context.source is not None,
             observer=broadcast(Observer, (context.observer, self)),
             origin=self._origin,

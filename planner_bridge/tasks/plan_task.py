@@ -18,7 +18,6 @@ from planner_bridge.tasks.goal_loop import GoalLoop
 from planner_bridge.tasks.replanning import History
 from planner_bridge.tasks.result import Episode, PlanResult, code_of_run
 from planner_bridge.yaml.reader import read
-from pnm.core.execution.call_results import RunResult
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Cause
@@ -65,7 +64,15 @@ class PlanTask:
             began = asyncio.get_running_loop().time()
             with context.task.stopwatch.of("execute"):
                 run = await self._performer.execute(performance)
-        result = self._result(run, began)
+        stopped = self._context.control.stopped
+        code = code_of_run(run, stopped.code if stopped else Code.TIMED_OUT)  # what else stops it is its own limit
+        reason = stopped.reason if stopped and run.stopped and not run.goal else run.reason
+        cause = "" if run.goal or run.stopped else run.failures[0].cause if run.failures else Cause.GOAL_FALSE
+        episode = Episode(self._performance.program.machine, run)
+        seconds, variables = self._context.task.stopwatch.seconds, self._performance.variables
+        result = PlanResult(
+            code, reason, 0, (episode,), seconds, began, results=self._performance.results, variables=variables, cause=cause
+        )
         if context.control.stopped or not any(failure.replan for failure in run.failures):
             return result
         return await self._replanned(result)
@@ -101,15 +108,6 @@ class PlanTask:
         self.executor.resume()
 
     # --- its end ----------------------------------------------------------------------------------
-
-    def _result(self, run: RunResult, began: float) -> PlanResult:
-        stopped = self._context.control.stopped
-        code = code_of_run(run, stopped.code if stopped else Code.TIMED_OUT)  # what else stops it is its own limit
-        reason = stopped.reason if stopped and run.stopped and not run.goal else run.reason
-        cause = "" if run.goal or run.stopped else run.failures[0].cause if run.failures else Cause.GOAL_FALSE
-        episode = Episode(self._performance.program.machine, run)
-        seconds, variables = self._context.task.stopwatch.seconds, self._performance.variables
-        return PlanResult(code, reason, 0, (episode,), seconds, began, results=self._performance.results, variables=variables, cause=cause)
 
     async def _replanned(self, result: PlanResult) -> PlanResult:
         """Have a planner find another way to the goal of the plan, from the world as it is now."""

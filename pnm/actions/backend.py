@@ -32,10 +32,7 @@ class Backend(Protocol):
     async def share(self, mark: bytes, find: FindKnowledge, source: Source) -> None:
         """Let action servers query and update the knowledge of the run that sent them a request.
 
-        Args:
-            mark: the first bytes of the identities of all requests.
-            find: finds the knowledge by the identity of the request.
-            source: answers what the run does not know.
+        The identities of all requests begin with `mark`; `source` answers what the run does not know.
         """
 
     def over(self, request: UUID, /) -> None:

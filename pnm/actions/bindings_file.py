@@ -2,58 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.declared_names import Vocabulary
 from pnm.core.machine.bindings import _NAME, DEFAULT, Binding, Bindings, placeholders
 from pnm.errors import InputError, Position
-from pnm.files.yaml_nodes import Mapped, load_yaml
+from pnm.files.yaml_nodes import Mapped, load_yaml, texts_in
 
 
 def read_bindings(path: Path, known: Vocabulary | None = None) -> Bindings:
-    """Read a bindings file.
-
-    Args:
-        path: the file.
-        known: the names to be checked against.
-
-    Raises:
-        InputError: the file is not readable YAML, has an unknown key or a value of the wrong kind, or
-            names something that is not known.
-    """
+    """Read a bindings file, its names checked against the known ones if given; raise `InputError` where something is wrong."""
     top = load_yaml(path)
     top.only("actions", "assumed", "lag")
-    actions = {name: _binding(entry) for name, entry in top.mapping("actions").items()}
+    entries = top.mapping("actions")
+    actions: dict[str, Binding] = {}
+    for name, entry in entries.items():
+        entry.only("server", "type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "resources")
+        actions[name] = read_binding(entry)
     if known is not None:
-        for name, entry in top.mapping("actions").items():
-            _check_names(name, actions[name], entry, known)
+        for name, entry in entries.items():
+            binding = actions[name]
+            known.check_action(name, entry.start)
+            for parameter in placeholders(binding.server or ""):
+                known.check_parameter(name, parameter, entry.position("server"))
+            for pattern, position in _read_resources(entry):
+                for parameter in placeholders(pattern):
+                    known.check_parameter(name, parameter, position)
+            for text in texts_in(binding.goal):  # a parameter, or a fluent with parameters
+                for term in parse_fluent(text) if text.startswith("(") else (text,):
+                    if term.startswith("?"):
+                        known.check_parameter(name, term[1:], entry.position("goal"))
         for name in top.strings("assumed"):
             known.check_set(name, top.position("assumed"))
     return Bindings(actions, frozenset(top.strings("assumed")), top.number("lag", 1.0))
 
 
-def _binding(entry: Mapped) -> Binding:
-    entry.only("server", "type", "goal", "store", "timeout", "accept", "cancel", "retries", "ask", "resources")
-    return read_binding(entry)
-
-
 def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAULT.retries) -> Binding:
     """Read the binding of one action; other keys of the entry are ignored.
 
-    Args:
-        entry: the mapping.
-        type_key: the key under which the type of the ROS action stands.
-        retries: how often the action is retried by default.
-
-    Raises:
-        InputError: a value is of the wrong kind.
+    The type of the ROS action stands under `type_key`; `retries` is the number of an action that gives none.
     """
     goal = entry.plain("goal")
     if goal is not None and not isinstance(goal, dict):
         raise InputError("expected goal fields and their values", entry.position("goal"))
-    _check_fluents(goal, entry)
+    for text in texts_in(goal):
+        if text.startswith("("):
+            try:
+                parse_fluent(text)
+            except InputError as error:
+                raise InputError(error.message, entry.position("goal")) from error
     server = entry.string("server")
     if server is not None:
         _check_pattern(server, entry.position("server"), "/{robot}/navigate")
@@ -81,28 +80,11 @@ def _read_resources(entry: Mapped) -> Iterator[tuple[str, Position]]:
 
 
 def read_texts(entry: Mapped, key: str, expected: str) -> dict[str, str]:
-    """Read a mapping of names to texts; empty when the key is not there.
-
-    Raises:
-        InputError: it is something else.
-    """
-    found = entry.plain(key)
-    if found is not None and not (isinstance(found, dict) and all(isinstance(text, str) for text in found.values())):
+    """Read a mapping of names to texts; empty when the key is not there."""
+    texts = entry.plain(key)
+    if texts is not None and not (isinstance(texts, dict) and all(isinstance(text, str) for text in texts.values())):
         raise InputError(expected, entry.position(key))
-    return found or {}
-
-
-def _check_fluents(source: object, entry: Mapped) -> None:
-    if isinstance(source, dict):
-        source = list(source.values())
-    if isinstance(source, list):
-        for part in source:
-            _check_fluents(part, entry)
-    if isinstance(source, str) and source.startswith("("):
-        try:
-            parse_fluent(source)
-        except InputError as error:
-            raise InputError(error.message, entry.position("goal")) from error
+    return texts or {}
 
 
 def _check_pattern(pattern: str, position: Position, example: str) -> None:
@@ -112,27 +94,3 @@ def _check_pattern(pattern: str, position: Position, example: str) -> None:
         wrong = [str(error)]
     if wrong:
         raise InputError(f"{wrong[0]} in {pattern!r}; expected something like {example}", position)
-
-
-def _check_names(name: str, binding: Binding, entry: Mapped, known: Vocabulary) -> None:
-    known.check_action(name, entry.start)
-    for parameter in placeholders(binding.server or ""):
-        known.check_parameter(name, parameter, entry.position("server"))
-    for pattern, position in _read_resources(entry):
-        for parameter in placeholders(pattern):
-            known.check_parameter(name, parameter, position)
-    for parameter in _parameters(binding.goal or {}):
-        known.check_parameter(name, parameter, entry.position("goal"))
-
-
-def _parameters(source: object) -> Iterator[str]:
-    """Yield the parameters that goal fields are filled from, at any depth."""
-    if isinstance(source, Mapping):
-        source = list(source.values())
-    if isinstance(source, list):
-        for part in source:
-            yield from _parameters(part)
-    elif isinstance(source, str) and source.startswith("?"):
-        yield source[1:]
-    elif isinstance(source, str) and source.startswith("("):
-        yield from (term[1:] for term in parse_fluent(source) if term.startswith("?"))

@@ -81,16 +81,7 @@ _MOMENT = re.compile(r"(start|end) of (.+)\Z")
 
 
 def read_faults(path: Path, known: Vocabulary | None = None) -> Faults:
-    """Read a faults file.
-
-    Args:
-        path: the file.
-        known: the names to be checked against.
-
-    Raises:
-        InputError: the file is not readable YAML, has an unknown key or a value of the wrong kind, or
-            names something that is not known.
-    """
+    """Read a faults file, its names checked against the known ones if given; raise `InputError` where something is wrong."""
     top = load_yaml(path)
     top.only("faults", "changes", "seed")
     faults = Faults(tuple(map(_fault, top.sequence("faults"))), tuple(map(_change, top.sequence("changes"))), top.whole("seed", 0))
@@ -113,18 +104,18 @@ def ground_name(text: str) -> str:
 
 def _fault(entry: Mapped) -> Fault:
     entry.only("action", "call", "do", "after", "times", "message", "ignores_cancel", "chance")
-    action, call, kind = entry.string("action"), entry.string("call"), entry.string("do")
+    action, call, failure = entry.string("action"), entry.string("call"), entry.string("do")
     if (action is None) == (call is None):
         raise InputError("expected either 'action' or 'call'", entry.start)
-    kinds = [one.value for one in FaultKind]
-    if kind not in kinds:
-        raise InputError(f"expected 'do' to be one of {', '.join(kinds)}; found {kind!r}", entry.position("do"))
+    kinds = [kind.value for kind in FaultKind]
+    if failure not in kinds:
+        raise InputError(f"expected 'do' to be one of {', '.join(kinds)}; found {failure!r}", entry.position("do"))
     chance = entry.number("chance", 1.0)
     if chance > 1.0:
         raise InputError(f"expected a share from 0 to 1 as 'chance', found {chance:g}", entry.position("chance"))
     return Fault(
         what=action or ground_name(call or ""),
-        kind=FaultKind(kind),
+        kind=FaultKind(failure),
         after=entry.whole("after", 0),
         times=entry.whole("times", None),
         message=entry.string("message") or "",
@@ -144,8 +135,7 @@ def _change(entry: Mapped) -> HiddenChange:
         raise InputError(error.message, entry.position("set")) from error
     if on is None:
         return HiddenChange(changes, at=at)
-    found = _MOMENT.match(on)
-    if not found:
+    match = _MOMENT.match(on)
+    if not match:
         raise InputError(f"expected 'start of CALL' or 'end of CALL', found {on!r}", entry.position("on"))
-    moment: Literal["start", "end"] = "start" if found[1] == "start" else "end"
-    return HiddenChange(changes, moment=moment, what=ground_name(found[2]))
+    return HiddenChange(changes, moment="start" if match[1] == "start" else "end", what=ground_name(match[2]))

@@ -81,7 +81,7 @@ class SimulatedRobots:
         self._begun = True
         self.world.truth.listen(self._check)
         timed = [(change.at, change.changes) for change in self.faults.changes if change.at is not None]
-        for time, changes in (*timed, *((one.time, one.changes) for one in self.scheduled)):
+        for time, changes in (*timed, *((change.time, change.changes) for change in self.scheduled)):
             self._later(time, self.world.change, changes)
 
     def close(self) -> None:
@@ -131,7 +131,10 @@ class SimulatedRobots:
             return
         now, resources = asyncio.get_running_loop().time(), self.bindings.resources(action)
         job = self._jobs[request.id] = _Job(request, report, begun, fault, now, resources)
-        self._look_for_clashes(job)
+        for name in resources:
+            users = [str(user.request.action) for user in self._jobs.values() if name in user.resources]
+            if len(users) > self.capacities.get(name, 1):
+                self.clashes.append(f"{name} is used by {' and '.join(users)} at once")
         self._happen("start", action)
         self._schedule(job)
 
@@ -201,12 +204,6 @@ class SimulatedRobots:
                     chosen = chosen or fault
         return chosen
 
-    def _look_for_clashes(self, job: _Job) -> None:
-        for name in job.resources:
-            users = [str(one.request.action) for one in self._jobs.values() if name in one.resources]
-            if len(users) > self.capacities.get(name, 1):
-                self.clashes.append(f"{name} is used by {' and '.join(users)} at once")
-
     def _happen(self, moment: str, action: GroundAction) -> None:
         for change in self.faults.changes:
             if change.follows(moment, action):
@@ -254,10 +251,6 @@ class _Server:
 
 
 def returned(request: Request, world: SimulatedWorld) -> dict[str, object]:
-    """Return the result of a simulated server, without fields that have no value.
-
-    Raises:
-        Uncomputable: an operation is not possible with the values of the goal.
-    """
+    """Return the result of a simulated server, without fields that have no value; raises `Uncomputable` as `compute` does."""
     values = {name: compute(data, _Server(request.goal, world)) for name, data in request.action.returns}
     return {name: value for name, value in values.items() if value is not MISSING}

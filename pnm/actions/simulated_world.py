@@ -20,11 +20,7 @@ from pnm.errors import InputError
 
 
 class SimulatedWorld:
-    """The true state, and the actions that are going on in it.
-
-    Raises:
-        InputError: one of the dynamic names is derived by rules.
-    """
+    """The true state, and the actions that are going on in it; raises `InputError` if rules derive one of the dynamic names."""
 
     def __init__(self, truth: KnowledgeBase, dynamic: Iterable[str]) -> None:
         self.truth = truth

@@ -31,10 +31,7 @@ class KnowledgeBase:
     """One store of facts, numbers and variables that notifies its listeners of changes.
 
     The mutable state is the four dictionaries set in the constructor, the list of listeners, and the
-    cache of derived facts.
-
-    Raises:
-        InputError: a fact is given that rules derive.
+    cache of derived facts. Given facts that rules derive raise `InputError`.
     """
 
     def __init__(
@@ -99,11 +96,7 @@ class KnowledgeBase:
         return {fluent: value for fluent, value in self._facts.items() if value is not False}
 
     def update(self, changes: Mapping[Fluent, Value | Unknown]) -> Changes:
-        """Record all of the changes; return those that changed something.
-
-        Raises:
-            InputError: a fluent is malformed, or rules derive it; nothing is recorded.
-        """
+        """Record the changes; return those that changed something. Malformed or derived fluents raise `InputError`: nothing is recorded."""
         for fluent in changes:
             if not isinstance(fluent, tuple) or not fluent or not all(isinstance(name, str) for name in fluent):
                 raise InputError(f"not a fluent: {fluent!r}; expected a tuple of names such as ('at', 'r1', 'kitchen')")
@@ -135,10 +128,8 @@ class KnowledgeBase:
     def begin_anew(self, facts: Mapping[Fluent, Value | Unknown], objects: Mapping[str, tuple[str, ...]], rules: Rules) -> None:
         """Replace the facts, objects and rules of one world by those of another; variables and the sensed names stay.
 
-        Sensed fluents keep their last report: sensors do not report again because of a new world.
-
-        Raises:
-            InputError: a fact is given that rules derive; nothing has changed.
+        Sensed fluents keep their last report: sensors do not report again because of a new world. Given facts that
+        rules derive raise `InputError`, and nothing changes.
         """
         old_rules, self.rules, self._derived = self.rules, rules, rules.derived
         try:
@@ -250,26 +241,18 @@ _EQUAL = re.compile(r"\(\s*=\s+(\(.*\))\s+([^\s()]+)\s*\)\Z", re.DOTALL)
 
 
 def parse_fluent(text: str) -> Fluent:
-    """Read ``(at r1 kitchen)``.
-
-    Raises:
-        InputError: it is something else.
-    """
-    found = _FLUENT.match(text.strip())
-    if not found:
+    """Read ``(at r1 kitchen)``; raise `InputError` for anything else."""
+    match = _FLUENT.match(text.strip())
+    if not match:
         raise InputError(f"not a fact: {text!r}; expected something like (at r1 kitchen)")
-    return tuple(found[1].split())
+    return tuple(match[1].split())
 
 
 def parse_statement(text: str) -> tuple[Fluent, Value]:
-    """Read ``(at r1 kitchen)``, ``(not (at r1 kitchen))``, ``(= (battery r1) 80)`` or ``(= (location r1) kitchen)``.
-
-    Raises:
-        InputError: it is something else.
-    """
+    """Read ``(at r1 kitchen)``, ``(not (at r1 kitchen))``, ``(= (battery r1) 80)`` or ``(= (location r1) kitchen)``."""
     text = text.strip()
-    if found := _NOT.match(text):
-        return parse_fluent(found[1]), False
-    if found := _EQUAL.match(text):
-        return parse_fluent(found[1]), float(found[2]) if _NUMBER.match(found[2]) else found[2]
+    if match := _NOT.match(text):
+        return parse_fluent(match[1]), False
+    if match := _EQUAL.match(text):
+        return parse_fluent(match[1]), float(match[2]) if _NUMBER.match(match[2]) else match[2]
     return parse_fluent(text), True

@@ -12,11 +12,8 @@ from typing import Any
 def lazy_exports(package: str, file: str) -> tuple[list[str], Callable[[str], Any], Callable[[], list[str]]]:
     """Return `__all__`, `__getattr__` and `__dir__` of a package whose public names are those imported under ``if TYPE_CHECKING:``.
 
-    That block is the one list of the names: type checkers follow it, and it is read here to find the module of every name.
-
-    Args:
-        package: the name of the package.
-        file: its ``__init__.py``.
+    That block in the package's ``__init__.py`` is the one list of the names: type checkers follow it, and it is read here to
+    find the module of every name.
     """
     body = ast.parse(Path(file).read_bytes()).body
     imports = [node for block in body if isinstance(block, ast.If) for node in block.body if isinstance(node, ast.ImportFrom)]

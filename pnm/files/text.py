@@ -9,11 +9,7 @@ from pnm.errors import InputError, Position, Tolerated
 
 
 def read_text(path: Path, limit: int) -> str:
-    """Read a text file in UTF-8, of at most `limit` bytes.
-
-    Raises:
-        InputError: it is missing, too large, or not such text.
-    """
+    """Read a text file in UTF-8, of at most `limit` bytes; raise `InputError` for anything else."""
     raw = _read(path, limit)
     try:
         return _decoded(raw, path)
@@ -23,14 +19,17 @@ def read_text(path: Path, limit: int) -> str:
 
 
 def read_any_text(path: Path, limit: int) -> tuple[str, tuple[Tolerated, ...]]:
-    """Read a text file in UTF-8, in UTF-16 with its mark, or else in Latin-1; return a warning if it is not UTF-8.
-
-    Raises:
-        InputError: it is missing, too large, or no text in any of these.
-    """
+    """Read a text file in UTF-8, in UTF-16 with its mark, or else in Latin-1; return a warning if it is not UTF-8."""
     raw = _read(path, limit)
     if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return _utf16(raw, path), (Tolerated("the file is in UTF-16; expected UTF-8", Position(str(path), 1, 1)),)
+        start = Position(str(path), 1, 1)
+        try:
+            text = raw.decode("utf-16")
+        except UnicodeDecodeError as error:
+            raise InputError("not a text file: it begins as UTF-16 does and is none", start) from error
+        if "\0" in text:
+            raise InputError("not a text file: it contains zero characters", start)
+        return text, (Tolerated("the file is in UTF-16; expected UTF-8", start),)
     try:
         return _decoded(raw, path), ()
     except UnicodeDecodeError as error:
@@ -56,16 +55,6 @@ def _decoded(raw: bytes, path: Path) -> str:
     if b"\0" in raw:
         raise InputError("not a text file: it contains zero bytes", Position(str(path), 1, 1))
     return raw.decode("utf-8-sig")
-
-
-def _utf16(raw: bytes, path: Path) -> str:
-    try:
-        text = raw.decode("utf-16")
-    except UnicodeDecodeError as error:
-        raise InputError("not a text file: it begins as UTF-16 does and is none", Position(str(path), 1, 1)) from error
-    if "\0" in text:
-        raise InputError("not a text file: it contains zero characters", Position(str(path), 1, 1))
-    return text
 
 
 def _position(path: Path, raw: bytes, offset: int) -> Position:

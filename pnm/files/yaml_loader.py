@@ -23,15 +23,9 @@ _PLAIN: Final = frozenset({"map", "seq", "int", "float", "bool", "null"}) | TEXT
 
 
 def compose(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_ANCHORS) -> list[yaml.Node]:
-    """Return the documents that are not empty, at least one.
+    """Return the documents that are not empty, at least one; raise `InputError` if the text is not plain YAML, or too large.
 
-    Args:
-        text: what the file has.
-        file: its name.
-        anchors: what aliases stand for that the text does not define.
-
-    Raises:
-        InputError: it is not plain YAML, or too large.
+    `anchors` has the mappings for aliases that the text does not define.
     """
     start = Position(file, 1, 1)
     loader: _Loader | None = None
@@ -84,19 +78,13 @@ class _Loader(yaml.SafeLoader):
                     problem = f"found undefined alias {event.anchor!r}{f'; {hint}' if hint else ''}"
                     raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
                 self.get_event()  # type: ignore[no-untyped-call]
-                return _given(self._known[event.anchor], event)
+                entries, marks = self._known[event.anchor], (event.start_mark, event.end_mark)
+                texts = (yaml.ScalarNode(f"{CORE}str", text, *marks) for entry in entries.items() for text in entry)
+                return yaml.MappingNode(f"{CORE}map", list(zip(texts, texts, strict=True)), *marks)
         self._composed += 1
         if self._composed > MAX_NODES:  # the bounds are checked once all is there, which may take minutes
             raise yaml.MarkedYAMLError(problem=f"more than {MAX_NODES} values", problem_mark=self.get_mark())
         return super().compose_node(parent, index)
-
-
-def _given(entries: Mapping[str, str], event: Any) -> yaml.Node:
-    def scalar(text: str) -> yaml.Node:
-        return yaml.ScalarNode(f"{CORE}str", text, event.start_mark, event.end_mark)
-
-    pairs = [(scalar(key), scalar(value)) for key, value in entries.items()]
-    return yaml.MappingNode(f"{CORE}map", pairs, event.start_mark, event.end_mark)
 
 
 def _check_bounds(roots: list[yaml.Node], file: str) -> None:

@@ -7,7 +7,7 @@ and what is merged first before what is merged later.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from sys import float_info
@@ -25,47 +25,35 @@ T = TypeVar("T")
 
 
 def load_yaml(path: Path) -> Mapped:
-    """Read a YAML file whose top level is a mapping.
-
-    Raises:
-        InputError: there is no such file, or it is not YAML, not text, too large, or not a mapping.
-    """
-    found = parse_yaml(read_text(path, MAX_BYTES), str(path))
-    if len(found) > 1:
-        raise InputError("a second document begins here; expected one", found[1].start)
-    return found[0]
+    """Read a YAML file whose top level is a mapping; raise `InputError` for anything else."""
+    documents = parse_yaml(read_text(path, MAX_BYTES), str(path))
+    if len(documents) > 1:
+        raise InputError("a second document begins here; expected one", documents[1].start)
+    return documents[0]
 
 
 def parse_yaml(text: str, file: str, anchors: Mapping[str, Mapping[str, str]] = NO_ANCHORS) -> tuple[Mapped, ...]:
-    """Read YAML documents, each of them a mapping; there is at least one.
-
-    Args:
-        text: what the file has.
-        file: its name.
-        anchors: what aliases stand for that the text does not define.
-
-    Raises:
-        InputError: it is not YAML, too large, or a document is not a mapping.
-    """
+    """Read YAML documents, at least one and each a mapping; `anchors` has the mappings for aliases that the text does not define."""
     return tuple([Mapped.of(node, file) for node in compose(text, file, anchors)])
 
 
 def parse_value(text: str, origin: str) -> object:
-    """Read a single value, such as one from a command line; nothing is an empty text.
-
-    Args:
-        text: the value.
-        origin: where it comes from, for errors.
-
-    Raises:
-        InputError: it is not YAML, more than one value, or too large.
-    """
+    """Read a single value, such as one from a command line; nothing is an empty text. Errors name its `origin`."""
     if not text.strip():
         return ""
     first, *others = compose(text, origin)
     if others:
         raise InputError("a second document begins here; expected one", position(others[0], origin))
     return _plain(first, origin)
+
+
+def texts_in(value: object) -> Iterator[str]:
+    """Yield every text in plain data, at any depth; keys are none."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping | list):
+        for part in value.values() if isinstance(value, Mapping) else value:
+            yield from texts_in(part)
 
 
 def _plain(node: yaml.Node, file: str) -> object:
@@ -235,10 +223,10 @@ class Node:
         """Return where a word stands in the value, or where the value does if the file spells it in another way."""
         start, end = self.raw.start_mark, self.raw.end_mark
         written = (start.buffer or "")[start.pointer : start.pointer + end.index - start.index]
-        found = re.search(rf"(?<![^\s()\[\]{{}},'\"]){re.escape(word)}(?![^\s()\[\]{{}},:'\"])", written)
-        if found is None or word == self.text:
+        match = re.search(rf"(?<![^\s()\[\]{{}},'\"]){re.escape(word)}(?![^\s()\[\]{{}},:'\"])", written)
+        if match is None or word == self.text:
             return self.position
-        before = written[: found.start()]
+        before = written[: match.start()]
         lines = before.count("\n")
         column = len(before) - before.rfind("\n") if lines else start.column + len(before) + 1
         return Position(self.file, start.line + 1 + lines, column)

@@ -15,11 +15,7 @@ _TESTS: Final = ("not", "all", "any")
 
 
 def read_field(entry: Mapped) -> Field:
-    """Read the field under ``field``.
-
-    Raises:
-        InputError: there is none, or it is malformed.
-    """
+    """Read the field under ``field``."""
     node = entry.node("field")
     if node is None:
         raise InputError("expected a field, such as pose.position.x", entry.start)

@@ -38,18 +38,14 @@ Look: TypeAlias = Callable[[Field], object]
 
 
 def parse_field(text: str) -> Field:
-    """Read ``pose.position.x`` or ``cells[0].voltage``.
-
-    Raises:
-        InputError: it is something else.
-    """
+    """Read ``pose.position.x`` or ``cells[0].voltage``; raise `InputError` for anything else."""
     steps: list[str | int] = []
     end = 0
-    while found := _STEP.match(text, end):
-        if (found[0][0] == ".") is not (found[1] is not None and end > 0):
+    while step := _STEP.match(text, end):
+        if (step[0][0] == ".") is not (step[1] is not None and end > 0):
             break
-        steps.append(found[1] if found[1] is not None else int(found[2]))
-        end = found.end()
+        steps.append(step[1] if step[1] is not None else int(step[2]))
+        end = step.end()
     if not steps or isinstance(steps[0], int) or end != len(text):
         raise InputError(f"not a field: {text!r}; expected something like pose.position.x or cells[0].voltage")
     return Field(tuple(steps))
@@ -99,23 +95,20 @@ Test: TypeAlias = Flag | Comparison | Negation | Every | Some
 
 
 def succeeds(test: Test, look: Look) -> bool:
-    """Return whether the message passes the test; all fields of it are read.
-
-    Raises:
-        Unreadable: a field is missing, no number, or of another kind than the constant.
-    """
+    """Return whether the message passes the test; `Unreadable` if any of its fields is missing, or of another kind than expected."""
     match test:
         case Flag(where):
-            found = look(where)
-            if not isinstance(found, bool):
-                raise Unreadable(f"{where} is {shown(found)}; expected true or false")
-            return found
+            value = look(where)
+            if not isinstance(value, bool):
+                raise Unreadable(f"{where} is {shown(value)}; expected true or false")
+            return value
         case Comparison(where, operation, constant):
-            found = without_nan(where, look(where))
+            value = without_nan(where, look(where))
+            close = is_number(value) and is_number(constant) and abs(value - constant) <= TOLERANCE  # 0.8 in a float32 is not quite 0.8
             try:
-                return bool(operate(operation, [constant if _close(found, constant) else found, constant]))
+                return bool(operate(operation, [constant if close else value, constant]))
             except Uncomputable as error:
-                raise Unreadable(f"{where} is {shown(found)}, which cannot be compared with {shown(constant)}") from error
+                raise Unreadable(f"{where} is {shown(value)}, which cannot be compared with {shown(constant)}") from error
         case Negation(inner):
             return not succeeds(inner, look)
         case Every(tests):
@@ -126,13 +119,8 @@ def succeeds(test: Test, look: Look) -> bool:
             assert_never(test)
 
 
-def _close(found: object, constant: object) -> bool:
-    """Return whether two numbers are equal within the tolerance of conditions: 0.8 in a float32 is not quite 0.8."""
-    return is_number(found) and is_number(constant) and abs(found - constant) <= TOLERANCE
-
-
 def _outcomes(tests: Iterable[Test], look: Look) -> set[bool]:
-    return {succeeds(one, look) for one in tests}
+    return {succeeds(test, look) for test in tests}
 
 
 # --- values --------------------------------------------------------------------------------
@@ -146,17 +134,13 @@ class FieldValue:
     table: Mapping[str, object] | None = None
 
     def value(self, look: Look) -> object:
-        """Return the value.
-
-        Raises:
-            Unreadable: there is none, or it is not in the table.
-        """
-        found = look(self.field)
+        """Return the value; raise `Unreadable` if there is none, or it is not in the table."""
+        value = look(self.field)
         if self.table is None:
-            return found
-        key = written(found)
+            return value
+        key = written(value)
         if key not in self.table:
-            raise Unreadable(f"{self.field} is {shown(found)}, which is not in the table ({', '.join(self.table)})")
+            raise Unreadable(f"{self.field} is {shown(value)}, which is not in the table ({', '.join(self.table)})")
         return self.table[key]
 
 
@@ -167,15 +151,11 @@ def written(value: object) -> str:
     return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 
-def without_nan(where: Field, found: object) -> object:
-    """Return the value of a field, which must not be NaN.
-
-    Raises:
-        Unreadable: it is not.
-    """
-    if isinstance(found, float) and math.isnan(found):
+def without_nan(where: Field, value: object) -> object:
+    """Return the value of a field; raise `Unreadable` if it is NaN."""
+    if isinstance(value, float) and math.isnan(value):
         raise Unreadable(f"{where} is not a number (NaN)")
-    return found
+    return value
 
 
 def shown(value: object) -> str:

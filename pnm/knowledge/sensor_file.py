@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -12,7 +12,7 @@ from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.declared_names import FluentKind, Signature, Vocabulary
 from pnm.core.logic.expressions import Fluent, Variable
 from pnm.errors import InputError, Position, suggestion
-from pnm.files.yaml_nodes import Mapped, load_yaml
+from pnm.files.yaml_nodes import Mapped, load_yaml, texts_in
 from pnm.knowledge.field_reader import read_field, read_number, read_object, read_table, read_test
 from pnm.knowledge.message_fields import FieldValue
 from pnm.knowledge.sensor_model import (
@@ -42,16 +42,7 @@ _OWN: Final = ("for", "facts", "variables", "stale", "lag", "type")
 
 
 def read_sensing(path: Path, known: Vocabulary | None = None) -> Sensing:
-    """Read a file of sensors.
-
-    Args:
-        path: the file.
-        known: the names to be checked against.
-
-    Raises:
-        InputError: the file is not readable YAML, has an unknown key or a value of the wrong kind, or
-            names something that is not known.
-    """
+    """Read a file of sensors, its names checked against the known ones if given; raise `InputError` where something is wrong."""
     top = load_yaml(path)
     top.only("sensors", "stale")
     stale = _seconds(top, "stale")
@@ -67,10 +58,10 @@ def _seconds(entry: Mapped, key: str, default: float | None = None) -> float | N
 
 
 def _text(entry: Mapped, key: str, example: str) -> str:
-    found = entry.string(key)
-    if not found:
+    text = entry.string(key)
+    if not text:
         raise InputError(f"expected something like {example} under {key!r}", entry.position(key))
-    return found
+    return text
 
 
 @dataclass(frozen=True)
@@ -94,7 +85,7 @@ class _Reader:
             self._name(key, variables, way),
             self._type("msg" if is_topic else "srv"),
             variables,
-            (*self._facts(variables), *self._stored(variables)),
+            (*(self._statement(item, variables) for item in entry.sequence("facts")), *self._stored(variables)),
             way,
             _seconds(entry, "stale", self.stale),
             entry.number("lag", None if isinstance(way, ByTopic) else way.every + way.limit),
@@ -110,7 +101,7 @@ class _Reader:
         node = self.entry.node("for")
         if node is None or node.is_null:
             return ()
-        found = []
+        variables = []
         for name, where, kind in node.mapped().entries():
             if not _VARIABLE.fullmatch(name) or f"?{name}" == VALUE:
                 raise InputError(f"{name!r} cannot name an object here; expected something like r", where)
@@ -118,8 +109,8 @@ class _Reader:
                 raise kind.wrong(f"expected the type of {name}")
             if self.known is not None:
                 self.known.check_type(kind.text, kind.position)
-            found.append(Variable(f"?{name}", (kind.text,)))
-        return tuple(found)
+            variables.append(Variable(f"?{name}", (kind.text,)))
+        return tuple(variables)
 
     def _name(self, key: str, variables: tuple[Variable, ...], way: ByTopic | ByService) -> str:
         name, where = _text(self.entry, key, "/{robot}/battery"), self.entry.position(key)
@@ -142,37 +133,38 @@ class _Reader:
     def _variable(self, name: str, variables: Iterable[Variable], where: Position) -> Variable:
         own = {variable.name: variable for variable in variables}
         if name not in own:
-            raise InputError(f"{name} is not in 'for'; {suggestion(name, own) or _expected(own)}", where)
+            expected = f"expected one of {', '.join(own)}" if own else "expected {name: type} there"
+            raise InputError(f"{name} is not in 'for'; {suggestion(name, own) or expected}", where)
         return own[name]
 
     def _type(self, kind: str) -> str | None:
-        found = self.entry.string("type")
-        if found is not None and not ((match := _TYPE.fullmatch(found)) and match[1] == kind):
+        name = self.entry.string("type")
+        if name is not None and not ((match := _TYPE.fullmatch(name)) and match[1] == kind):
             example = "sensor_msgs/msg/BatteryState" if kind == "msg" else "std_srvs/srv/Trigger"
-            raise InputError(f"not such a type: {found!r}; expected something like {example}", self.entry.position("type"))
-        return found
+            raise InputError(f"not such a type: {name!r}; expected something like {example}", self.entry.position("type"))
+        return name
 
     def _polled(self, variables: tuple[Variable, ...]) -> ByService:
         request = self.entry.plain("request")
         if request is not None and not isinstance(request, dict):
             raise InputError("expected the fields of the request and their values", self.entry.position("request"))
-        for name in _terms(request or {}):
+        for name in _terms(request):
             self._variable(f"?{name}", variables, self.entry.position("request"))
         every, limit = _seconds(self.entry, "every", EVERY), _seconds(self.entry, "limit", LIMIT)
         return ByService(request or {}, every or EVERY, limit or LIMIT)
 
     # --- statements ---
 
-    def _facts(self, variables: tuple[Variable, ...]) -> Iterable[Statement]:
-        for entry in self.entry.sequence("facts"):
-            kinds = [key for key in ("fact", "number", "object") if key in entry.nodes]
-            if len(kinds) != 1:
-                raise InputError("expected one of fact, number and object", entry.start)
-            yield self._statement(kinds[0], entry, variables)
-
-    def _statement(self, kind: str, entry: Mapped, variables: tuple[Variable, ...]) -> Statement:
-        where = entry.position(kind)
-        fluent = self._fluent(_text(entry, kind, "(battery ?r)"), where)
+    def _statement(self, entry: Mapped, variables: tuple[Variable, ...]) -> Statement:
+        kinds = [key for key in ("fact", "number", "object") if key in entry.nodes]
+        if len(kinds) != 1:
+            raise InputError("expected one of fact, number and object", entry.start)
+        kind, where = kinds[0], entry.position(kinds[0])
+        text = _text(entry, kind, "(battery ?r)")
+        try:
+            fluent = parse_fluent(text)
+        except InputError as error:
+            raise InputError(error.message, where) from error
         is_choice = kind == "fact" and VALUE in fluent
         if kind == "fact" and not is_choice:
             entry.only("fact", "field", "when")
@@ -202,12 +194,6 @@ class _Reader:
             table = read_table(entry) if entry.plain("table") is not None else None
             yield Stored(name, FieldValue(read_field(entry), table), where)
 
-    def _fluent(self, text: str, where: Position) -> Fluent:
-        try:
-            return parse_fluent(text)
-        except InputError as error:
-            raise InputError(error.message, where) from error
-
     def _typed(self, fluent: Fluent, kind: FluentKind, variables: tuple[Variable, ...], where: Position) -> Signature | None:
         """Check the names of a fluent and return its signature, if that is known."""
         own = [
@@ -231,14 +217,4 @@ class _Reader:
 
 def _terms(source: object) -> Iterable[str]:
     """Yield the variables, without ``?``, that fields of a request are filled from."""
-    if isinstance(source, Mapping):
-        source = list(source.values())
-    if isinstance(source, list):
-        for part in source:
-            yield from _terms(part)
-    elif isinstance(source, str) and source.startswith("?"):
-        yield source[1:]
-
-
-def _expected(known: Iterable[str]) -> str:
-    return f"expected one of {', '.join(known)}" if known else "expected {name: type} there"
+    return (text[1:] for text in texts_in(source) if text.startswith("?"))

@@ -124,7 +124,8 @@ class Sensing:
     @property
     def names(self) -> frozenset[str]:
         """The predicates and functions that sensors report."""
-        return frozenset(one.fluent[0] for sensor in self.sensors for one in sensor.statements if not isinstance(one, Stored))
+        statements = (statement for sensor in self.sensors for statement in sensor.statements)
+        return frozenset(statement.fluent[0] for statement in statements if not isinstance(statement, Stored))
 
     def lags(self, otherwise: float) -> dict[str, float]:
         """Return the lag in seconds of the slowest sensor of each predicate and function."""
@@ -169,12 +170,12 @@ class Reading:
 
 
 def instances(sensing: Sensing, objects: Objects) -> tuple[Instance, ...]:
-    """Return the sensors for all choices of objects.
-
-    Raises:
-        InputError: two of them report the same fluent or variable.
-    """
-    sensors = tuple(Instance(sensor, env) for sensor in sensing.sensors for env in _choices(sensor, objects))
+    """Return the sensors for all choices of objects; raise `InputError` if two of them report the same fluent or variable."""
+    sensors = tuple(
+        Instance(sensor, dict(zip((variable.name for variable in sensor.variables), chosen, strict=True)))
+        for sensor in sensing.sensors
+        for chosen in product(*(objects(variable.types) for variable in sensor.variables))
+    )
     reported_by: dict[Fluent | str, Statement] = {}
     for instance in sensors:
         for statement in instance.sensor.statements:
@@ -185,12 +186,6 @@ def instances(sensing: Sensing, objects: Objects) -> tuple[Instance, ...]:
                     raise InputError(f"{what} is sensed in line {other.line} as well; expected one sensor for it", statement.position)
                 reported_by[subject] = statement
     return sensors
-
-
-def _choices(sensor: Sensor, objects: Objects) -> Iterator[Mapping[str, str]]:
-    names = [variable.name for variable in sensor.variables]
-    for chosen in product(*(objects(variable.types) for variable in sensor.variables)):
-        yield dict(zip(names, chosen, strict=True))
 
 
 def _subjects(statement: Statement, env: Mapping[str, str], objects: Objects) -> Iterator[Fluent | str]:
@@ -243,7 +238,10 @@ def _interpret(statement: Statement, env: Mapping[str, str], look: Look, objects
             for name in objects(types):
                 reading.facts[bind(fluent, {**env, VALUE: name})] = name == chosen
         case Number(fluent, source):
-            reading.facts[bind(fluent, env)] = _number(source, look)
+            value = without_nan(source.field, source.value(look))
+            if isinstance(value, bool) or not isinstance(value, int | float) or math.isinf(value):
+                raise Unreadable(f"{source.field} is {shown(value)}; expected a finite number")
+            reading.facts[bind(fluent, env)] = float(value)
         case Object(fluent, source, types):
             reading.facts[bind(fluent, env)] = _object(source, types, look, objects)
         case Stored(name, source):
@@ -259,13 +257,6 @@ def _object(source: FieldValue, types: tuple[str, ...], look: Look, objects: Obj
     raise Unreadable(f"{source.field} is {shown(value)}, which is no object of type {' or '.join(types)}")
 
 
-def _number(source: FieldValue, look: Look) -> float:
-    value = without_nan(source.field, source.value(look))
-    if isinstance(value, bool) or not isinstance(value, int | float) or math.isinf(value):
-        raise Unreadable(f"{source.field} is {shown(value)}; expected a finite number")
-    return float(value)
-
-
 # --- names with objects in them ------------------------------------------------------------
 
 _PLACEHOLDER: Final = re.compile(r"\{([^{}]*)\}")
@@ -278,7 +269,7 @@ def placeholders(pattern: str) -> tuple[str, ...]:
 
 def filled(pattern: str, env: Mapping[str, str]) -> str:
     """Put the objects in the place of the variables in braces."""
-    return _PLACEHOLDER.sub(lambda found: env[f"?{found[1]}"], pattern)
+    return _PLACEHOLDER.sub(lambda placeholder: env[f"?{placeholder[1]}"], pattern)
 
 
 def _resolved(value: object, env: Mapping[str, str]) -> object:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from itertools import product
 from math import prod
@@ -18,11 +18,7 @@ from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Fluent, Unknown, Valu
 class Watchdog:
     """A staleness watchdog: calls a function when it was not reset for `limit` seconds, and again after every later reset.
 
-    The mutable state is the time of expiry and the one timer.
-
-    Args:
-        limit: seconds on the clock of the event loop; None for no limit.
-        expired: is called.
+    The limit is on the clock of the event loop; None for none. The mutable state is the time of expiry and the one timer.
     """
 
     def __init__(self, limit: float | None, expired: Callable[[], object]) -> None:
@@ -113,14 +109,12 @@ class StateReports:
 
     def _forget(self, name: str) -> None:
         _log.warning("nothing was reported about %s for %g s; it is unknown now", name, self._stale)
-        recorded = {fluent: absent_value(value) for fluent, value in self._knowledge.facts().items() if fluent[0] == name}
-        self._before[name] = {**dict(self._instances(name)), **recorded}
-        self._knowledge.update(dict.fromkeys(self._before[name], UNKNOWN))
-
-    def _instances(self, name: str) -> Iterator[tuple[Fluent, Value | Unknown]]:
+        before: dict[Fluent, Value | Unknown] = {}
         if name in self._signatures:
             signature = self._signatures[name]
             objects = [self._knowledge.objects(types) for types in signature.parameters]
             if prod(map(len, objects)) <= MAX_INSTANCES:
-                for arguments in product(*objects):
-                    yield (name, *arguments), _ABSENT[signature.kind]
+                before = {(name, *arguments): _ABSENT[signature.kind] for arguments in product(*objects)}
+        before |= {fluent: absent_value(value) for fluent, value in self._knowledge.facts().items() if fluent[0] == name}
+        self._before[name] = before
+        self._knowledge.update(dict.fromkeys(before, UNKNOWN))

@@ -167,19 +167,19 @@ class Performance:
 
 @dataclass
 class Performer:
-    """Carries out the plans of a world at a site.
+    """Carries out the plans of a world on a backend.
 
     The mutable state is the performances that go on.
 
     Args:
         programs: by the name of the plan.
-        site: where actions are carried out.
+        backend: carries the actions out.
         world: what all runs share.
         source: who is asked and told what runs do not know.
     """
 
     programs: Mapping[str, Program]
-    site: Backend
+    backend: Backend
     world: KnowledgeBase
     source: Source | None = None
     resources: Resources = field(init=False)
@@ -203,7 +203,7 @@ class Performer:
             for call in program.plan.graph.calls
             if call.action.operation is None and call.action.name not in self.programs and program.plan.bindings.names_server(call.action)
         ]
-        return await self.site.prepare(dict.fromkeys(needed))
+        return await self.backend.prepare(dict.fromkeys(needed))
 
     def perform(
         self,
@@ -287,7 +287,7 @@ def _capacities(plans: Iterable[HandWrittenPlan]) -> dict[str, int]:
 
 
 class PlansClient:
-    """Carries out calls of plans as runs of their own, and passes all others on to the site.
+    """Carries out calls of plans as runs of their own, and passes all others on to the backend.
 
     Args:
         performer: carries out the plans.
@@ -309,7 +309,7 @@ class PlansClient:
 
     @property
     def _client(self) -> ActionClient:
-        return self._performer.site.client
+        return self._performer.backend.client
 
     def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
         """Return the parameters of the plan, or the fields that the server's goal has."""
@@ -339,7 +339,7 @@ class PlansClient:
 
     def _reported(self, report: Reporter, what: Report) -> None:
         if isinstance(what, Ended):
-            self._performer.site.over(what.request)
+            self._performer.backend.over(what.request)
         report(what)
 
     async def _perform(self, request: Request, report: Callable[[Accepted | Ended], None]) -> None:

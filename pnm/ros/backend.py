@@ -31,7 +31,7 @@ class Ros2Backend:
     """The action servers found in the ROS 2 graph, the facts published on `knowledge/sensed`, and sensors.
 
     Args:
-        ros: the thread of a node that goes on when the site is closed; by default the site has one of its own.
+        ros: the thread of a node that goes on when the backend is closed; by default the backend has one of its own.
 
     The mutable state is what `open` and `share` make.
 
@@ -51,11 +51,11 @@ class Ros2Backend:
         self._client: Any = None
         self._services: list[KnowledgeServices] = []
         self.ros: Any = ros
-        """The thread of the node, once the site is open."""
+        """The thread of the node, once the backend is open."""
 
     @property
     def client(self) -> ActionClient:
-        """The client of every action server, once the site is open."""
+        """The client of every action server, once the backend is open."""
         return self._client  # type: ignore[no-any-return]
 
     async def open(self, knowledge: KnowledgeBase) -> None:

@@ -21,7 +21,7 @@ from planner_bridge.yaml.convert import exported, imported
 from pnm.core.machine.generate import generate
 from pnm.core.machine.verification.verify import verify
 from pnm.language.plan import read_plans
-from tests.support.runs.direct import play
+from tests.support.runs.direct import drive
 
 ROOT = Path(__file__).parents[2]
 
@@ -60,7 +60,7 @@ def main() -> None:
             made = seconds(lambda graph=graph: generate(graph))
             machine = generate(graph)
             proved = seconds(lambda machine=machine: verify(machine))
-            ran = seconds(lambda graph=graph: play(graph, variables={"n": 1})) - made - proved
+            ran = seconds(lambda graph=graph: drive(graph, variables={"n": 1})) - made - proved
             each = [round(one / unit / steps) for one in (read, made, proved, ran)]
             told = "read {}, generate {}, prove {}, run {} units per step".format(*each)
             print(f"{steps} steps: {told}; reading takes {read / plain:.1f} times as long as PyYAML's loading")

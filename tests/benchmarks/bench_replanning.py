@@ -70,10 +70,10 @@ def measured(problem: Problem, bindings: Bindings) -> list[tuple[float, float]]:
     for seed in SEEDS:
         faults = Faults(tuple(Fault(name, FaultKind.ABORT, chance=0.2) for name in problem.domain.actions), seed=seed)
         clock = Clock()
-        site = SimulatedBackend(robots_of(problem, bindings, faults, speed=SPEED), bindings.assumed)
+        backend = SimulatedBackend(robots_of(problem, bindings, faults, speed=SPEED), bindings.assumed)
         limits = Limits(replans=30, seconds=60.0, forbid_after=1, backoff=0.0)
         settings = Settings(bindings=bindings, limits=limits, on_failure=OnFailure.CONTINUE_OTHERS, on_change=OnChange.EAGER)
-        run_async(achieve_at(site, problem, settings, clock), virtual=False)
+        run_async(achieve_at(backend, problem, settings, clock), virtual=False)
         found += clock.found
     return found
 

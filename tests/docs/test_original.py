@@ -19,7 +19,7 @@ from pnm.errors import InputError
 from pnm.language.plan import HandWrittenPlan, read_plans
 from pnm.language.runner import Performer, Program
 from tests.support.files import ROOT
-from tests.support.runs.direct import Answer, Story, outcomes, play, succeed
+from tests.support.runs.direct import Answer, Trace, drive, outcomes, succeed
 
 PAGE = (ROOT / "docs" / "original.md").read_text(encoding="utf-8")
 TYPES = """
@@ -47,9 +47,9 @@ def read(folder: Path, plan: str, knowledge: str = "{}", rest: str = "") -> Hand
     return found
 
 
-def told(plan: HandWrittenPlan, answer: Answer = succeed, known: Mapping[str, object] | None = None) -> Story:
+def told(plan: HandWrittenPlan, answer: Answer = succeed, known: Mapping[str, object] | None = None) -> Trace:
     world = KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules)
-    return play(plan.graph, answer, bindings=plan.bindings, variables=plan.variables, known=known, world=world)
+    return drive(plan.graph, answer, bindings=plan.bindings, variables=plan.variables, known=known, world=world)
 
 
 class Run:
@@ -60,7 +60,7 @@ class Run:
 
     def __call__(
         self, plan: str, answer: Answer = succeed, *, knowledge: str = "{}", rest: str = "", known: dict[str, object] | None = None
-    ) -> Story:
+    ) -> Trace:
         return told(read(self.folder, plan, knowledge, rest), answer, known)
 
     def wrong(self, plan: str, rest: str = "") -> str:
@@ -74,12 +74,12 @@ def run(tmp_path: Path) -> Run:
     return Run(tmp_path)
 
 
-def variables(story: Story) -> dict[str, object]:
-    return story.run.knowledge.local.variables()
+def variables(trace: Trace) -> dict[str, object]:
+    return trace.run.knowledge.local.variables()
 
 
-def causes(story: Story) -> list[str]:
-    return [failure.cause for failure in story.result.failures]
+def causes(trace: Trace) -> list[str]:
+    return [failure.cause for failure in trace.result.failures]
 
 
 # --- golden results ------------------------------------------------------------------------
@@ -127,36 +127,36 @@ def counted(request: Request) -> Outcome:
 
 
 def test_golden_counting_loop(run: Run) -> None:
-    story = run(COUNTING, counted, knowledge="{value: 5}")
-    assert story.result.goal
-    assert [goal["value"] for name, goal in story.sent if name == "given"] == [5, 6, 7, 8, 9]
-    assert variables(story) == {"value": 10, "result": 10}
+    trace = run(COUNTING, counted, knowledge="{value: 5}")
+    assert trace.result.goal
+    assert [goal["value"] for name, goal in trace.sent if name == "given"] == [5, 6, 7, 8, 9]
+    assert variables(trace) == {"value": 10, "result": 10}
 
 
 def test_golden_single_abort_fails(run: Run) -> None:
-    story = run("[{a: {}}, {b: {}}]", outcomes(a=["aborted"]))
-    assert (story.result.goal, story.actions, causes(story)) == (False, ["a"], ["aborted"])
+    trace = run("[{a: {}}, {b: {}}]", outcomes(a=["aborted"]))
+    assert (trace.result.goal, trace.actions, causes(trace)) == (False, ["a"], ["aborted"])
 
 
 def test_golden_single_preempt_continues(run: Run) -> None:
-    story = run("[{a: {}}, {b: {}}]", outcomes(a=["canceled"]))
-    assert (story.result.goal, story.actions) == (True, ["a", "b"])
+    trace = run("[{a: {}}, {b: {}}]", outcomes(a=["canceled"]))
+    assert (trace.result.goal, trace.actions) == (True, ["a", "b"])
 
 
 def test_golden_precondition_false_fails(run: Run) -> None:
-    story = run("[{ready: {}}]", knowledge="{ready: false}")
-    assert (story.result.goal, story.actions, causes(story)) == (False, [], ["precondition_false"])
+    trace = run("[{ready: {}}]", knowledge="{ready: false}")
+    assert (trace.result.goal, trace.actions, causes(trace)) == (False, [], ["precondition_false"])
 
 
 def test_golden_fork_with_one_abort_fails_and_the_others_end(run: Run) -> None:
-    story = run("[{concurrent_actions: [{a: {}}, {b: {}}]}, {c: {}}]", outcomes(a=["aborted"]))
-    assert (story.result.goal, story.actions, causes(story)) == (False, ["a", "b"], ["aborted"])
-    assert {call.call.action.name: call.outcome for call in story.result.calls}["b"] == "succeeded"
+    trace = run("[{concurrent_actions: [{a: {}}, {b: {}}]}, {c: {}}]", outcomes(a=["aborted"]))
+    assert (trace.result.goal, trace.actions, causes(trace)) == (False, ["a", "b"], ["aborted"])
+    assert {call.call.action.name: call.outcome for call in trace.result.calls}["b"] == "succeeded"
 
 
 def test_golden_fork_with_all_aborts_fails(run: Run) -> None:
-    story = run("[{concurrent_actions: [{a: {}}, {b: {}}]}]", outcomes(a=["aborted"], b=["aborted"]))
-    assert (story.result.goal, causes(story)) == (False, ["aborted", "aborted"])
+    trace = run("[{concurrent_actions: [{a: {}}, {b: {}}]}]", outcomes(a=["aborted"], b=["aborted"]))
+    assert (trace.result.goal, causes(trace)) == (False, ["aborted", "aborted"])
 
 
 def test_golden_empty_plan_succeeds(run: Run) -> None:
@@ -164,13 +164,13 @@ def test_golden_empty_plan_succeeds(run: Run) -> None:
 
 
 def test_golden_loop_with_zero_rounds(run: Run) -> None:
-    story = run("[{while: {condition: {Comparison: [lt, [LocalQuery: value, 0]]}, actions: [{a: {}}]}}, {b: {}}]", knowledge="{value: 5}")
-    assert (story.result.goal, story.actions) == (True, ["b"])
+    trace = run("[{while: {condition: {Comparison: [lt, [LocalQuery: value, 0]]}, actions: [{a: {}}]}}, {b: {}}]", knowledge="{value: 5}")
+    assert (trace.result.goal, trace.actions) == (True, ["b"])
 
 
 def test_golden_effects_that_hold_spare_the_action_even_if_its_precondition_is_false(run: Run) -> None:
-    story = run("[{both: {}}]", knowledge="{result: 1}")
-    assert (story.result.goal, story.actions) == (True, [])
+    trace = run("[{both: {}}]", knowledge="{result: 1}")
+    assert (trace.result.goal, trace.actions) == (True, [])
     assert causes(run("[{both: {}}]")) == ["precondition_false"]
 
 
@@ -186,8 +186,8 @@ def test_golden_effects_that_hold_spare_the_action_even_if_its_precondition_is_f
 )
 def test_golden_recovery_before(run: Run, recovery: str, goal: bool, sent: list[str]) -> None:
     when = "{not: {Exists: [LocalQuery: z]}}"
-    story = run(f"[{{a: {{}}, recoveries: {{before: {{when: {when}, do: {recovery}}}}}}}, {{b: {{}}}}]")
-    assert (story.result.goal, story.actions) == (goal, sent)
+    trace = run(f"[{{a: {{}}, recoveries: {{before: {{when: {when}, do: {recovery}}}}}}}, {{b: {{}}}}]")
+    assert (trace.result.goal, trace.actions) == (goal, sent)
 
 
 @pytest.mark.parametrize(
@@ -203,8 +203,8 @@ def test_golden_recovery_before(run: Run, recovery: str, goal: bool, sent: list[
     ],
 )
 def test_golden_recovery_during(run: Run, recovery: str, goal: bool, sent: list[str]) -> None:
-    story = run(f"[{{a: {{}}, recoveries: {{during: {{aborted: {recovery}}}}}}}, {{b: {{}}}}]", outcomes(a=["aborted"]))
-    assert (story.result.goal, story.actions) == (goal, sent)
+    trace = run(f"[{{a: {{}}, recoveries: {{during: {{aborted: {recovery}}}}}}}, {{b: {{}}}}]", outcomes(a=["aborted"]))
+    assert (trace.result.goal, trace.actions) == (goal, sent)
 
 
 @pytest.mark.parametrize(
@@ -215,8 +215,8 @@ def test_golden_recovery_after(run: Run, recovery: str, goal: bool, sent: list[s
     def answer(request: Request) -> Outcome:
         return Outcome(OutcomeKind.SUCCEEDED, {"result": 1} if request.action.name == "c" else {})
 
-    story = run(f"[{{found: {{}}, recoveries: {{after: {recovery}}}}}, {{b: {{}}}}]", answer)
-    assert (story.result.goal, story.actions) == (goal, sent)
+    trace = run(f"[{{found: {{}}, recoveries: {{after: {recovery}}}}}, {{b: {{}}}}]", answer)
+    assert (trace.result.goal, trace.actions) == (goal, sent)
 
 
 def test_golden_before_with_a_chain_is_if_then_else(run: Run) -> None:
@@ -234,9 +234,9 @@ def test_b1_b4_what_is_not_carried_out_fails_by_name(run: Run) -> None:
 
 
 def test_b2_missing_data_is_a_failure_and_nothing_is_sent(run: Run) -> None:
-    story = run("[{given: {}}]")
-    assert (story.sent, causes(story)) == ([], ["data_missing"])
-    assert story.result.failures[0].expected == "values for value"
+    trace = run("[{given: {}}]")
+    assert (trace.sent, causes(trace)) == ([], ["data_missing"])
+    assert trace.result.failures[0].expected == "values for value"
 
 
 def test_b5_an_operation_that_is_impossible_fails_and_one_that_is_missing_is_refused(run: Run) -> None:
@@ -263,19 +263,19 @@ def test_b9_meta_information_is_computed_every_time(run: Run) -> None:
     ask = "{kb: {operation: {LocalUpdate: [heard, {RemoteQuery: [question, {number: {LocalQuery: n}}]}]}}}"
     count = "{kb: {operation: {LocalUpdate: [n, {Operation: [add, [LocalQuery: n, 1]]}]}}}"
     loop = f"[{{while: {{condition: {{Comparison: [lt, [LocalQuery: n, 3]]}}, actions: [{ask}, {count}]}}}}]"
-    story = run(loop, knowledge="{n: 0}", known={"question": 1})
-    assert [one.meta for one in story.asked] == ['{"number": 0}', '{"number": 1}', '{"number": 2}']
+    trace = run(loop, knowledge="{n: 0}", known={"question": 1})
+    assert [one.meta for one in trace.asked] == ['{"number": 0}', '{"number": 1}', '{"number": 2}']
 
 
 def test_b11_in_a_loop_an_action_is_called_in_every_round_and_rounds_are_counted(run: Run) -> None:
     loop = "[{while: {condition: {Exists: [LocalQuery: result]}, actions: [{found: {}}], limit: 7}}]"
-    story = run(loop, knowledge="{result: 0}")
-    assert (story.actions, causes(story)) == (["found"] * 7, ["loop_limit"])
+    trace = run(loop, knowledge="{result: 0}")
+    assert (trace.actions, causes(trace)) == (["found"] * 7, ["loop_limit"])
 
 
 def test_b12_effects_that_never_come_are_waited_for_three_times(run: Run) -> None:
-    story = run("[{found: {}}]")
-    assert (story.actions, causes(story)) == (["found"] * 4, ["effects_missing"])
+    trace = run("[{found: {}}]")
+    assert (trace.actions, causes(trace)) == (["found"] * 4, ["effects_missing"])
 
 
 def test_b14_a_chain_without_a_command_is_refused(run: Run) -> None:
@@ -294,32 +294,32 @@ def test_b17_an_expression_with_two_words_is_refused(run: Run) -> None:
 def test_b18_names_are_names(run: Run) -> None:
     rest = "  Comparison: {<<: *ros_action}\n  exists: {<<: *ros_action}\n"
     names = "{query: 1, update: 2, lock: 3, self: 4, größe: 5}"
-    story = run("[{Comparison: {}}, {exists: {}}, {given: {value: {LocalQuery: lock}}}]", knowledge=names, rest=rest)
-    assert (story.result.goal, story.actions, story.sent[2][1]["value"]) == (True, ["Comparison", "exists", "given"], 3)
+    trace = run("[{Comparison: {}}, {exists: {}}, {given: {value: {LocalQuery: lock}}}]", knowledge=names, rest=rest)
+    assert (trace.result.goal, trace.actions, trace.sent[2][1]["value"]) == (True, ["Comparison", "exists", "given"], 3)
     assert "'while' is a word of the language" in run.wrong("[]", rest="  while: {}\n")
 
 
 def test_c1_what_is_entered_again_goes_on(run: Run) -> None:
-    story = run(COUNTING.replace("10]]", "500]]"), counted, knowledge="{value: 0}")
-    assert (story.result.goal, len(story.sent)) == (True, 501)
+    trace = run(COUNTING.replace("10]]", "500]]"), counted, knowledge="{value: 0}")
+    assert (trace.result.goal, len(trace.sent)) == (True, 501)
 
 
 def test_c2_a_person_is_asked_once_for_one_check(run: Run) -> None:
     plan = "[{if: {Comparison: [eq, [PersonQuery: go, true]]}, then: [{a: {}}], else: [{b: {}}]}]"
     for answer, done in ((True, ["a"]), (False, ["b"])):
-        story = run(plan, known={"go": answer})
-        assert (story.actions, len(story.asked)) == (done, 1)
+        trace = run(plan, known={"go": answer})
+        assert (trace.actions, len(trace.asked)) == (done, 1)
 
 
 def test_c4_what_is_updated_beside_an_action_is_there_for_the_next(run: Run) -> None:
-    story = run("[{concurrent_actions: [{a: {}}, {kb: {operation: {LocalUpdate: [value, 2]}}}]}, {given: {}}]", knowledge="{value: 1}")
-    assert story.sent[-1][1]["value"] == 2
+    trace = run("[{concurrent_actions: [{a: {}}, {kb: {operation: {LocalUpdate: [value, 2]}}}]}, {given: {}}]", knowledge="{value: 1}")
+    assert trace.sent[-1][1]["value"] == 2
 
 
 def test_c5_beginning_anew_in_a_branch_ends_the_others_and_begins_once(run: Run) -> None:
     branches = "[{a: {}, recoveries: {during: {aborted: restart_plan}}}, {b: {}}]"
-    story = run(f"[{{concurrent_actions: {branches}}}]", outcomes(a=["aborted"]))
-    assert (story.result.goal, story.actions) == (True, ["a", "b", "a", "b"])
+    trace = run(f"[{{concurrent_actions: {branches}}}]", outcomes(a=["aborted"]))
+    assert (trace.result.goal, trace.actions) == (True, ["a", "b", "a", "b"])
 
 
 def test_p1_the_blocks_of_a_long_plan_are_proved_once(tmp_path: Path) -> None:
@@ -336,18 +336,18 @@ def test_p6_runs_that_are_over_are_forgotten(tmp_path: Path) -> None:
 
     async def twice() -> list[object]:
         performer = Performer({"plan": Program.of(plan)}, simulated_backend(plan, plan.bindings), KnowledgeBase())
-        await performer.site.open(performer.world)
+        await performer.backend.open(performer.world)
         for _ in range(2):
             assert (await performer.execute(performer.perform("plan"))).goal
-        await performer.site.close()
+        await performer.backend.close()
         return [*performer.going_on]
 
     assert run_async(twice(), virtual=True) == []
 
 
 def test_6_missing_data_is_looked_up_in_the_global_knowledge(run: Run) -> None:
-    story = run("[{given: {}}]", known={"value": 7})
-    assert (story.result.goal, story.sent[0][1]["value"]) == (True, 7)
+    trace = run("[{given: {}}]", known={"value": 7})
+    assert (trace.result.goal, trace.sent[0][1]["value"]) == (True, 7)
 
 
 # --- the page ------------------------------------------------------------------------------

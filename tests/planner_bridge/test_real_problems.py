@@ -59,10 +59,10 @@ def pair(name: str) -> tuple[Path, Path]:
 def test_solved_pairs_reach_their_goal_in_the_world(name: str) -> None:
     problem = load(*pair(name))
     settings = Settings()
-    site = simulated_backend(problem, settings.bindings)
-    result = run_async(achieve_at(site, problem, settings, TaskObserver()), virtual=True)
+    backend = simulated_backend(problem, settings.bindings)
+    result = run_async(achieve_at(backend, problem, settings, TaskObserver()), virtual=True)
     assert result.goal_reached, result.reason
-    assert evaluate(problem.goal, site.robots.world.truth) is True
+    assert evaluate(problem.goal, backend.robots.world.truth) is True
     assert result.replans == 0
 
 

@@ -57,7 +57,7 @@ class _NoteStore:
 class Notes:
     """A view of the comment table from one path; every note can be taken once."""
 
-    _store: _NoteStore
+    store: _NoteStore
     path: AnchorPath = ()
 
     @staticmethod
@@ -67,28 +67,18 @@ class Notes:
 
     def at(self, *keys: str) -> Notes:
         """Return the view from a thing inside this one."""
-        return Notes(self._store, self.path + keys) if self._store.around else self
+        return Notes(self.store, self.path + keys) if self.store.around else self
 
     def take(self) -> Note:
         """Remove the note on this thing from the table, and return it."""
-        if not self._store.notes:
+        if not self.store.notes:
             return NO_NOTE
-        self._store.asked.add(self.path)
-        return self._store.notes.pop(self.path, NO_NOTE)
+        self.store.asked.add(self.path)
+        return self.store.notes.pop(self.path, NO_NOTE)
 
     def __bool__(self) -> bool:
         """Whether there are notes on the thing or on something in it."""
-        return self.path in self._store.around
-
-    def remaining(self) -> dict[AnchorPath, Note]:
-        """Return the notes that were not taken."""
-        return dict(self._store.notes)
-
-    def nearest(self, path: AnchorPath) -> AnchorPath:
-        """Return the innermost thing around the path that was asked about."""
-        while path and path not in self._store.asked:
-            path = path[:-1]
-        return path
+        return self.path in self.store.around
 
 
 NO_NOTES: Final = Notes.of({})
@@ -97,23 +87,20 @@ NO_NOTES: Final = Notes.of({})
 def write_with_notes(table: Table, write: Callable[[Notes], str]) -> str:
     """Write a text with all notes: those on things that are not written go to the thing around these.
 
-    Args:
-        table: the notes.
-        write: writes the text, and takes the notes it writes; the one on the empty path, too.
+    `write` takes the notes that it writes; the one on the empty path, too.
     """
     notes = Notes.of(table)
     text = write(notes)
-    remaining = notes.remaining()
+    remaining = notes.store.notes
     if not remaining:
         return text
     moved = {path: note for path, note in table.items() if path not in remaining}
     for path, note in remaining.items():
-        near = notes.nearest(path)
+        near = path
+        while near and near not in notes.store.asked:
+            near = near[:-1]
         moved[near] = moved.get(near, NO_NOTE).joined(Note(note.before + note.beside + note.below))
     return write(Notes.of(moved))
-
-
-# --- which comment belongs to which thing --------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

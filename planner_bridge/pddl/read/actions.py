@@ -53,11 +53,7 @@ def _instantaneous(name: str, section: Group, symbols: SymbolTable) -> ActionSch
     empty = Group((), section.offset, section.source)
     precondition, preferences = split_preferences(parts.get(":precondition", empty), scope)
     return ActionSchema(
-        name,
-        parameters,
-        precondition=precondition,
-        end_effects=effects(parts.get(":effect", empty), scope),
-        preferences=preferences,
+        name, parameters, precondition=precondition, end_effects=effects(parts.get(":effect", empty), scope), preferences=preferences
     )
 
 
@@ -99,9 +95,6 @@ def _parameters(parts: dict[str, Node], symbols: SymbolTable) -> tuple[Variable,
     return symbols.variables(words)
 
 
-# --- time specifiers -----------------------------------------------------------------------
-
-
 def _time_specifier(node: Group) -> TimeSpecifier | None:
     match node.items:
         case (Atom() as first, Atom() as second, _):
@@ -139,9 +132,6 @@ def _merged(parts: Iterable[Timed[T]]) -> Timed[T]:
     return merged
 
 
-# --- conditions ----------------------------------------------------------------------------
-
-
 def _timed_conditions(node: Node, scope: TermScope) -> tuple[dict[TimeSpecifier, Condition], tuple[Preference, ...]]:
     """Return the condition of each moment, and the preferences."""
     hard, soft = _conditions(node, scope)
@@ -159,7 +149,10 @@ def _conditions(node: Node, scope: TermScope) -> tuple[Timed[Condition], list[Pr
             hard, soft = _conditions(body, scope.inside(variables))
             return {moment: [ForAll(variables, conjunction(parts))] for moment, parts in hard.items()}, with_variables(variables, soft)
         case Group() if is_preference(node, scope):
-            name, (moment, wanted) = preference(node, scope, lambda body: _preferred(body, scope))
+            name, (moment, body) = preference(node, scope, lambda timed: _timed(timed, TIME_SPECIFIERS, "one of them"))
+            wanted, inner = split_preferences(body, scope)
+            if inner:
+                raise wrong(node.rest[-1], "a preference cannot stand inside another")
             return {}, [Preference(name, wanted, moment=moment)]
         case Group() if node.head in _INSIDE and len(moments := _moments_inside(node)) == 1 and "over all" not in moments:
             (moment,) = moments
@@ -168,17 +161,6 @@ def _conditions(node: Node, scope: TermScope) -> tuple[Timed[Condition], list[Pr
     moment, body = _timed(node, TIME_SPECIFIERS, "and or forall")
     required, preferred = split_preferences(body, scope, moment)
     return ({} if required == TRUE and preferred else {moment: [required]}), list(preferred)
-
-
-def _preferred(node: Node, scope: TermScope) -> tuple[TimeSpecifier, Condition]:
-    moment, body = _timed(node, TIME_SPECIFIERS, "one of them")
-    wanted, preferred = split_preferences(body, scope)
-    if preferred:
-        raise wrong(node, "a preference cannot stand inside another")
-    return moment, wanted
-
-
-# --- effects -------------------------------------------------------------------------------
 
 
 def _effects(node: Node, scope: TermScope) -> Timed[Effect]:
@@ -215,8 +197,6 @@ def _when(conditions: Mapping[TimeSpecifier, Condition], moment: TimeSpecifier, 
         return When(late, parts)
     return When(early, (When(late, parts),) if late != TRUE else parts, early=True)
 
-
-# --- duration ------------------------------------------------------------------------------
 
 _Comparison: TypeAlias = Literal["=", "<=", ">="]
 _COMPARISONS: Final[Mapping[str, _Comparison]] = {"=": "=", "<=": "<=", ">=": ">="}

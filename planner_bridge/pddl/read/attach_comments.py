@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Literal
 
 from planner_bridge.pddl.comments.table import Anchor, AnchorPath, Comment, LineIndex, Table, attach
 from planner_bridge.pddl.read.reader import DOMAIN_SECTIONS, HIERARCHY, NETWORK, PROBLEM_SECTIONS
-from planner_bridge.pddl.read.sections import Definition, define, typed_runs
+from planner_bridge.pddl.read.sections import define, typed_runs
 from planner_bridge.pddl.syntax.anchors import ACTION, COMPOUND, PARTS, fact_anchor, form_anchor, form_of, is_timed, rule_anchor
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, tokens
-
-_SECTIONS: Final = {"domain": DOMAIN_SECTIONS, "problem": PROBLEM_SECTIONS}
-_NAME_LISTS: Final = (":types", ":constants", ":objects")
-_ACTIONS: Final = (":action", ":durative-action")
 
 
 def comments(text: str, kind: Literal["domain", "problem"]) -> Table:
@@ -22,7 +18,7 @@ def comments(text: str, kind: Literal["domain", "problem"]) -> Table:
     if ";" not in text:
         return {}
     ends: dict[int, int] = {}
-    found: list[Comment] = []
+    all_comments: list[Comment] = []
     opened: list[int] = []
     for token, offset in tokens(text):
         if token == "(":
@@ -30,10 +26,14 @@ def comments(text: str, kind: Literal["domain", "problem"]) -> Table:
         elif token == ")" and opened:
             ends[opened.pop()] = offset + 1
         elif token[0] == ";":
-            found.append(Comment(token.rstrip(), offset))
-    anchors = [*_AnchorFinder(ends).definition(define(text, "", kind, _SECTIONS[kind]), (kind,))]
+            all_comments.append(Comment(token.rstrip(), offset))
+    definition = define(text, "", kind, DOMAIN_SECTIONS if kind == "domain" else PROBLEM_SECTIONS)
+    finder = _AnchorFinder(ends)
+    anchors = [finder.anchor(definition.whole, (kind,))]
+    for section in definition.sections:
+        anchors.extend(finder.section(section, (kind,)))
     verbatim = [(anchor.start, anchor.end) for anchor in anchors if anchor.opaque]
-    free = [comment for comment in found if not any(start < comment.offset < end for start, end in verbatim)]
+    free = [comment for comment in all_comments if not any(start < comment.offset < end for start, end in verbatim)]
     return attach(free, anchors, LineIndex.of(text), _ListEnds(anchors).owner_above)
 
 
@@ -65,20 +65,12 @@ class _ListEnds:
         return self._anchors[path]
 
 
-# --- anchors -------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True)
 class _AnchorFinder:
     """Finds the things in a definition that comments can be about."""
 
     ends: Mapping[int, int]
     """For the offset of every list, the offset behind it."""
-
-    def definition(self, definition: Definition, path: AnchorPath) -> Iterator[Anchor]:
-        yield self.anchor(definition.whole, path)
-        for section in definition.sections:
-            yield from self.section(section, path)
 
     def anchor(self, node: Node, path: AnchorPath, last: Node | None = None, opaque: bool = False) -> Anchor:
         behind = last or node
@@ -95,11 +87,11 @@ class _AnchorFinder:
             inner = (*inner, rule_anchor(form_of(section)))
             yield self.anchor(section, inner)
             yield from self.formulas(section.rest[1:], inner)
-        elif head in _ACTIONS:
+        elif head in (":action", ":durative-action"):
             yield from self.action(section, (*path, ACTION, form_anchor(form_of(name))))
         else:
             yield self.anchor(section, inner)
-            if head in _NAME_LISTS:
+            if head in (":types", ":constants", ":objects"):
                 names = (name for names, _ in typed_runs(section.rest) for name in names)
                 yield from (self.anchor(name, (*inner, name.key)) for name in names if isinstance(name, Atom))
             elif head in (":predicates", ":functions"):

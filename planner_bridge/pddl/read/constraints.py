@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Literal, TypeAlias, TypeVar
+from typing import Literal, TypeVar
 
 from planner_bridge.pddl.read.formulas import condition
 from planner_bridge.pddl.read.requirements import Leniency
@@ -18,8 +18,6 @@ from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import Constraint
 
 T = TypeVar("T")
-
-# --- preferences ---------------------------------------------------------------------------
 
 
 def is_preference(node: Node, scope: TermScope) -> bool:
@@ -79,11 +77,6 @@ def _joined(parts: Iterable[tuple[list[T], list[Preference]]]) -> tuple[list[T],
     return [part for hard, _ in both for part in hard], [preference for _, soft in both for preference in soft]
 
 
-# --- trajectory constraints ----------------------------------------------------------------
-
-_Split: TypeAlias = tuple[list[Constraint], list[Preference]]
-
-
 def constraints(parts: tuple[Node, ...], scope: TermScope) -> tuple[tuple[Constraint, ...], tuple[Preference, ...]]:
     """Read ``(:constraints ...)``: return the hard constraints, and the preferences over constraints."""
     if len(parts) > 1:
@@ -92,7 +85,7 @@ def constraints(parts: tuple[Node, ...], scope: TermScope) -> tuple[tuple[Constr
     return tuple(hard), tuple(soft)
 
 
-def _constraints(node: Node, scope: TermScope) -> _Split:
+def _constraints(node: Node, scope: TermScope) -> tuple[list[Constraint], list[Preference]]:
     scope.symbols.requirements.need(node, ":constraints")
     match node:
         case Group(items=()):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 from planner_bridge.model.problem import Domain
 from planner_bridge.pddl.read.requirements import Leniency, Requirements
@@ -18,8 +18,6 @@ from pnm.core.logic.expressions import Variable
 
 Lists: TypeAlias = Iterable[Sequence[Node]]
 """The contents of each section of a name: a type at the end of one does not hold for the names in another."""
-
-# --- types ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,27 +63,24 @@ def types(lists: Lists, requirements: Requirements) -> dict[str, Types]:
     return hierarchy
 
 
-# --- objects -------------------------------------------------------------------------------
-
-
 def objects(lists: Lists, symbols: SymbolTable) -> dict[str, Types]:
     """Read constants or objects; one that is there again, or in the symbol table already, is of all the types given."""
-    found: dict[str, tuple[str, Types]] = {}
+    declared: dict[str, tuple[str, Types]] = {}
     for words, types_node in chain.from_iterable(map(typed_runs, lists)):
         given = symbols.types(types_node)
         for word in words:
             name = new_name(word, "object")
             key = name.lower()
-            before = found.get(key) or symbols.find_object(name)
+            before = declared.get(key) or symbols.find_object(name)
             if before is None:
-                found[key] = name, given
+                declared[key] = name, given
                 continue
             different = f": as {show_types(given)} here, as {show_types(before[1])} before; it is of both types"
             Leniency.OBJECT_TWICE.note(word, name, "" if frozenset(given) == frozenset(before[1]) else different)
             both = symbols.domain.joined(before[1], given)
             if both != before[1]:
-                found[key] = before[0], both
-    return dict(found.values())
+                declared[key] = before[0], both
+    return dict(declared.values())
 
 
 def borrow(own: dict[str, Types], symbols: SymbolTable, whole: Node) -> dict[str, Types]:
@@ -101,11 +96,6 @@ def borrow(own: dict[str, Types], symbols: SymbolTable, whole: Node) -> dict[str
     return objects
 
 
-# --- predicates and functions --------------------------------------------------------------
-
-_NUMBER: Final = "number"
-
-
 def predicates(parts: Sequence[Node], symbols: SymbolTable) -> dict[str, Declaration]:
     """Read the declarations of predicates."""
     table = _DeclarationTable("predicate", symbols)
@@ -119,7 +109,7 @@ def functions(lists: Lists, symbols: SymbolTable, predicates: Mapping[str, Decla
     table = _DeclarationTable("function", symbols)
     taken = {(name.lower(), len(declared.parameters)) for name, declared in predicates.items()}
     for nodes, types_node in chain.from_iterable(map(typed_runs, lists)):
-        is_numeric = types_node is None or (isinstance(types_node, Atom) and types_node.key == _NUMBER)
+        is_numeric = types_node is None or (isinstance(types_node, Atom) and types_node.key == "number")
         if not is_numeric:
             symbols.requirements.need(types_node or nodes[0], ":object-fluents")
         values = () if is_numeric else symbols.types(types_node)

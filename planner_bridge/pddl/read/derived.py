@@ -66,9 +66,6 @@ def _narrowed(given: Variable, needed: Variable, node: Node, symbols: SymbolTabl
     raise wrong(node, f"{given.name!r} is of type {show_types(given.types)}; expected {show_types(needed.types)}")
 
 
-# --- stratification ------------------------------------------------------------------------
-
-
 def _check_stratification(rules: list[tuple[DerivationRule, Group]]) -> None:
     """Refuse rules that are not stratified: a fact that follows from its own absence has no meaning (PDDL 2.2)."""
     derived = {rule.name for rule, _ in rules}

@@ -20,12 +20,9 @@ from pnm.core.logic.conditions import TRUE, Any, Compare, Condition, Exists, For
 from pnm.core.logic.effects import OPERATIONS, Effects, ForEach, Set, When
 from pnm.core.logic.expressions import UNDEFINED, Constant, Expression, Fluent, ValueOf, Variable
 
-_FALSE: Final = Any(())
 _COMPOUND: Final = ("and", "or", "not", "imply", "forall", "exists")
 _OVER_NUMBERS: Final = frozenset((*OPERANDS, *OPERATIONS, "=", "<", "<=", ">", ">=", "not"))
 """Heads whose operands are no arguments themselves but may have some."""
-
-# --- conditions ----------------------------------------------------------------------------
 
 
 def condition(node: Node, scope: TermScope) -> Condition:
@@ -49,14 +46,10 @@ def condition(node: Node, scope: TermScope) -> Condition:
             scope.symbols.requirements.need(node, ":disjunctive-preconditions")
             left, right = operands(node, 2)
             return Implies(condition(left, scope), condition(right, scope))
-        case "forall":
-            scope.symbols.requirements.need(node, ":universal-preconditions")
+        case "forall" | "exists" as word:
+            scope.symbols.requirements.need(node, ":universal-preconditions" if word == "forall" else ":existential-preconditions")
             variables, body = scope.quantified(node)
-            return ForAll(variables, condition(body, scope.inside(variables)))
-        case "exists":
-            scope.symbols.requirements.need(node, ":existential-preconditions")
-            variables, body = scope.quantified(node)
-            return Exists(variables, condition(body, scope.inside(variables)))
+            return (ForAll if word == "forall" else Exists)(variables, condition(body, scope.inside(variables)))
         case "=":
             return _flattened_condition(node, scope, _equality)
         case "<" | "<=" | ">" | ">=":
@@ -75,7 +68,7 @@ def _flattened_condition(node: Group, scope: TermScope, read: Callable[[Group, T
 def _fact(node: Group, scope: TermScope) -> Condition:
     if scope.symbols.lenient and scope.symbols.is_undeclared(node):
         Leniency.PREDICATE_UNDECLARED.note(node.items[0], node.items[0])
-        return _FALSE
+        return Any(())  # false
     return Holds(scope.fact(node))
 
 
@@ -91,9 +84,6 @@ def _comparison(node: Group, scope: TermScope) -> Compare:
     left, right = operands(node, 2)
     scope.symbols.requirements.need(node, ":numeric-fluents")
     return Compare(node.head, scope.expression(left), scope.expression(right))
-
-
-# --- effects -------------------------------------------------------------------------------
 
 
 def effects(node: Node, scope: TermScope) -> Effects:
@@ -154,9 +144,6 @@ def _new_value(node: Group, target: Node, value: Node, scope: TermScope) -> Expr
     if isinstance(value, Atom) and value.key == UNDEFINED and scope.symbols.find_object(value.text) is None:
         return Constant(UNDEFINED)
     return scope.value(value, declared.values)
-
-
-# --- object fluents as arguments -----------------------------------------------------------
 
 
 def _flattened(node: Group, scope: TermScope) -> _Flattened | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 from planner_bridge.pddl.read.requirements import REFUSED_IN_INIT, Leniency
 from planner_bridge.pddl.read.terms import TermScope
@@ -12,7 +12,6 @@ from planner_bridge.pddl.syntax.words import counted, is_number, number, operand
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Constant, Fluent, Value, fluent_text
 
-_ASSIGNMENTS: Final = ("=", "assign")
 _Change: TypeAlias = tuple[Fluent, Value]
 
 
@@ -35,17 +34,30 @@ def initial_state(parts: Iterable[Node], scope: TermScope) -> tuple[dict[Fluent,
 def _change(node: Node, scope: TermScope) -> _Change | None:
     """Return a fluent and its value; None for one that no condition can read."""
     match node:
-        case Group() if node.head in _ASSIGNMENTS:
-            return _assignment(node, scope)
+        case Group() if node.head in ("=", "assign"):
+            target, value = operands(node, 2)
+            if node.head != "=":
+                Leniency.ASSIGN_IN_INIT.note(node, node.head)
+            if scope.symbols.is_undeclared(target):
+                Leniency.VALUE_UNDECLARED.note(node, target)
+                return None
+            declared = scope.symbols.function(target)
+            fluent = scope.function(target)
+            if not declared.values:
+                return fluent, number(value)
+            constant = scope.value(value, declared.values)
+            if not isinstance(constant, Constant):
+                raise wrong(value, f"expected an object, found {value}")
+            return fluent, constant.value
         case Group() if node.head == "not":
             (negated,) = operands(node, 1)
-            fluent = _fact(negated, scope)
-            return (fluent, False) if fluent else None
+            fact = _fact(negated, scope)
+            return (fact, False) if fact else None
         case Group() if node.head in REFUSED_IN_INIT and not scope.symbols.has_predicate(node.head):
             raise REFUSED_IN_INIT[node.head].at(node)
         case Group():
-            fluent = _fact(node, scope)
-            return (fluent, True) if fluent else None
+            fact = _fact(node, scope)
+            return (fact, True) if fact else None
         case _:
             raise wrong(node, f"expected a fact, (= FUNCTION VALUE) or (at TIME ...), found {node}")
 
@@ -64,23 +76,6 @@ def _fact(node: Node, scope: TermScope) -> Fluent | None:
     if fluent[0] in scope.symbols.derived:
         raise wrong(node, f"{fluent[0]!r} is a derived predicate; it follows from others and cannot be given")
     return fluent
-
-
-def _assignment(node: Group, scope: TermScope) -> _Change | None:
-    target, value = operands(node, 2)
-    if node.head != "=":
-        Leniency.ASSIGN_IN_INIT.note(node, node.head)
-    if scope.symbols.is_undeclared(target):
-        Leniency.VALUE_UNDECLARED.note(node, target)
-        return None
-    declared = scope.symbols.function(target)
-    fluent = scope.function(target)
-    if not declared.values:
-        return fluent, number(value)
-    constant = scope.value(value, declared.values)
-    if not isinstance(constant, Constant):
-        raise wrong(value, f"expected an object, found {value}")
-    return fluent, constant.value
 
 
 def _put(state: dict[Fluent, Value], change: _Change | None, node: Node) -> None:

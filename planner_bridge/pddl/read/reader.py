@@ -38,10 +38,7 @@ DOMAIN_SECTIONS: Final = (
     *(":requirements", ":predicates", ":types", ":constants", ":functions", INSTANTANEOUS, DURATIVE, DERIVED, ":constraints"),
     *HIERARCHY,
 )
-PROBLEM_SECTIONS: Final = (
-    *(":domain", ":init", ":goal", ":objects", ":metric", ":constraints", ":requirements", ":length"),
-    *NETWORK,
-)
+PROBLEM_SECTIONS: Final = (*(":domain", ":init", ":goal", ":objects", ":metric", ":constraints", ":requirements", ":length"), *NETWORK)
 _DIRECTIONS: Final[dict[str, Literal["minimize", "maximize"]]] = {"minimize": "minimize", "maximize": "maximize"}
 
 
@@ -86,9 +83,6 @@ def parse_problem(text: str, domain: Domain, file: str = "problem.pddl") -> Prob
     return _problem(define(text, file, "problem", PROBLEM_SECTIONS), domain)
 
 
-# --- domains -------------------------------------------------------------------------------
-
-
 def _domain(definition: Definition, warnings: tuple[Tolerated, ...] = ()) -> Domain:
     """Interpret the sections of a domain; `warnings` are those about the characters of the file."""
     words = requirements(definition.parts(":requirements"))
@@ -128,9 +122,6 @@ def _verbatim_sections(definition: Definition, keys: tuple[str, ...], needed: Re
     for section in sections:
         needed.need(section, ":hierarchy", ":htn")
     return tuple(map(text_of, sections))
-
-
-# --- problems ------------------------------------------------------------------------------
 
 
 def _problem(definition: Definition, domain: Domain, warnings: tuple[Tolerated, ...] = ()) -> Problem:

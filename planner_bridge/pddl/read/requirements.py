@@ -15,8 +15,6 @@ from planner_bridge.pddl.syntax.expressions import Atom, Node, tolerate, wrong
 from planner_bridge.pddl.syntax.words import new_name
 from pnm.errors import InputError
 
-# --- refused -------------------------------------------------------------------------------
-
 _CONTINGENT: Final = "a contingent planner, of which unified-planning brings none,"
 _SIMULATION: Final = "a simulation of change over time"
 
@@ -56,8 +54,6 @@ REFUSED_IN_INIT: Final[Mapping[str, Refused]] = {
     "unknown": Refused.UNKNOWN_IN_INIT,
 }
 """In the initial state, where no predicate has that name."""
-
-# --- tolerated -----------------------------------------------------------------------------
 
 
 class Leniency(Enum):
@@ -105,8 +101,6 @@ class Leniency(Enum):
         """Add the warning about the node to those of its file."""
         tolerate(node, self.value.format(*details))
 
-
-# --- requirements --------------------------------------------------------------------------
 
 _QUANTIFIED: Final = (":existential-preconditions", ":universal-preconditions")
 _FLUENTS: Final = (":numeric-fluents", ":object-fluents")

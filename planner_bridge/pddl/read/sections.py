@@ -111,9 +111,6 @@ def _unknown(key: Node, kind: str, known: Iterable[str], place: str = "") -> Inp
     return wrong(key, f"unknown {kind} {key}{place}; {hint}")
 
 
-# --- typed lists ---------------------------------------------------------------------------
-
-
 def typed_runs(items: Sequence[Node]) -> Iterator[tuple[list[Node], Node | None]]:
     """Split ``a b - t c`` into ``([a, b], t)`` and ``([c], None)``; ``-t`` without a space is read too."""
     names: list[Node] = []

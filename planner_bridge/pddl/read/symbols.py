@@ -63,8 +63,6 @@ class SymbolTable:
     _undeclared: dict[str, bool] = field(default_factory=dict)
     """Answers of `is_undeclared`, by lower case."""
 
-    # --- types ---
-
     def types(self, node: Node | None) -> Types:
         """Return the declared types of a typed list; ``object`` when it has none."""
         if node is None:
@@ -93,8 +91,6 @@ class SymbolTable:
                 variables.append(Variable(name.text, types))
         return tuple(variables)
 
-    # --- objects ---
-
     def object(self, word: Atom, needed: Types) -> tuple[str, Types]:
         """Return the object's name as declared, and its types; a domain may use one of the needed types that its problems declare."""
         known = self._objects.get(word.key)
@@ -110,8 +106,6 @@ class SymbolTable:
     def find_object(self, name: str) -> tuple[str, Types] | None:
         """Return an object's name as declared and its types, or None when there is no such object."""
         return self._objects.get(name.lower())
-
-    # --- predicates and functions ---
 
     def predicate(self, node: Node) -> Declaration:
         """Return the declaration of the predicate the list begins with."""

@@ -46,8 +46,6 @@ class TermScope:
             raise wrong(variables, f"expected variables in parentheses, found {variables}")
         return self.symbols.variables(variables.items), body
 
-    # --- facts and functions ---
-
     def fact(self, node: Node) -> Fluent:
         """Read a predicate with its arguments."""
         if not isinstance(node, Group):
@@ -82,8 +80,6 @@ class TermScope:
             raise _ill_typed(node, name, types, needed)
         return name
 
-    # --- objects as values ---
-
     def is_object(self, node: Node) -> bool:
         """Whether the part stands for an object rather than a number."""
         declared = self.symbols.find_function(node)
@@ -104,8 +100,6 @@ class TermScope:
         if not self.symbols.domain.may_match(declared.values, needed):
             raise _ill_typed(node, declared.name, declared.values, needed)
         return ValueOf(fluent)
-
-    # --- numbers ---
 
     def expression(self, node: Node) -> Expression:
         """Read a number, ``?duration``, the value of a function, or arithmetic over these."""

@@ -31,13 +31,13 @@ class Source:
 
     file: str
     text: str = field(repr=False)
-    found: dict[tuple[int, str], None] = field(default_factory=dict, repr=False)
+    warnings: dict[tuple[int, str], None] = field(default_factory=dict, repr=False)
     """Offsets and messages, each once."""
 
     @property
     def tolerated(self) -> tuple[Tolerated, ...]:
         """The warnings, in the order of the text."""
-        return tuple([Tolerated(message, self.position(offset)) for offset, message in sorted(self.found)])
+        return tuple([Tolerated(message, self.position(offset)) for offset, message in sorted(self.warnings)])
 
     def position(self, offset: int) -> Position:
         """Return the line and column of an offset."""
@@ -114,7 +114,7 @@ def wrong(node: Node, message: str) -> InputError:
 
 def tolerate(node: Node, message: str) -> None:
     """Add a warning about this part of the text."""
-    node.source.found.setdefault((node.offset, message))
+    node.source.warnings.setdefault((node.offset, message))
 
 
 def normalized(node: Node) -> object:
@@ -144,9 +144,6 @@ def parse(text: str, file: str) -> tuple[Node, ...]:
 
     >>> [str(part) for part in parse("(move ?r - robot) ; ignored", "example.pddl")]
     ['(move ...)']
-
-    Raises:
-        InputError: a parenthesis has no partner, or lists are nested deeper than `MAX_DEPTH`.
     """
     return _Parser(Source(file, text)).parse()
 
@@ -178,7 +175,7 @@ class _Parser:
                     outer.append(Group(tuple(self.items), start, self.source))
                     self.items = outer
                 elif self.items and _CLOSING.fullmatch(self.source.text, offset):
-                    self.source.found.setdefault((offset, "this ')' closes nothing"))
+                    self.source.warnings.setdefault((offset, "this ')' closes nothing"))
                     break
                 else:
                     raise InputError("this ')' closes nothing; expected '(' or the end of the file", self.source.position(offset))

@@ -18,8 +18,6 @@ from pnm.errors import InputError
 _LONG: Final = 72
 """Characters of names in a line, at most."""
 
-# --- typed lists ---------------------------------------------------------------------------
-
 
 def types_form(types: tuple[str, ...]) -> Form:
     """Return a type, or ``either`` of several."""
@@ -59,9 +57,6 @@ def variables_form(variables: tuple[Variable, ...]) -> list[Form]:
     for types, group in groupby(variables, key=attrgetter("types")):
         forms += (*(variable.name for variable in group), "-", types_form(types))
     return forms[:-2] if forms[-2:] == ["-", "object"] else forms
-
-
-# --- conditions, expressions, effects ------------------------------------------------------
 
 
 def joined(forms: list[Form]) -> Form:

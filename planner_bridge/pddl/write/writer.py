@@ -84,9 +84,6 @@ def _problem(problem: Problem, notes: Notes) -> str:
     return definition_text(["problem", problem.name], sections, notes.take())
 
 
-# --- sections with their comments ----------------------------------------------------------
-
-
 def _section(form: list[Form], notes: Notes) -> Form:
     return noted(form, notes.at(str(form[0])).take())
 
@@ -120,9 +117,6 @@ def commented(form: Form, notes: Notes) -> Form:
     return noted(inner, own.take())
 
 
-# --- declarations --------------------------------------------------------------------------
-
-
 def _declaration(declared: Declaration) -> Form:
     return [declared.name, *variables_form(declared.parameters)]
 
@@ -136,9 +130,6 @@ def change_form(fluent: Fluent, value: Value) -> Form:
             return ["not", list(fluent)]
         case _:
             return ["=", list(fluent), expression_form(Constant(value))]
-
-
-# --- rules, preferences, constraints -------------------------------------------------------
 
 
 def rule_form(rule: DerivationRule) -> list[Form]:
@@ -185,9 +176,6 @@ def _under(variables: tuple[Variable, ...], form: Form) -> Form:
         if variable.name.lower() in {before.name.lower() for before in variables[:count]}:
             return ["forall", variables_form(variables[:count]), _under(variables[count:], form)]
     return ["forall", variables_form(variables), form] if variables else form
-
-
-# --- actions -------------------------------------------------------------------------------
 
 
 def _action(schema: ActionSchema, notes: Notes) -> Form:

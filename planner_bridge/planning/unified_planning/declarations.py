@@ -32,14 +32,14 @@ class TypeTree:
     @cached_property
     def parents(self) -> dict[str, str]:
         """For every type but the root its parent, parents first."""
-        found: dict[str, str] = {}
+        parents: dict[str, str] = {}
         waiting = dict(self._problem.domain.types)
         while waiting:
             for name, above in tuple(waiting.items()):
-                if not any(one in waiting for one in above):
-                    found[name] = _common([_path(one, found) for one in above] or [[ROOT]])
+                if waiting.keys().isdisjoint(above):
+                    parents[name] = _common([_path(parent, parents) for parent in above] or [[ROOT]])
                     del waiting[name]
-        return found
+        return parents
 
     @cached_property
     def type_of(self) -> dict[str, str]:
@@ -64,7 +64,7 @@ class TypeTree:
         return len(self.extent(kinds)) == sum(cover in _path(own, self.parents) for own in self.type_of.values())
 
     def _common(self, types: Iterable[str]) -> str:
-        return _common([_path(one, self.parents) for one in types])
+        return _common([_path(name, self.parents) for name in types])
 
 
 def _path(name: str, parents: dict[str, str]) -> list[str]:
@@ -116,11 +116,7 @@ class Declarations:
         return (fluent[0], len(fluent) - 1) in self._fluents
 
     def fluent(self, fluent: Fluent) -> Any:
-        """Return the fluent in unified-planning, without its arguments.
-
-        Raises:
-            InputError: it is none of the domain's, such as the ``total-time`` of a metric.
-        """
+        """Return the fluent in unified-planning, without its arguments; refuse one like ``total-time``, which the domain does not have."""
         if not self.knows(fluent):
             raise InputError(f"the use of {fluent_text(fluent)}")
         return self._fluents[fluent[0], len(fluent) - 1]
@@ -132,7 +128,7 @@ class Declarations:
     def variables(self, variables: Iterable[Variable], terms: Terms) -> tuple[tuple[Any, ...], tuple[Any, ...], Terms]:
         """Return the variables of a quantifier, their guards, and the terms in its scope."""
         chosen = {variable: up.Variable(variable.name[1:], self.type_of(variable.types)) for variable in variables}
-        inner = {**terms, **{variable.name: up.VariableExp(one) for variable, one in chosen.items()}}
+        inner = {**terms, **{variable.name: up.VariableExp(symbol) for variable, symbol in chosen.items()}}
         return tuple(chosen.values()), tuple(self.guards(chosen, inner)), inner
 
     def guards(self, variables: Iterable[Variable], terms: Terms) -> Iterator[Any]:
@@ -142,9 +138,8 @@ class Declarations:
             if self.tree.is_exact(types):
                 continue
             if types not in self._guards:
-                guard = self._guards[types] = up.Fluent(
-                    self.named(f"is-{'-or-'.join(sorted(types))}"), up.BoolType(), it=self.type_of(types)
-                )
+                name = self.named(f"is-{'-or-'.join(sorted(types))}")
+                guard = self._guards[types] = up.Fluent(name, up.BoolType(), it=self.type_of(types))
                 self.translated.add_fluent(guard, default_initial_value=False)
                 for member in self.tree.extent(types):
                     self.translated.set_initial_value(guard(self.objects[member]), True)

@@ -120,25 +120,19 @@ def _answer(name: str, problem: Problem, deadline: float) -> Answer:
 
 def _reason(name: str, result: PlanGenerationResult) -> Answer:
     log = "\n".join(message.message for message in result.log_messages or ())
-    match _STATUS.get(result.status, PlanningStatus.NO_PLAN):
-        case PlanningStatus.UNSOLVABLE if not (name in ENGINES and ENGINES[name].proves_unsolvability):
-            return _no_plan(PlanningStatus.NO_PLAN, f"{name} says that there is none, which is not taken for proved")
-        case PlanningStatus.CRASHED if _OUT_OF_MEMORY.search(log):
-            return _no_plan(PlanningStatus.OUT_OF_MEMORY, log)
-        case PlanningStatus.CRASHED if _UNSUPPORTED.search(log):
-            return _no_plan(PlanningStatus.UNSUPPORTED, log)
-        case PlanningStatus.CRASHED:
-            return _no_plan(PlanningStatus.CRASHED, log)
-        case status:
-            return _no_plan(status, "")
+    status = _STATUS.get(result.status, PlanningStatus.NO_PLAN)
+    if status is PlanningStatus.UNSOLVABLE and not (name in ENGINES and ENGINES[name].proves_unsolvability):
+        return _no_plan(PlanningStatus.NO_PLAN, f"{name} says that there is none, which is not taken for proved")
+    if status is not PlanningStatus.CRASHED:
+        return _no_plan(status, "")
+    if _OUT_OF_MEMORY.search(log):
+        return _no_plan(PlanningStatus.OUT_OF_MEMORY, log)
+    return _no_plan(PlanningStatus.UNSUPPORTED if _UNSUPPORTED.search(log) else status, log)
 
 
 def _no_plan(status: PlanningStatus, log: str) -> Answer:
     words = " ".join(log.split())
     return {"status": status.name, "message": words if len(words) <= _LENGTH else f"{words[: _LENGTH // 2]} ... {words[-_LENGTH // 2 :]}"}
-
-
-# --- the problem ---------------------------------------------------------------------------
 
 
 def _problem(name: str, problem: Problem) -> tuple[Any, dict[str, str], dict[str, str]]:

@@ -47,11 +47,7 @@ def condition_there(condition: Condition, declared: Declarations, terms: Terms) 
 
 
 def expression_there(expression: Expression, declared: Declarations, terms: Terms) -> Any:
-    """Return the expression in unified-planning; `terms` may give `DURATION` a value.
-
-    Raises:
-        InputError: it asks for a duration that is not known before the action begins.
-    """
+    """Return the expression in unified-planning; `terms` may give `DURATION` a value, which is known before the action begins."""
     match expression:
         case Constant(bool() as truth):
             return up.Bool(truth)
@@ -68,10 +64,10 @@ def expression_there(expression: Expression, declared: Declarations, terms: Term
         case Arithmetic("-", (operand,)):
             return up.Minus(0, expression_there(operand, declared, terms))
         case Arithmetic(operation, (first, *others)):
-            found = expression_there(first, declared, terms)
+            result = expression_there(first, declared, terms)
             for operand in others:
-                found = _ARITHMETIC[operation](found, expression_there(operand, declared, terms))
-            return found
+                result = _ARITHMETIC[operation](result, expression_there(operand, declared, terms))
+            return result
         case _:
             raise AssertionError(expression)
 

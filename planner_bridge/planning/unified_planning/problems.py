@@ -85,8 +85,6 @@ class Translation:
         except UPException as error:
             raise InputError(str(error)) from error
 
-    # actions
-
     def _action(self, schema: ActionSchema) -> Any:
         parameters = OrderedDict((variable.name[1:], self._declared.type_of(variable.types)) for variable in schema.parameters)
         make = up.InstantaneousAction if schema.duration is None else up.DurativeAction
@@ -113,27 +111,25 @@ class Translation:
         return action
 
     def _set_duration(self, schema: ActionSchema, action: Any, terms: Terms) -> None:
-        """Set the duration of the action."""
-        bounds = {operation: [one.bound for one in schema.duration or () if one.operation == operation] for operation in ("=", ">=", "<=")}
-        match bounds["="], bounds[">="], bounds["<="]:
-            case [exactly], [], []:
+        match [[limit.bound for limit in schema.duration or () if limit.operation == operation] for operation in ("=", ">=", "<=")]:
+            case [[exactly], [], []]:
                 action.set_fixed_duration(self._expression(exactly, terms))
-            case [], [] | [_] as least, [most]:
+            case [[], [] | [_] as least, [most]]:
                 lower = least[0] if least else Constant(0)
                 action.set_closed_duration_interval(self._expression(lower, terms), self._expression(most, terms))
             case _:
                 raise InputError(f"the duration of {schema.name}, which has not one upper and at most one lower bound")
 
     def _effects(self, schema: ActionSchema, action: Any, moment: tuple[Any, ...], effects: Iterable[Assignment], terms: Terms) -> None:
-        for one in effects:
-            if not self._declared.knows(one.fluent):
+        for change in effects:
+            if not self._declared.knows(change.fluent):
                 continue
-            if one.early and names(one.condition) & self._dynamic:
+            if change.early and names(change.condition) & self._dynamic:
                 raise InputError(f"an effect at the end of {schema.name} that depends on a condition at its start")
-            chosen, guards, inner = self._declared.variables(one.variables, self._timed(schema, terms))
-            condition = up.And(*guards, condition_there(one.condition, self._declared, inner))
-            add = getattr(action, _ADDING[one.operation])
-            add(*moment, fluent_there(one.fluent, self._declared, inner), self._expression(one.value, inner), condition, forall=chosen)
+            chosen, guards, inner = self._declared.variables(change.variables, self._timed(schema, terms))
+            condition = up.And(*guards, condition_there(change.condition, self._declared, inner))
+            target, value = fluent_there(change.fluent, self._declared, inner), self._expression(change.value, inner)
+            getattr(action, _ADDING[change.operation])(*moment, target, value, condition, forall=chosen)
 
     def _timed(self, schema: ActionSchema, terms: Terms) -> Terms:
         """Return the terms with the duration, where it is known before the action begins."""
@@ -142,8 +138,6 @@ class Translation:
                 return {**terms, DURATION[0]: self._expression(only.bound, terms)}
             case _:
                 return terms
-
-    # state, goal, metric
 
     def _state(self) -> None:
         for fluent, value in self._problem.init.items():
@@ -175,22 +169,19 @@ class Translation:
         if metric is None:
             return
         if self._cost is not None:
-            measure = up.MinimizeActionCosts({action: self._costs(name, action) for name, action in actions.items()})
+            totals = {}
+            for name, action in actions.items():
+                schema = self._problem.domain.actions[name]
+                costs = [change.value for moment in schema_assignments(schema) for change in moment if change.fluent[0] == self._cost]
+                total: Expression = Constant(0) if not costs else costs[0] if len(costs) == 1 else Arithmetic("+", tuple(costs))
+                totals[action] = self._expression(total, self._timed(schema, _parameters(schema, action)))
+            measure = up.MinimizeActionCosts(totals)
         elif metric == Metric("minimize", ValueOf(("total-time",))):
             measure = up.MinimizeMakespan() if self._problem.is_timed else up.MinimizeSequentialPlanLength()
         else:
             final = up.MinimizeExpressionOnFinalState if metric.direction == "minimize" else up.MaximizeExpressionOnFinalState
             measure = final(self._expression(metric.expression, {}))
         self.translated.add_quality_metric(measure)
-
-    def _costs(self, name: str, action: Any) -> Any:
-        """Return the cost that the action adds."""
-        schema = self._problem.domain.actions[name]
-        costs = [one.value for moment in schema_assignments(schema) for one in moment if one.fluent[0] == self._cost]
-        total: Expression = Constant(0) if not costs else costs[0] if len(costs) == 1 else Arithmetic("+", tuple(costs))
-        return self._expression(total, self._timed(schema, _parameters(schema, action)))
-
-    # conditions and expressions
 
     def _conjuncts(self, condition: Condition, terms: Terms) -> list[Any]:
         return [condition_there(part, self._declared, terms) for part in conjuncts(condition)]

@@ -66,8 +66,8 @@ class TaskManager:
 
     Args:
         problem: the domain and the objects of goals; its initial state is not looked at.
-        knowledge: of the world; the site keeps it up to date.
-        site: where actions are carried out, which is open.
+        knowledge: of the world; the backend keeps it up to date.
+        backend: carries the actions out; it is open.
         settings: planner, bindings, limits and policies.
         read_goal: reads a goal; raises InputError.
         source: answers what runs do not know.
@@ -79,7 +79,7 @@ class TaskManager:
         self,
         problem: Problem,
         knowledge: KnowledgeBase,
-        site: Backend,
+        backend: Backend,
         settings: Settings,
         read_goal: Callable[[str], Condition],
         *,
@@ -89,7 +89,7 @@ class TaskManager:
     ) -> None:
         self._problem = problem
         self._knowledge = knowledge
-        self._site = site
+        self._backend = backend
         self._settings = settings
         self._read_goal = read_goal
         self._source = source
@@ -286,7 +286,7 @@ class TaskManager:
             task,
             replace(self._now(), goal=goal),
             Layered(self._knowledge),
-            self._site,
+            self._backend,
             replace(self._settings, on_change=on_change or self._settings.on_change),
             self._resources,
             self._source,

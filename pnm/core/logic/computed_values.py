@@ -204,12 +204,7 @@ def compute(data: Data, answers: Answers) -> object:
 
 
 def question_of(query: Query, answers: Answers) -> Question:
-    """Return the question of a query, with its name and meta data computed.
-
-    Raises:
-        Unanswered: they depend on a question that has to be asked first.
-        Uncomputable: the name is not a text, or the meta data is not JSON.
-    """
+    """Return the question of a query, with its name and meta data computed; raises as `compute` does."""
     name, meta = variable_name(query.name, answers), _null(compute(query.meta, answers))
     try:
         return Question(name, query.layer, json.dumps(meta, sort_keys=True))
@@ -218,12 +213,7 @@ def question_of(query: Query, answers: Answers) -> Question:
 
 
 def variable_name(name: Data, answers: Answers) -> str:
-    """Return the name of a variable.
-
-    Raises:
-        Unanswered: it depends on a question that has to be asked first.
-        Uncomputable: it is not a text.
-    """
+    """Return the computed name of a variable, which must be a text; raises as `compute` does."""
     text = compute(name, answers)
     if not isinstance(text, str):
         raise Uncomputable(f"{name} is {text!r}; expected the name of a variable")

@@ -130,9 +130,6 @@ Condition: TypeAlias = Holds | Compare | Not | All | Any | Implies | ForAll | Ex
 TRUE: Final = All()
 
 
-# --- evaluation ----------------------------------------------------------------------------
-
-
 # --- looking into a condition --------------------------------------------------------------
 
 

@@ -68,13 +68,9 @@ class Vocabulary:
             for argument in arguments:
                 _check(argument, self.objects, "object", position)
 
-    def check_name(self, name: str, position: Position) -> None:
-        """Refuse a predicate or function that is not declared."""
-        _check(name, self.fluents, "predicate or function", position)
-
     def check_set(self, name: str, position: Position) -> None:
         """Refuse a predicate or function that is not declared, or that is neither set nor reported."""
-        self.check_name(name, position)
+        _check(name, self.fluents, "predicate or function", position)
         if name in self.derived:
             raise InputError(f"facts of {name} follow from rules; they are neither set nor reported", position)
 

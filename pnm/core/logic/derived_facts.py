@@ -49,12 +49,7 @@ class DerivedFacts:
 
     The mutable state is a cache: for every derived name the truth of its facts, the attempt that
     proved a fact, and the unknown fluents that an unknown fact depends on; for every recorded name its facts,
-    indexed by some of their terms.
-
-    Args:
-        rules: the rules.
-        recorded: the recorded facts; `forget` must be called after they change.
-        objects: returns the objects of any of some types; these do not change.
+    indexed by some of their terms. `forget` must be called after recorded facts change; the objects of a type never do.
     """
 
     def __init__(
@@ -185,20 +180,16 @@ class DerivedFacts:
     def _matches(self, find: FindFact, env: Environment) -> Iterator[tuple[Environment, Truth]]:
         """Yield the environment extended by each recorded fact that matches, and the truth of that fact."""
         pattern = bind(find.condition.fluent, env)
-        for fact in self._table(pattern[0], len(pattern), find.known).get(tuple(pattern[position] for position in find.known), ()):
+        tables, key = self._tables.setdefault(pattern[0], {}), (len(pattern), find.known)
+        if key not in tables:  # the recorded facts that are not false, by their terms at the known positions
+            table = tables[key] = {}
+            for fact, value in self._recorded.items():
+                if fact[0] == pattern[0] and len(fact) == len(pattern) and (value is UNKNOWN or value):
+                    table.setdefault(tuple(fact[position] for position in find.known), []).append(fact)
+        for fact in tables[key].get(tuple(pattern[position] for position in find.known), ()):
             inner = dict(env)
             if all(self._is_of(fact[at], new.types) and inner.setdefault(new.name, fact[at]) == fact[at] for at, new in find.new):
                 yield inner, UNKNOWN if self._recorded[fact] is UNKNOWN else True
-
-    def _table(self, name: str, length: int, known: tuple[int, ...]) -> dict[Fluent, list[Fluent]]:
-        """Return the recorded facts of a name that are not false, by the terms at some positions."""
-        tables = self._tables.setdefault(name, {})
-        if (length, known) not in tables:
-            table = tables[length, known] = {}
-            for fact, value in self._recorded.items():
-                if fact[0] == name and len(fact) == length and (value is UNKNOWN or value):
-                    table.setdefault(tuple(fact[position] for position in known), []).append(fact)
-        return tables[length, known]
 
     def _is_of(self, name: str, types: tuple[str, ...]) -> bool:
         if types not in self._members:
@@ -233,7 +224,13 @@ class _Fixpoint:
             if self._truth[attempt.fact] is True:
                 continue
             if attempt.succeeded:
-                self._show(attempt)
+                fact = attempt.fact
+                if attempt.truth is not self._truth[fact]:
+                    self._truth[fact] = attempt.truth
+                    self._agenda += self._dependents[fact]
+                    self._dependents[fact] = {}
+                    if attempt.truth is True:
+                        self._proofs[fact] = attempt
                 continue
             self._current = attempt
             further = self._facts.further(attempt, self)
@@ -260,15 +257,6 @@ class _Fixpoint:
         self._truth[fluent] = False
         self._dependents[fluent] = {}
         self._agenda += self._facts.attempts(fluent)
-
-    def _show(self, attempt: _Attempt) -> None:
-        fact = attempt.fact
-        if attempt.truth is not self._truth[fact]:
-            self._truth[fact] = attempt.truth
-            self._agenda += self._dependents[fact]
-            self._dependents[fact] = {}
-            if attempt.truth is True:
-                self._proofs[fact] = attempt
 
 
 def _listed(how: str, reasons: list[str]) -> str:

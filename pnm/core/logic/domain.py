@@ -117,14 +117,12 @@ class DomainModel:
 
     def supertypes(self, name: str) -> frozenset[str]:
         """Return the type itself and all of its supertypes, ``object`` included."""
-        found = {"object", name}
-        waiting = [name]
+        types, waiting = {"object", name}, [name]
         while waiting:
-            for parent in self.types.get(waiting.pop(), ()):
-                if parent not in found:
-                    found.add(parent)
-                    waiting.append(parent)
-        return frozenset(found)
+            new = set(self.types.get(waiting.pop(), ())) - types
+            types |= new
+            waiting += new
+        return frozenset(types)
 
     def matches(self, given: Types, needed: Types) -> bool:
         """Return whether an object of the given types, all of them declared, fits the needed ones."""
@@ -174,9 +172,8 @@ class ProblemModel:
         types = {name: domain.supertypes(name) for name in ("object", *domain.types)}
         types_of = {name: types["object"].union(*map(domain.supertypes, kinds)) for name, kinds in self.objects.items()}
         predicates = {name: _signature(declared, FluentKind.FACT) for name, declared in domain.predicates.items()}
-        functions = {
-            name: _signature(one, FluentKind.OBJECT if one.values else FluentKind.NUMBER) for name, one in domain.functions.items()
-        }
+        kinds = {name: FluentKind.OBJECT if declared.values else FluentKind.NUMBER for name, declared in domain.functions.items()}
+        functions = {name: _signature(declared, kinds[name]) for name, declared in domain.functions.items()}
         return Vocabulary(domain.parameters, fluents, frozenset(self.objects), derived, {**predicates, **functions}, types, types_of)
 
     @property
@@ -192,11 +189,11 @@ class ProblemModel:
     @cached_property
     def objects_by_type(self) -> dict[str, tuple[str, ...]]:
         """For every type, its objects in the order in which they were declared."""
-        found: dict[str, list[str]] = {name: [] for name in ("object", *self.domain.types)}
+        objects: dict[str, list[str]] = {name: [] for name in ("object", *self.domain.types)}
         for name, types in self.objects.items():
             for kind in sorted(self.all_types(types)):
-                found.setdefault(kind, []).append(name)
-        return {kind: tuple(names) for kind, names in found.items()}
+                objects.setdefault(kind, []).append(name)
+        return {kind: tuple(names) for kind, names in objects.items()}
 
     def all_types(self, types: Iterable[str]) -> frozenset[str]:
         """Return the types and all of their supertypes."""

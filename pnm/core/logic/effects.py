@@ -6,7 +6,8 @@ state before, and a fact both deleted and added is added (PDDL 2.1, section 8).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+import operator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, TypeAlias, assert_never
 
@@ -35,7 +36,13 @@ from pnm.core.logic.expressions import (
     value_of,
 )
 
-OPERATIONS: Final = ("assign", "increase", "decrease", "scale-up", "scale-down")
+_ARITHMETIC: Final[dict[str, Callable[[float, float], float]]] = {
+    "increase": operator.add,
+    "decrease": operator.sub,
+    "scale-up": operator.mul,
+    "scale-down": operator.truediv,
+}
+OPERATIONS: Final = ("assign", *_ARITHMETIC)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +114,9 @@ def changes(effects: Effects, state: State, env: Environment = NOTHING) -> Chang
             result[fluent] = value
         else:
             before = result.get(fluent, state.value(fluent))
-            result[fluent] = _combine(effect.operation, before, value)
+            result[fluent] = UNKNOWN
+            if is_number(before) and is_number(value) and (value or effect.operation != "scale-down"):
+                result[fluent] = _ARITHMETIC[effect.operation](before, value)
     return result
 
 
@@ -263,19 +272,3 @@ def facts(effects: Iterable[Effect], state: State) -> Changes | None:
         return None
     assigned = changes(flat, state)
     return None if any(map(is_number, assigned.values())) else assigned
-
-
-def _combine(operation: str, before: Value | Unknown | None, by: Value | Unknown) -> Value | Unknown:
-    if not is_number(before) or not is_number(by):
-        return UNKNOWN
-    match operation:
-        case "increase":
-            return before + by
-        case "decrease":
-            return before - by
-        case "scale-up":
-            return before * by
-        case "scale-down" if by:
-            return before / by
-        case _:
-            return UNKNOWN

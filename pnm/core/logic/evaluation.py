@@ -12,7 +12,7 @@ import operator
 from collections.abc import Callable, Iterator
 from typing import Final, assert_never
 
-from pnm.core.logic.computed_values import Answers, Data, compute, is_true, substituted
+from pnm.core.logic.computed_values import Answers, compute, is_true, substituted
 from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
 from pnm.core.logic.expressions import (
     DURATION,
@@ -45,11 +45,7 @@ TOLERANCE: Final = 1e-6
 
 
 def evaluate(condition: Condition, state: State, env: Environment = NOTHING) -> Truth:
-    """Return the truth of the condition in the state: true, false or unknown.
-
-    Raises:
-        Unanswered: it depends on a question that has to be asked first.
-    """
+    """Return the truth of the condition in the state; raises `Unanswered` if it depends on a question that has to be asked first."""
     match condition:
         case Holds(fluent):
             value = state.value(bind(fluent, env))
@@ -69,18 +65,14 @@ def evaluate(condition: Condition, state: State, env: Environment = NOTHING) -> 
         case Exists(variables, body):
             return negate(evaluate(ForAll(variables, Not(body)), state, env))
         case Computed(data):
-            return _test(substituted(data, env), state)
+            if not isinstance(state, Answers):
+                return UNKNOWN
+            try:
+                return is_true(compute(substituted(data, env), state))
+            except Uncomputable:
+                return UNKNOWN
         case _:
             assert_never(condition)
-
-
-def _test(data: Data, state: State) -> Truth:
-    if not isinstance(state, Answers):
-        return UNKNOWN
-    try:
-        return is_true(compute(data, state))
-    except Uncomputable:
-        return UNKNOWN
 
 
 def negate(truth: Truth) -> Truth:

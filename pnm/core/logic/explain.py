@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from typing import Protocol
 
 from pnm.core.logic.computed_values import MISSING, Answers, Data, Parameter, Query, Unanswered, compute, parts
 from pnm.core.logic.conditions import Computed, Condition, conjuncts, fluents
 from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.expressions import (
-    Fluent,
-    State,
-    Unknown,
-    ValueOf,
-    fluent_text,
-)
+from pnm.core.logic.expressions import Fluent, State, Unknown, ValueOf, fluent_text
 from pnm.core.logic.operators import Uncomputable
 
 
 def failing(condition: Condition, state: State) -> tuple[Condition, ...]:
     """Return the conjuncts that do not hold in the state, without those that depend on a question that was never asked."""
-    return tuple(part for part in conjuncts(condition) if _fails(part, state))
-
-
-def _fails(condition: Condition, state: State) -> bool:
-    try:
-        return evaluate(condition, state) is not True
-    except Unanswered:
-        return False
+    failed = []
+    for part in conjuncts(condition):
+        with suppress(Unanswered):
+            if evaluate(part, state) is not True:
+                failed.append(part)
+    return tuple(failed)
 
 
 class Witness(State, Protocol):

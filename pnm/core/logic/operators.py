@@ -14,31 +14,23 @@ class Uncomputable(PnmError):
 
 
 def operate(name: str, operands: list[object]) -> object:
-    """Apply one of `OPERATORS`.
-
-    Raises:
-        Uncomputable: not possible with these operands.
-    """
+    """Apply one of `OPERATORS`; raise `Uncomputable` if that is not possible with these operands."""
     if name in _GROWING and _size(operands) > MAX_SIZE:
         raise Uncomputable(f"{name} of operands as large as that")
     try:
         if name == "mod" and isinstance(operands[0], str):
             raise TypeError("the remainder of a text")  # in Python that is another operation, which makes texts of any size
-        found = OPERATORS[name](*operands)
-        if isinstance(found, complex) or (isinstance(found, int) and found.bit_length() > MAX_BITS):
+        result = OPERATORS[name](*operands)
+        if isinstance(result, complex) or (isinstance(result, int) and result.bit_length() > MAX_BITS):
             raise ValueError("the result is no number that JSON can say")
-        bounded(found)
+        bounded(result)
     except (TypeError, ValueError, ArithmeticError, LookupError, RecursionError) as error:
         raise Uncomputable(f"{name}({_shown(operands)}): {error}") from error
-    return found
+    return result
 
 
 def bounded(value: object) -> object:
-    """Return a list or mapping that can be written; a few that hold the one before twice would fill any memory.
-
-    Raises:
-        Uncomputable: it is too large, or nested too deep.
-    """
+    """Return the value; raise `Uncomputable` if it is too large or deep: a few lists, each twice in the next, would fill any memory."""
     waiting, size = [(value, 0)], 0
     while waiting:
         part, depth = waiting.pop()
@@ -46,7 +38,7 @@ def bounded(value: object) -> object:
         if size > MAX_SIZE or depth > MAX_DEPTH:
             raise Uncomputable("the list or mapping would be too large, or nested too deep")
         if isinstance(part, list | dict):
-            waiting += [(one, depth + 1) for one in (part.values() if isinstance(part, dict) else part)]
+            waiting += [(item, depth + 1) for item in (part.values() if isinstance(part, dict) else part)]
     return value
 
 
@@ -60,8 +52,8 @@ def _shown(operands: list[object]) -> str:
 
 def _size(operands: list[object]) -> int:
     """Return an upper bound for how many characters, items or bits the result has."""
-    sizes = [len(one) if isinstance(one, str | list | dict) else one.bit_length() if isinstance(one, int) else 64 for one in operands]
-    counts = [one for one in operands if isinstance(one, int) and not isinstance(one, bool)]
+    sizes = [len(each) if isinstance(each, str | list | dict) else each.bit_length() if isinstance(each, int) else 64 for each in operands]
+    counts = [operand for operand in operands if isinstance(operand, int) and not isinstance(operand, bool)]
     return sum(sizes) * max([1, *map(abs, counts)])
 
 

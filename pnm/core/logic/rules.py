@@ -1,4 +1,4 @@
-"""Derived facts: rules that say when a fact holds which no action and no sensor sets (PDDL 2.2, derived predicates).
+"""Derived facts: rules for when a fact holds that no action and no sensor sets (PDDL 2.2, derived predicates).
 
 A derived fact holds if the condition of one of its rules does, and not otherwise: the derived facts are
 the least fixpoint of the rules. Negation must be *stratified*:
@@ -82,11 +82,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Rules:
-    """The rules of a domain.
-
-    Raises:
-        UnstratifiedError: a derived name depends on its own negation.
-    """
+    """The rules of a domain; raises `UnstratifiedError` if a derived name depends on its own negation."""
 
     rules: tuple[DerivationRule, ...] = ()
 

@@ -64,24 +64,19 @@ def instances(constraint: Constraint, state: State, env: Environment = NOTHING) 
 def progressed(constraints: Iterable[Constraint], state: State, now: float = 0.0) -> tuple[Constraint, ...]:
     """Progress ground constraints through a state: return the constraints on the rest of the trajectory.
 
-    Args:
-        constraints: the constraints on the trajectory from its previous state on.
-        state: its next state.
-        now: when that begins, in seconds from the start of the whole trajectory; later than the previous state.
+    The constraints are on the trajectory from its previous state on. The state begins `now`, later than that one; in seconds
+    from the start of the whole trajectory.
     """
     left = [rest for constraint in constraints for rest in _progressed(constraint, state, now)]
     if IMPOSSIBLE in left:
         return (IMPOSSIBLE,)
-    return tuple(left) if len(left) < 2 else _merged(left)
-
-
-def _merged(constraints: Iterable[Constraint]) -> tuple[Constraint, ...]:
-    """Drop duplicates; of several deadlines for the same condition, the earliest includes the others."""
+    if len(left) < 2:
+        return tuple(left)
     merged: dict[object, Constraint] = {}
-    for constraint in constraints:
-        key = constraint.conditions if constraint.operator == "within" else constraint
-        if key not in merged or constraint.times < merged[key].times:
-            merged[key] = constraint
+    for rest in left:  # of several deadlines for the same condition, the earliest includes the others
+        key = rest.conditions if rest.operator == "within" else rest
+        if key not in merged or rest.times < merged[key].times:
+            merged[key] = rest
     return tuple(merged.values())
 
 

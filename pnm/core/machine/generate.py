@@ -46,7 +46,12 @@ def generate(
         builder.transition("overtaken", Rule("overtaken", Ending()), whole.last, [end])
     builder.transition("finish", Rule("finish", Due(plan.due) if plan.due else Always()), whole.last, [end])
     builder.transition("ended_by_failure", Rule("ended_by_failure", Failing()), [end], [failed])
-    _begin_anew(builder, end, start)
+    if builder.restart_places:
+        restarting = builder.net.place("restarting")
+        for place in builder.restart_places:
+            for source, name in ((end, "restart"), (restarting, "restart_too")):
+                builder.transition(f"{name} {place}", Rule(name), [source, place], [restarting])
+        builder.transition("begin_anew", Rule("begin_anew", restarts=True), [restarting], [start])
     builder.transition("goal_holds", Rule("goal_holds", ConditionTrue(plan.goal)), [end], [goal])
     builder.transition("goal_missing", Rule("goal_missing", ConditionFalse(plan.goal)), [end], [failed])
     return builder.machine(goal, failed, on_failure)
@@ -74,13 +79,3 @@ def _build(builder: Builder, step: Step, context: Context) -> None:
             JunctionBlock(builder, step, context).build()
         case _:
             assert_never(step)
-
-
-def _begin_anew(builder: Builder, end: str, start: str) -> None:
-    """Once everything has ended, take all that ask for it at their word, and begin once."""
-    if builder.restart_places:
-        restarting = builder.net.place("restarting")
-        for place in builder.restart_places:
-            for source, name in ((end, "restart"), (restarting, "restart_too")):
-                builder.transition(f"{name} {place}", Rule(name), [source, place], [restarting])
-        builder.transition("begin_anew", Rule("begin_anew", restarts=True), [restarting], [start])

@@ -16,11 +16,7 @@ _SHOWN: Final = 60
 
 
 def write_value(value: object) -> str:
-    """Return the value as JSON text, all of it ASCII.
-
-    Raises:
-        SourceError: it is not JSON (there is no NaN), or it is too large.
-    """
+    """Return the value as JSON text, all of it ASCII; raise `SourceError` if it is not JSON (there is no NaN), or too large."""
     try:
         text = json.dumps(value, allow_nan=False)
     except (TypeError, ValueError, RecursionError) as error:
@@ -31,11 +27,7 @@ def write_value(value: object) -> str:
 
 
 def read_value(text: str) -> object:
-    """Return the value of a JSON text.
-
-    Raises:
-        SourceError: it is not JSON, or too large.
-    """
+    """Return the value of a JSON text; raise `SourceError` if it is malformed, or too large."""
     if len(text) > MAX_SIZE:
         raise SourceError(f"{_short(text)} has {len(text)} characters; expected at most {MAX_SIZE}")
     try:
@@ -66,8 +58,8 @@ class MemoryKnowledge:
 
     async def query(self, question: Question, asker: Asker, /) -> object:
         """Return the value, or `MISSING`."""
-        found = self._variables.get(question.name)
-        return MISSING if found is None else read_value(found)
+        text = self._variables.get(question.name)
+        return MISSING if text is None else read_value(text)
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
         """Store the value; one that is set to None is forgotten."""

@@ -37,10 +37,7 @@ def message_text(question: Question, value: object) -> str:
 
 
 def read_answer(text: str) -> object:
-    """Return the value of an answer: JSON, or else the text as it stands.
-
-    Raises:
-        SourceError: it begins like a JSON text, list or mapping but is malformed.
+    """Return the value of an answer: JSON, or else the text as it stands; malformed JSON raises `SourceError`.
 
     >>> read_answer("kitchen"), read_answer("5"), read_answer('"5"'), read_answer("true")
     ('kitchen', 5, '5', True)

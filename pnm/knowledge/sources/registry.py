@@ -87,11 +87,7 @@ def source_names() -> tuple[str, ...]:
 
 
 def check_source(name: str, position: Position | None = None) -> str:
-    """Return the registered name for a name in a file: itself, or the last part of ``module.class``.
-
-    Raises:
-        InputError: there is none; the message names the nearest and says how to register one.
-    """
+    """Return the registered name for a name in a file: itself, or the last part of ``module.class``; raise `InputError` for others."""
     known = _all()
     for candidate in (name, name.rpartition(".")[2]):
         if candidate in known:
@@ -107,12 +103,8 @@ def check_source(name: str, position: Position | None = None) -> str:
 def open_sources(choices: Sequence[SourceChoice], surroundings: Surroundings, file: Path | None = None) -> Sources:
     """Make the chosen sources, and the default ones where none was chosen: the knowledge file of this user, and a person.
 
-    Nothing is opened or asked yet: a source that cannot be used fails when it is needed.
-
-    Args:
-        choices: the sources chosen in files.
-        surroundings: the process that they are made in.
-        file: an SQLite file for global knowledge, in place of the chosen source.
+    Nothing is opened or asked yet: a source that cannot be used fails when it is needed. `file` is an SQLite file for
+    global knowledge, in place of any chosen source.
 
     Raises:
         InputError: a name or an option is wrong, or there are two sources for people.
@@ -143,12 +135,7 @@ def _patience(choices: Sequence[SourceChoice], default: float) -> float:
 
 
 def make_source(choice: SourceChoice, surroundings: Surroundings) -> Source:
-    """Make one source.
-
-    Raises:
-        InputError: its name or an option is wrong.
-        SourceError: it cannot be made here.
-    """
+    """Make one source; raise `InputError` if its name or an option is wrong, `SourceError` if it cannot be made here."""
     try:
         return _all()[check_source(choice.name, choice.position)].load()(choice.options, surroundings)
     except InputError as error:
@@ -194,11 +181,7 @@ def person(options: Mapping[str, object], surroundings: Surroundings) -> Source:
 
 
 def only(options: Mapping[str, object], *known: str) -> None:
-    """Refuse unknown options, naming the nearest known one.
-
-    Raises:
-        InputError: there is another.
-    """
+    """Refuse unknown options, naming the nearest known one."""
     for name in options:
         if name not in known:
             hint = suggestion(str(name), known) or (f"expected {', '.join(known)}" if known else "it has no options")
@@ -206,11 +189,7 @@ def only(options: Mapping[str, object], *known: str) -> None:
 
 
 def text(options: Mapping[str, object], name: str, default: str) -> str:
-    """Return an option that is a text.
-
-    Raises:
-        InputError: it is something else.
-    """
+    """Return an option, which must be a text."""
     value = options.get(name, default)
     if not isinstance(value, str):
         raise InputError(f"expected a text for {name}, found {value!r}")
@@ -218,11 +197,7 @@ def text(options: Mapping[str, object], name: str, default: str) -> str:
 
 
 def seconds(options: Mapping[str, object], name: str, default: float) -> float:
-    """Return an option that is a number above 0.
-
-    Raises:
-        InputError: it is something else.
-    """
+    """Return an option, which must be a number above 0."""
     value = options.get(name, default)
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
         raise InputError(f"expected a number of seconds for {name}, found {value!r}")

@@ -29,13 +29,7 @@ class Sources:
 
     A query goes through the knowledge bases in order until one has a value other than null; an update goes to the first, where every
     later query finds it. Questions for people (`people.is_for_people`) go to the person. A knowledge base that fails is an error and
-    never skipped: the next one might have another value.
-
-    Args:
-        shared: the knowledge bases.
-        person: the source that stands for a person, if there is one.
-        limit: of a knowledge base, in seconds.
-        person_limit: of the person, in seconds.
+    never skipped: the next one might have another value. The limits are in seconds, for each knowledge base and for the person.
     """
 
     def __init__(
@@ -50,11 +44,7 @@ class Sources:
         return f"<Sources {', '.join(map(repr, self._shared)) or 'no knowledge base'}; {self._person or 'nobody'!r}>"
 
     async def query(self, question: Question, asker: Asker, /) -> object:
-        """Return the first value in any of the knowledge bases, or the person's answer; or `MISSING`.
-
-        Raises:
-            SourceError: one of them failed, or did not answer in time.
-        """
+        """Return the first value in any of the knowledge bases, or the person's answer; or `MISSING`."""
         if people.is_for_people(question):
             person = self._person_for(question)
             return await self._within(self._person_limit, person.query(question, asker), f"nobody has answered {question}")
@@ -65,11 +55,7 @@ class Sources:
         return MISSING
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
-        """Store the value in the first knowledge base, or show it to the person.
-
-        Raises:
-            SourceError: there is none, it failed, or it took too long.
-        """
+        """Store the value in the first knowledge base, or show it to the person."""
         if people.is_for_people(question):
             person = self._person_for(question)
             await self._within(self._person_limit, person.update(question, value, asker), f"nobody has heard {question}")
@@ -82,7 +68,8 @@ class Sources:
     async def close(self) -> None:
         """Close all of them; one that fails is logged."""
         sources = [*self._shared, *([self._person] if self._person is not None else [])]
-        errors = await asyncio.gather(*(self._within(self._limit, each.close(), "not closed") for each in sources), return_exceptions=True)
+        closing = [self._within(self._limit, source.close(), "not closed") for source in sources]
+        errors = await asyncio.gather(*closing, return_exceptions=True)
         for source, error in zip(sources, errors, strict=True):
             if isinstance(error, Exception):
                 _log.warning("%r cannot be closed: %s", source, error)

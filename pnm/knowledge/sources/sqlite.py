@@ -39,11 +39,7 @@ T = TypeVar("T")
 
 
 def default_path() -> Path:
-    """Return the default path of the global knowledge.
-
-    Raises:
-        SourceError: the user has no home.
-    """
+    """Return the default path of the global knowledge; raise `SourceError` if the user has no home."""
     state = os.environ.get("XDG_STATE_HOME", "")
     try:
         folder = Path(state) if Path(state).is_absolute() else Path.home() / ".local" / "state"
@@ -53,12 +49,9 @@ def default_path() -> Path:
 
 
 class SqliteKnowledge:
-    """Variables in an SQLite file, which is made when it is first needed.
+    """Variables in an SQLite file, by default at `default_path`, which is made with its folder when it is first needed.
 
     All work is done on one thread, which has the connection; it is the mutable state.
-
-    Args:
-        path: the file; its folder is made, too. By default `default_path`.
     """
 
     def __init__(self, path: Path | None = None) -> None:
@@ -71,19 +64,11 @@ class SqliteKnowledge:
         return f"<SqliteKnowledge {self.path}>"
 
     async def query(self, question: Question, asker: Asker, /) -> object:
-        """Return the value, or `MISSING`.
-
-        Raises:
-            SourceError: the file cannot be read, or is not one of ours.
-        """
+        """Return the value, or `MISSING`."""
         return await self._on_thread(partial(self._read, question.name))
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
-        """Store the value on the disk; one that is set to None is forgotten.
-
-        Raises:
-            SourceError: the file cannot be written, or the value cannot be stored.
-        """
+        """Store the value on the disk; one that is set to None is forgotten."""
         work = partial(self._write, question.name, write_value(value), str(asker.run))
         await self._on_thread(work if value is not None else partial(self._forget, question.name))
 
@@ -110,8 +95,8 @@ class SqliteKnowledge:
             raise SourceError(f"the knowledge in {self.path} cannot be used: {error}") from error
 
     def _read(self, name: str) -> object:
-        found = self._open().execute("SELECT value FROM variables WHERE name = ?", (name,)).fetchone()
-        return MISSING if found is None else read_value(str(found[0]))
+        row = self._open().execute("SELECT value FROM variables WHERE name = ?", (name,)).fetchone()
+        return MISSING if row is None else read_value(str(row[0]))
 
     def _write(self, name: str, value: str, run: str) -> None:
         self._open().execute(_STORE, (name, value, time(), run))

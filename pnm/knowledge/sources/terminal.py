@@ -1,6 +1,6 @@
 """A person at the terminal: one question at a time, while everything else goes on.
 
-The line is read on a thread, which holds virtual time still: nobody can answer within a simulated second.
+The line is read on a thread, which holds virtual time still: a person cannot answer within a simulated second.
 """
 
 from __future__ import annotations
@@ -45,11 +45,7 @@ class TerminalSource:
         return "<Terminal>"
 
     async def query(self, question: Question, asker: Asker, /) -> object:
-        """Show the question when its turn comes and return the answer, or `MISSING` for an empty line.
-
-        Raises:
-            SourceError: there is no terminal, it was closed, or nobody answered in time.
-        """
+        """Show the question when its turn comes and return the answer, or `MISSING` for an empty line."""
         self._check()
         async with self._turn:
             termios.tcflush(self._input.fileno(), termios.TCIFLUSH)
@@ -62,11 +58,7 @@ class TerminalSource:
                     self._show(f"{error}; once more:", " ")
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
-        """Show the value as a message.
-
-        Raises:
-            SourceError: there is no terminal.
-        """
+        """Show the value as a message."""
         self._check()
         async with self._turn:
             self._show(f"{_name(asker)}{message_text(question, value)}")

@@ -17,7 +17,7 @@ from pnm.errors import PnmError
 from pnm.ros.action_client.goal import Goal
 from pnm.ros.action_client.server_link import ServerLink
 from pnm.ros.node.messages import fields
-from pnm.ros.node.ros_thread import RosThread
+from pnm.ros.node.ros_thread import RosThread, call_on_loop
 
 LOOK: Final = 0.25
 """Seconds between two looks at the goals that are under way."""
@@ -123,10 +123,7 @@ class Ros2ActionClient:
         if isinstance(what, Ended):
             self._goals.pop(what.request, None)
         if not self._closed:
-            try:
-                self._loop.call_soon_threadsafe(report, what)
-            except RuntimeError:
-                _log.debug("the event loop is closed; nobody hears of %s", what)
+            call_on_loop(self._loop, report, what)
 
     def _keep_looking(self) -> None:
         """Have the timer run while, and only while, a goal is under way or a link has something to look after."""

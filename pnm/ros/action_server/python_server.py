@@ -139,15 +139,7 @@ class PnmActionServer(_ServerWithKnowledge):
         """
         self._update(goal_handle, layer, name, value, meta, timeout)
 
-    async def query_kb_async(
-        self,
-        goal_handle: Any,
-        layer: Layer,
-        name: str,
-        meta: object = None,
-        *,
-        timeout: float = LIMIT,  # noqa: ASYNC109 - this is no coroutine of asyncio
-    ) -> object:
+    async def query_kb_async(self, goal_handle: Any, layer: Layer, name: str, meta: object = None, *, timeout: float = LIMIT) -> object:  # noqa: ASYNC109 - this is no coroutine of asyncio
         """Do what `query_kb` does, in a coroutine."""
         return _raised(await self._knowledge.query(goal_handle, layer, name, meta, timeout))
 

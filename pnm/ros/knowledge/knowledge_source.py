@@ -73,11 +73,7 @@ def ros2(options: Mapping[str, object], surroundings: Surroundings) -> Source:
 
 
 def thread(surroundings: Surroundings) -> RosThread:
-    """Return the thread of the node.
-
-    Raises:
-        InputError: there is none.
-    """
+    """Return the thread of the node; raise an `InputError` if there is none."""
     if not isinstance(surroundings.ros, RosThread):
         raise InputError("needs ROS 2, which is not used here; expected --actions ros2")
     return surroundings.ros

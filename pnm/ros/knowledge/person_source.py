@@ -16,7 +16,7 @@ from pnm.knowledge.sources.registry import Surroundings, only, seconds, text
 from pnm.knowledge.sources.source import Asker, Source, SourceError
 from pnm.ros.knowledge.knowledge_source import NAME, thread, uuid_field
 from pnm.ros.node.messages import import_type, to_message
-from pnm.ros.node.ros_thread import RosThread
+from pnm.ros.node.ros_thread import RosThread, call_on_loop
 from pnm.ros.node.service_client import until_true
 
 LISTENER: Final = 5.0
@@ -54,11 +54,7 @@ class Ros2Person:
     # on the event loop's thread
 
     async def query(self, question: Question, asker: Asker, /) -> object:
-        """Publish a question, and return the answer; `MISSING` if the person does not know.
-
-        Raises:
-            SourceError: there was no answer in time.
-        """
+        """Return the answer to a question, `MISSING` if the person does not know; raise a `SourceError` if there is none in time."""
         loop = asyncio.get_running_loop()
         await self._connect(loop)
         words, id = question_text(question), uuid4().hex
@@ -76,11 +72,7 @@ class Ros2Person:
             self._send({"kind": self._types[0].WITHDRAW, "id": id})
 
     async def update(self, question: Question, value: object, asker: Asker, /) -> None:
-        """Publish a message to the person.
-
-        Raises:
-            SourceError: nobody subscribes.
-        """
+        """Publish a message to the person; raise a `SourceError` if there is no subscriber."""
         await self._connect(asyncio.get_running_loop())
         written = write_value(value)
         try:
@@ -110,7 +102,7 @@ class Ros2Person:
 
     def _send(self, fields: Mapping[str, object]) -> None:
         message = to_message(self._types[0], fields)
-        self._ros.call(partial(self._publish_message, message))
+        self._ros.call(lambda: self._publisher and self._publisher.publish(message))  # unless it is closed
 
     def _answered(self, id: str, value: object) -> None:
         answer = self._open.get(id)
@@ -135,15 +127,9 @@ class Ros2Person:
     def _receive(self, loop: asyncio.AbstractEventLoop, message: Any) -> None:
         try:
             value = MISSING if message.unknown else read_answer(message.value)
-            loop.call_soon_threadsafe(self._answered, message.id, value)
+            call_on_loop(loop, self._answered, message.id, value)
         except SourceError as error:
             _log.warning("ignored an answer on %s/answers: %s", self._name, error)
-        except RuntimeError:
-            _log.debug("the event loop is closed; nobody hears of the answer")
-
-    def _publish_message(self, message: Any) -> None:
-        if self._publisher is not None:  # otherwise it is closed
-            self._publisher.publish(message)
 
     def _listeners(self) -> int:
         return int(self._publisher.get_subscription_count()) if self._publisher is not None else 0

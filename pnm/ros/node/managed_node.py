@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final
 
-from lifecycle_msgs.msg import Transition
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.lifecycle import LifecycleNodeMixin
 from rclpy.node import Node
 
 from pnm.errors import RosError
+
+_ENDING: Final = "transition_"
+"""The prefix of the labels of transitions that end another one; the node makes them, clients may not."""
 
 
 class ManagedNode(LifecycleNodeMixin, Node):  # type: ignore[misc]
@@ -32,12 +34,9 @@ class ManagedNode(LifecycleNodeMixin, Node):  # type: ignore[misc]
         return str(self._state_machine.current_state[1])
 
     def begin(self, wanted: int | str) -> str:
-        """Begin a transition, given by its number or its label; return the label.
-
-        Raises:
-            RosError: it cannot be made in this state.
-        """
-        possible = {number: label for number, label, *_ in self._state_machine.available_transitions if number in _REQUESTABLE}
+        """Begin a transition, given by its number or its label; return the label, or raise a `RosError` if it cannot be made now."""
+        available = self._state_machine.available_transitions
+        possible = {number: label for number, label, *_ in available if not label.startswith(_ENDING)}
         for number, label in possible.items():
             if wanted in (number, label):
                 self._state_machine.trigger_transition_by_id(number, True)
@@ -47,24 +46,10 @@ class ManagedNode(LifecycleNodeMixin, Node):  # type: ignore[misc]
 
     def end(self, how: str) -> None:
         """End the transition that has begun: ``success``, ``failure`` or ``error``."""
-        self._state_machine.trigger_transition_by_label(f"transition_{how}", True)
+        self._state_machine.trigger_transition_by_label(_ENDING + how, True)
 
 
 def refuse_transition(_request: Any, response: Any) -> Any:
     """Refuse a request for a transition: nothing is there to carry it out."""
     response.success = False
     return response
-
-
-_REQUESTABLE: Final = frozenset(
-    {
-        Transition.TRANSITION_CONFIGURE,
-        Transition.TRANSITION_CLEANUP,
-        Transition.TRANSITION_ACTIVATE,
-        Transition.TRANSITION_DEACTIVATE,
-        Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
-        Transition.TRANSITION_INACTIVE_SHUTDOWN,
-        Transition.TRANSITION_ACTIVE_SHUTDOWN,
-    }
-)
-"""The transitions that may be requested; those that end one are made by the node itself."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from functools import partial
 from typing import Any, Final
 
@@ -12,7 +11,7 @@ from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from pnm.ros.node.messages import import_type, to_message
-from pnm.ros.node.ros_thread import RosThread
+from pnm.ros.node.ros_thread import RosThread, call_on_loop
 
 DEPTH: Final = 1000
 """Messages that slow subscribers may be behind."""
@@ -78,8 +77,7 @@ class Publisher:
         self._publisher = self._ros.node.create_publisher(self._type, self._name, qos, event_callbacks=callbacks)
 
     def _on_matched(self, info: Any) -> None:
-        with suppress(RuntimeError):  # the event loop is closed
-            self._loop.call_soon_threadsafe(self._count, info.current_count, info.current_count_change)
+        call_on_loop(self._loop, self._count, info.current_count, info.current_count_change)
 
     def _publish(self, fields: Mapping[str, object] | Callable[[], Mapping[str, object]]) -> None:
         if self._publisher is not None:

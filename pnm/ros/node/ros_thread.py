@@ -38,6 +38,14 @@ _STILL: Final = 0.5
 _log = logging.getLogger(__name__)
 
 
+def call_on_loop(loop: asyncio.AbstractEventLoop, function: Callable[..., object], *arguments: object) -> None:
+    """Call the function on the event loop's thread; nothing happens once the loop is closed."""
+    try:
+        loop.call_soon_threadsafe(function, *arguments)
+    except RuntimeError:
+        _log.debug("the event loop is closed; %s is not called", function)
+
+
 class RosThread:
     """A ROS 2 node and the daemon thread that spins it.
 

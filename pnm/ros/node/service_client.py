@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from pnm.knowledge.sources.source import SourceError
 from pnm.ros.node.messages import FieldError, import_type, to_message
-from pnm.ros.node.ros_thread import RosThread
+from pnm.ros.node.ros_thread import RosThread, call_on_loop
 
 IN_FLIGHT: Final = 8
 """Requests without a response at a time; services keep 10 by default and silently drop older ones."""
@@ -84,14 +84,11 @@ class ServiceClient:
             if not answered.done():
                 answered.set_result(future.result())
 
-        def pass_on(future: Any) -> None:
-            loop.call_soon_threadsafe(receive, future)
-
         sent: list[Any] = []
         try:
             while not answered.done():
                 met = self._met
-                sent.append(await self._ros.ask(partial(self._send, message, pass_on)))
+                sent.append(await self._ros.ask(partial(self._send, message, partial(call_on_loop, loop, receive))))
                 await asyncio.wait((answered,), timeout=None if met else AGAIN)
             return answered.result()
         finally:
@@ -108,9 +105,9 @@ class ServiceClient:
         self._met &= ready  # a service that comes back is a new process, which has yet to discover us
         return ready
 
-    def _send(self, message: Any, pass_on: Callable[[Any], None]) -> Any:
+    def _send(self, message: Any, answered: Callable[[Any], None]) -> Any:
         future = self._client.call_async(message)
-        future.add_done_callback(pass_on)
+        future.add_done_callback(answered)
         return future
 
     def _forget(self, futures: Iterable[Any]) -> None:

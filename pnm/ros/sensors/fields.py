@@ -105,11 +105,7 @@ class MessageField:
     """The class of the messages that have it, which may be inside others."""
 
     def constant(self, name: str) -> object:
-        """Return the value of the constant.
-
-        Raises:
-            InputError: the class has no such constant.
-        """
+        """Return the value of the constant; raise an `InputError` if the class has none of this name."""
         names = [name for name in dir(type(self.owner)) if name.isupper() and name[0] != "_"]
         if name not in names:
             hint = suggestion(name, names) or (f"expected a number, or one of {', '.join(names)}" if names else "expected a number")
@@ -118,11 +114,7 @@ class MessageField:
 
 
 def find_field(message_type: Any, where: Field) -> MessageField:
-    """Return a field, which may be inside of other fields.
-
-    Raises:
-        InputError: messages of this type have no such field.
-    """
+    """Return a field, which may be inside of other fields; raise an `InputError` if messages of this type have none."""
     kind, so_far = "", ""
     owner, inside = message_type, message_type
     for step in where.steps:
@@ -149,11 +141,7 @@ def _item(kind: str) -> str | None:
 
 
 def value_at(message: Any, where: Field) -> object:
-    """Return the value of a field of a message, as plain data.
-
-    Raises:
-        Unreadable: a list has no such item.
-    """
+    """Return the value of a field of a message, as plain data; raise `Unreadable` if a list has no such item."""
     value = message
     for step in where.steps:
         if not isinstance(step, int):

@@ -78,11 +78,7 @@ class SensorRecorder:
 
 
 def checked(instance: Instance, name: str) -> tuple[Any, Instance]:
-    """Return the type, and the sensor with the values of the type's constants.
-
-    Raises:
-        InputError: the type lacks a field of the sensor, or is not installed.
-    """
+    """Return the type, and the sensor with the values of its constants; raise an `InputError` if the type does not fit it."""
     sensor = instance.sensor
     try:
         kind = import_type(name)
@@ -94,11 +90,7 @@ def checked(instance: Instance, name: str) -> tuple[Any, Instance]:
 
 
 def resolved(resolve: Callable[[str], object], instance: Instance, what: str) -> str:
-    """Return the full name of the sensor's topic or service.
-
-    Raises:
-        InputError: it is not a valid name in ROS.
-    """
+    """Return the full name of the sensor's topic or service; raise an `InputError` if it is not valid in ROS."""
     try:
         return str(resolve(instance.name))
     except Exception as error:

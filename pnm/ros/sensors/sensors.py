@@ -91,7 +91,11 @@ class Sensors:
         await self._ros.ask(self._destroy)
 
     async def _wait_for_first(self) -> None:
-        all_heard = asyncio.gather(*(recorder.heard.wait() for recorder in self._recorders))
+        async def hear_all() -> None:
+            for recorder in self._recorders:
+                await recorder.heard.wait()
+
+        all_heard = asyncio.ensure_future(hear_all())
         settled = asyncio.ensure_future(self._ros.settled())
         try:
             await asyncio.wait((all_heard, settled), return_when=asyncio.FIRST_COMPLETED)

@@ -13,7 +13,7 @@ from pnm.core.knowledge_base import parse_fluent, parse_statement, statement_tex
 from pnm.core.logic.expressions import UNKNOWN, Fluent, Unknown, Value, fluent_text
 from pnm.errors import InputError
 from pnm.ros.node.messages import import_type
-from pnm.ros.node.ros_thread import RosThread
+from pnm.ros.node.ros_thread import RosThread, call_on_loop
 
 TOPIC = "knowledge/sensed"
 
@@ -97,10 +97,7 @@ class SensedReports:
         except InputError as error:
             _log.warning("ignored a report on %s: %s", self._topic, error)
             return
-        try:
-            self._loop.call_soon_threadsafe(self._pass_on, *report)
-        except RuntimeError:
-            _log.debug("the event loop is closed; nobody hears of the report")
+        call_on_loop(self._loop, self._pass_on, *report)
 
 
 def read_state(message: Any) -> Facts:

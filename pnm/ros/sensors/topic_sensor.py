@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
 
 from pnm.errors import InputError
-from pnm.ros.node.ros_thread import RosThread
+from pnm.ros.node.ros_thread import RosThread, call_on_loop
 from pnm.ros.sensors.fields import value_at
 from pnm.ros.sensors.sensor import SensorRecorder, checked, resolved
 
@@ -74,7 +73,7 @@ class TopicSensor:
                 self._kind, self.recorder.instance = checked(self.recorder.instance, wanted or type_name)
                 self._type_name = wanted or type_name
             except InputError as error:
-                self._pass_on(partial(self.recorder.refuse, error))
+                call_on_loop(self.recorder.loop, self.recorder.refuse, error)
         if self._kind is None or type_name == self._type_name:
             return self._kind is not None
         if type_name not in self._foreign:
@@ -97,16 +96,10 @@ class TopicSensor:
                 self._subscriptions[reliable, latched] = create(self._kind, instance.name, self._receive, profile)
             except Exception as error:  # this process uses the topic with another type, for example
                 reason = f"{instance.name} cannot be listened to: {error}"
-                self._pass_on(partial(self.recorder.refuse, InputError(reason, instance.sensor.position)))
+                call_on_loop(self.recorder.loop, self.recorder.refuse, InputError(reason, instance.sensor.position))
 
     def _receive(self, message: Any) -> None:
         self._latest = message
         if not self._waiting:
             self._waiting = True
-            self._pass_on(self._take)
-
-    def _pass_on(self, function: Callable[[], object]) -> None:
-        try:
-            self.recorder.loop.call_soon_threadsafe(function)
-        except RuntimeError:
-            _log.debug("the event loop is closed; nobody hears of the message")
+            call_on_loop(self.recorder.loop, self._take)

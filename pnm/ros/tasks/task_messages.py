@@ -44,11 +44,7 @@ def result_fields(success: bool, reason: str, message: str, results: Mapping[str
 
 
 def read_parameters(text: str) -> dict[str, object]:
-    """Read the parameters of a plan: a mapping as YAML or JSON, or nothing.
-
-    Raises:
-        InputError: it is no mapping.
-    """
+    """Read the parameters of a plan: a mapping as YAML or JSON, or nothing; raise an `InputError` if it is no mapping."""
     try:
         parameters = read_value(text)  # JSON first: not all of it means the same in YAML, such as 1e3 and escaped emoji
     except SourceError:
@@ -59,11 +55,7 @@ def read_parameters(text: str) -> dict[str, object]:
 
 
 def wanted_goal(id: UUID, request: Any) -> Wanted:
-    """Read a goal of ``achieve_goal``.
-
-    Raises:
-        InputError: a field is invalid, in any state of the world.
-    """
+    """Read a goal of ``achieve_goal``; raise an `InputError` if a field is invalid in any state of the world."""
     if request.policy >= len(_POLICIES):
         known = "0 (default), 1 (plan around), 2 (queue), 3 (refuse)"
         raise InputError(f"there is no policy {request.policy}; expected one of {known}")
@@ -71,11 +63,7 @@ def wanted_goal(id: UUID, request: Any) -> Wanted:
 
 
 def wanted_plan(id: UUID, request: Any) -> Wanted:
-    """Read a goal of ``execute_plan``.
-
-    Raises:
-        InputError: it has no plan, or a field is invalid.
-    """
+    """Read a goal of ``execute_plan``; raise an `InputError` if it has no plan, or a field is invalid."""
     plan = _text("plan", request.plan)
     if not plan:
         raise InputError("the plan is empty; expected the name of a plan, or a plan with an action a line")
@@ -90,11 +78,7 @@ def wanted_run(plan: str, id: UUID, request: Any) -> Wanted:
 
 
 def seconds(name: str, value: float) -> float | None:
-    """Read a number of seconds; 0 means None.
-
-    Raises:
-        InputError: it is negative, or no number.
-    """
+    """Read a number of seconds, 0 for None; raise an `InputError` if it is negative, or no number."""
     if not 0 <= value < math.inf:
         raise InputError(f"{name} is {value:g}; expected a number of seconds, or 0 for none")
     return value or None

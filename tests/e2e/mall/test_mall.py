@@ -12,8 +12,8 @@ import pytest
 from rich.console import Console
 
 from planner_bridge.cli import demo_mall as mall_demo
+from tests.support.e2e.mall.deployment import Mall
 from tests.support.e2e.processes import Program
-from tests.support.mall.scene import Mall
 from tests.support.ros.domains import ros_domain
 
 PATIENT: Final = 4.0
@@ -22,12 +22,12 @@ PATIENT: Final = 4.0
 
 @pytest.fixture
 def mall(tmp_path: Path) -> Iterator[Mall]:
-    with ros_domain() as domain, closing(Mall(tmp_path, domain, PATIENT)) as scene:
-        yield scene
+    with ros_domain() as domain, closing(Mall(tmp_path, domain, PATIENT)) as deployment:
+        yield deployment
 
 
 def test_in_all_scripts_the_right_task_is_begun_paused_resumed_and_finished_and_all_answers_reach_their_questions(mall):
-    verdict = mall.play(range(15))
+    verdict = mall.execute(range(15))
     assert not verdict.wrong, str(verdict)
     assert verdict.scripts == 15
     assert verdict.interrupted, "no script of these interrupts the robot"

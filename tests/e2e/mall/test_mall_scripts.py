@@ -1,4 +1,4 @@
-"""The judge of the mall's scripts: has nothing to say about what is as it should be, and finds what is not."""
+"""The verdict on the scripts of the mall: no complaint about a log that is as it should be, and one about each that is not."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from itertools import count
 
 import pytest
 
-from tests.support.mall.judge import judge
-from tests.support.mall.scripts import CHAT, GUIDED, script
+from tests.support.e2e.mall.scripts import CHAT, GUIDED, script
+from tests.support.e2e.mall.verdict import verdict_on
 
 
 class Told:
@@ -72,7 +72,7 @@ class Told:
 
 
 def complaints(scripts, told):
-    return judge(scripts, told.robot, told.visitor).wrong
+    return verdict_on(scripts, told.robot, told.visitor).wrong
 
 
 def test_a_number_is_always_the_same_script_and_there_are_all_kinds():
@@ -85,7 +85,7 @@ def test_a_number_is_always_the_same_script_and_there_are_all_kinds():
 
 def test_there_is_nothing_to_say_about_what_is_as_it_should_be():
     scripts = [script(number) for number in range(100)]
-    verdict = judge(scripts, (told := Told(*scripts)).robot, told.visitor)
+    verdict = verdict_on(scripts, (told := Told(*scripts)).robot, told.visitor)
     assert not verdict.wrong, str(verdict)
     assert (verdict.scripts, verdict.requests) == (100, sum(len(one["requests"]) for one in scripts))
     assert verdict.in_vain == 0
@@ -134,7 +134,7 @@ def two_voices(told):
             lambda told: first(told.visitor, event="result", about="films")["results"].update(answers=[]),
             "talk about films had 0 turns, not 1",
         ),
-        (lambda told: told.visitor.remove(first(told.visitor, event="end", about="1")), "script 1 was not played to its end"),
+        (lambda told: told.visitor.remove(first(told.visitor, event="end", about="1")), "script 1 was not run to its end"),
         (lambda told: told.robot.remove(first(told.robot, event="end", call="point_at(ann, shop_1)")), "point_at(ann, shop_1) never ended"),
         (
             lambda told: first(told.robot, event="end", call="describe_route(ann, shop_0)").update(outcome="canceled"),

@@ -24,98 +24,98 @@ def both_ways(fault: str) -> str:
     ("domain", "speed", "causes"),
     [("delivery", "20", {"aborted"}), ("patrol", "20", {"aborted", "precondition_false"}), ("mall_guide", "10", {"aborted"})],
 )
-def test_the_faults_that_come_with_a_domain_are_got_over(stage, domain, speed, causes):
+def test_the_faults_that_come_with_a_domain_are_got_over(deploy, domain, speed, causes):
     faults = (ROOT / "problems" / domain / "faults.yaml").read_text(encoding="utf-8")
-    story = stage(f"{domain}/p01", quick=True, faults=faults, speed=speed).play()
-    assert story.result["goal_reached"]
-    assert causes <= {failure["cause"] for failure in story.result["failures"]}
-    assert story.result["replans"] >= 1
+    finished = deploy(f"{domain}/p01", quick=True, faults=faults, speed=speed).execute()
+    assert finished.result["goal_reached"]
+    assert causes <= {failure["cause"] for failure in finished.result["failures"]}
+    assert finished.result["replans"] >= 1
 
 
-def test_an_abort_is_retried_then_replanned_then_another_way_is_taken(stage):
+def test_an_abort_is_retried_then_replanned_then_another_way_is_taken(deploy):
     blocked = "\n".join(f'  - {{call: "move({robot}, hall, kitchen)", do: abort, message: blocked}}' for robot in ("r1", "r2"))
-    story = stage("delivery/p01", quick=True, faults=f"faults:\n{blocked}").play()
-    assert story.result["goal_reached"]
-    failures = [failure for failure in story.result["failures"] if failure["call"].startswith("move(")]
+    finished = deploy("delivery/p01", quick=True, faults=f"faults:\n{blocked}").execute()
+    assert finished.result["goal_reached"]
+    failures = [failure for failure in finished.result["failures"] if failure["call"].startswith("move(")]
     assert {(failure["cause"], failure["observed"]) for failure in failures} == {("aborted", "blocked")}
-    assert max(story.attempts("move")) == 2
-    assert story.result["plans"] >= 2
-    assert story.outcomes("pass_door") == ["succeeded"]
+    assert max(finished.attempts("move")) == 2
+    assert finished.result["plans"] >= 2
+    assert finished.outcomes("pass_door") == ["succeeded"]
 
 
-def test_a_rejected_goal_is_retried_then_replanned(stage):
-    story = stage("patrol/p01", quick=True, faults=both_ways("do: reject")).play()
-    assert story.result["goal_reached"]
-    assert story.causes("move") == {"rejected"}
-    assert "/r1/move rejected the goal" in {failure["observed"] for failure in story.result["failures"]}
-    assert max(story.attempts("move")) == 2
-    assert story.result["plans"] >= 2
+def test_a_rejected_goal_is_retried_then_replanned(deploy):
+    finished = deploy("patrol/p01", quick=True, faults=both_ways("do: reject")).execute()
+    assert finished.result["goal_reached"]
+    assert finished.causes("move") == {"rejected"}
+    assert "/r1/move rejected the goal" in {failure["observed"] for failure in finished.result["failures"]}
+    assert max(finished.attempts("move")) == 2
+    assert finished.result["plans"] >= 2
 
 
-def test_success_without_effect_is_found_by_the_effect_check(stage):
-    story = stage("patrol/p01", quick=True, faults="faults: [{action: inspect, do: no_effect, after: 1, times: 3}]").play()
-    assert story.result["goal_reached"]
-    assert story.causes("inspect") == {"effects_missing"}
-    assert story.result["failures"][0]["expected"].startswith("(inspected ")
-    assert story.attempts("inspect") == [1, 3, 1, 1]
-    assert story.outcomes("inspect") == ["succeeded"] * 6
+def test_success_without_effect_is_found_by_the_effect_check(deploy):
+    finished = deploy("patrol/p01", quick=True, faults="faults: [{action: inspect, do: no_effect, after: 1, times: 3}]").execute()
+    assert finished.result["goal_reached"]
+    assert finished.causes("inspect") == {"effects_missing"}
+    assert finished.result["failures"][0]["expected"].startswith("(inspected ")
+    assert finished.attempts("inspect") == [1, 3, 1, 1]
+    assert finished.outcomes("inspect") == ["succeeded"] * 6
 
 
-def test_a_fact_changed_behind_the_robots_back_is_found_before_the_start(stage):
-    story = stage("delivery/p02", quick=True, faults='changes: [{on: end of load, set: ["(not (open door2))"]}]').play()
-    assert story.result["goal_reached"]
-    assert story.causes("pass_door") == {"precondition_false"}
-    assert story.result["failures"][0]["observed"] == "(open door2) is false"
-    assert story.result["replans"] >= 1
+def test_a_fact_changed_behind_the_robots_back_is_found_before_the_start(deploy):
+    finished = deploy("delivery/p02", quick=True, faults='changes: [{on: end of load, set: ["(not (open door2))"]}]').execute()
+    assert finished.result["goal_reached"]
+    assert finished.causes("pass_door") == {"precondition_false"}
+    assert finished.result["failures"][0]["observed"] == "(open door2) is false"
+    assert finished.result["replans"] >= 1
 
 
-def test_a_fact_changed_behind_the_robots_back_is_found_while_the_action_runs(stage):
-    story = stage(
+def test_a_fact_changed_behind_the_robots_back_is_found_while_the_action_runs(deploy):
+    finished = deploy(
         "delivery/p02",
         quick=True,
         faults="""
             faults: [{action: pass_door, do: hang, times: 1}]
             changes: [{on: start of pass_door, set: ["(not (open door2))"]}]
         """,
-    ).play()
-    assert story.result["goal_reached"]
-    assert "invariant_false" in story.causes("pass_door")
-    assert story.outcomes("pass_door")[0] == "canceled"
-    assert story.result["replans"] >= 1
+    ).execute()
+    assert finished.result["goal_reached"]
+    assert "invariant_false" in finished.causes("pass_door")
+    assert finished.outcomes("pass_door")[0] == "canceled"
+    assert finished.result["replans"] >= 1
 
 
-def test_hung_and_slow_servers_are_cancelled_and_tried_again(stage):
+def test_hung_and_slow_servers_are_cancelled_and_tried_again(deploy):
     faults = "faults: [{action: inspect, do: slow, times: 1}, {action: inspect, do: hang, after: 2, times: 1}]"
-    story = stage("patrol/p01", quick=True, faults=faults, bindings=IMPATIENT, speed="4").play()
-    assert story.result["goal_reached"]
-    assert story.attempts("inspect") == [2, 2, 1]
-    assert story.outcomes("inspect") == ["canceled", "succeeded", "canceled", "succeeded", "succeeded"]
-    assert story.result["failures"] == []
+    finished = deploy("patrol/p01", quick=True, faults=faults, bindings=IMPATIENT, speed="4").execute()
+    assert finished.result["goal_reached"]
+    assert finished.attempts("inspect") == [2, 2, 1]
+    assert finished.outcomes("inspect") == ["canceled", "succeeded", "canceled", "succeeded", "succeeded"]
+    assert finished.result["failures"] == []
 
 
-def test_a_slow_server_is_waited_for_as_long_as_its_binding_says(stage):
-    story = stage("patrol/p01", quick=True, faults="faults: [{action: inspect, do: slow}]").play()
-    assert story.result["goal_reached"]
-    assert story.result["failures"] == []
-    assert story.attempts("inspect") == [1, 1, 1]
+def test_a_slow_server_is_waited_for_as_long_as_its_binding_says(deploy):
+    finished = deploy("patrol/p01", quick=True, faults="faults: [{action: inspect, do: slow}]").execute()
+    assert finished.result["goal_reached"]
+    assert finished.result["failures"] == []
+    assert finished.attempts("inspect") == [1, 1, 1]
 
 
-def test_a_hung_server_that_ignores_cancelling_is_given_up_and_got_round(stage):
-    story = stage("patrol/p01", quick=True, faults=both_ways("do: hang, ignores_cancel: true"), bindings=IMPATIENT).play()
-    assert story.result["goal_reached"]
-    assert story.causes("move") == {"timed_out"}
-    assert {failure["observed"] for failure in story.result["failures"]} == {"neither"}
-    assert story.result["plans"] >= 2
+def test_a_hung_server_that_ignores_cancelling_is_given_up_and_got_round(deploy):
+    finished = deploy("patrol/p01", quick=True, faults=both_ways("do: hang, ignores_cancel: true"), bindings=IMPATIENT).execute()
+    assert finished.result["goal_reached"]
+    assert finished.causes("move") == {"timed_out"}
+    assert {failure["observed"] for failure in finished.result["failures"]} == {"neither"}
+    assert finished.result["plans"] >= 2
 
 
-def test_what_a_lost_server_did_is_done_by_another_robot(stage):
+def test_what_a_lost_server_did_is_done_by_another_robot(deploy):
     faults = "faults: [{action: move, do: lose_server, times: 1}]"
-    story = stage("delivery/p01", quick=True, faults=faults).play()
-    lost = next(event["action"] for event in story.events if event["event"] == "end" and event["outcome"] == "lost")
+    finished = deploy("delivery/p01", quick=True, faults=faults).execute()
+    lost = next(event["action"] for event in finished.events if event["event"] == "end" and event["outcome"] == "lost")
     robot = lost[len("move(") :].split(",")[0]
-    gone = [failure for failure in story.result["failures"] if failure["cause"] in ("lost", "unavailable")]
+    gone = [failure for failure in finished.result["failures"] if failure["cause"] in ("lost", "unavailable")]
     assert gone
     assert all(f"/{robot}/move" in failure["observed"] for failure in gone)
-    assert story.result["goal_reached"]
-    moved = [event["action"] for event in story.events if event["event"] == "end" and event["outcome"] == "succeeded"]
+    assert finished.result["goal_reached"]
+    moved = [event["action"] for event in finished.events if event["event"] == "end" and event["outcome"] == "succeeded"]
     assert not any(action.startswith(f"move({robot},") for action in moved)

@@ -26,45 +26,45 @@ AGAIN = "measure_again: {server: measure, goal: {nested_field: $reading}, retrie
 
 
 @pytest.fixture
-def play(stage):
+def execute(deploy):
     """Run the little domain with the given bindings; return the exit status, the result, and the goals that the servers got."""
 
     def run(*bindings: str):
-        scene = stage("foreign", texts=(DOMAIN, PROBLEM), bindings="\n  ".join(("actions:", *bindings)), quick=True)
-        servers = scene.start(Program(["-m", "tests.support.e2e.foreign"], scene.environment))
+        deployment = deploy("foreign", texts=(DOMAIN, PROBLEM), bindings="\n  ".join(("actions:", *bindings)), quick=True)
+        servers = deployment.start(Program(["-m", "tests.support.e2e.programs.foreign_servers"], deployment.environment))
         servers.until(lambda: servers.out)
-        status, result = scene.run("--replans", "0").result()
+        status, result = deployment.run("--replans", "0").result()
         return status, result, servers.objects()
 
     return run
 
 
-def test_goals_are_filled_from_bindings_and_from_results_of_earlier_actions(play):
-    status, result, goals = play(COUNT, MEASURE, AGAIN)
+def test_goals_are_filled_from_bindings_and_from_results_of_earlier_actions(execute):
+    status, result, goals = execute(COUNT, MEASURE, AGAIN)
     assert (status, result["goal_reached"], result["failures"]) == (0, True, [])
     assert goals == [{"server": "count", "order": 3}, {"server": "measure", "number": 21}, {"server": "measure", "number": 42}]
     assert all(call["assumed"] for call in result["calls"]), "nothing senses what these actions have done"
 
 
-def test_a_stored_sequence_arrives_at_the_goal_field_it_is_bound_to(play):
-    status, result, goals = play(COUNT, "measure: {goal: {nested_field: {int32_value: $numbers}}, retries: 0}", AGAIN)
+def test_a_stored_sequence_arrives_at_the_goal_field_it_is_bound_to(execute):
+    status, result, goals = execute(COUNT, "measure: {goal: {nested_field: {int32_value: $numbers}}, retries: 0}", AGAIN)
     assert (status, goals) == (1, [{"server": "count", "order": 3}])
     failure = result["failures"][0]
     assert (failure["call"], failure["cause"]) == ("measure()#1", "rejected")
     assert failure["observed"].endswith("field nested_field.int32_value needs int32 (-2147483648 to 2147483647), got [0, 1, 1] (list)")
 
 
-def test_a_goal_field_without_a_value_is_missing_data_and_is_named(play):
-    status, result, goals = play("count: {retries: 0}", MEASURE, AGAIN)
+def test_a_goal_field_without_a_value_is_missing_data_and_is_named(execute):
+    status, result, goals = execute("count: {retries: 0}", MEASURE, AGAIN)
     assert (status, goals) == (1, [])
     assert result["failures"][0]["cause"] == "data_missing"
     assert result["failures"][0]["expected"] == "values for order"
 
 
-def test_simulated_robots_tell_how_far_they_have_come(stage, monkeypatch):
-    scene = stage("delivery/p01", speed="2", quick=True)
-    scene.simulate().ready()
-    for name, value in scene.environment.items():
+def test_simulated_robots_tell_how_far_they_have_come(deploy, monkeypatch):
+    deployment = deploy("delivery/p01", speed="2", quick=True)
+    deployment.simulate().ready()
+    for name, value in deployment.environment.items():
         monkeypatch.setenv(name, value)
     ros, told, over = RosThread("listener"), [], threading.Event()
     ground = import_type("pnm_interfaces/action/GroundAction")

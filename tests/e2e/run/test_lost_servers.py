@@ -16,34 +16,34 @@ HANGING = "faults: [{action: move, do: hang}]"
 
 
 @pytest.fixture(scope="module", autouse=True)
-def waiting(stage_of_module):
+def waiting(deploy_for_module):
     """Begin the runs that mostly wait, so that they do so while others go on.
 
     One has no robots. Of two more the robots vanish, killed or in order, after both have begun to drive; the
     first began well before the second, so its goal is surely accepted.
     """
-    runs = {"alone": (stage_of_module("patrol/p01").run(), monotonic())}
+    runs = {"alone": (deploy_for_module("patrol/p01").run(), monotonic())}
     for end in ("kill", "stop"):
-        scene = stage_of_module("delivery/p01", faults=HANGING, bindings=ONCE)
-        simulation = scene.simulate().ready()
-        run = scene.run()
+        deployment = deploy_for_module("delivery/p01", faults=HANGING, bindings=ONCE)
+        simulation = deployment.simulate().ready()
+        run = deployment.run()
         simulation.happens("start", "move", 2)
         getattr(simulation, end)()
         runs[end] = run, monotonic()
     return runs
 
 
-def test_robots_killed_and_restarted_are_noticed_and_the_goal_is_reached_from_what_is_then_sensed(stage):
-    scene = stage("patrol/p01", speed="5")
-    killed = scene.simulate().ready()
-    run = scene.run()
+def test_robots_killed_and_restarted_are_noticed_and_the_goal_is_reached_from_what_is_then_sensed(deploy):
+    deployment = deploy("patrol/p01", speed="5")
+    killed = deployment.simulate().ready()
+    run = deployment.run()
     killed.happens("start", "move", 2)
     killed.kill()
-    story = scene.judge(run, scene.simulate())
-    assert story.result["goal_reached"]
-    assert story.result["replans"] >= 1
+    finished = deployment.finish(run, deployment.simulate())
+    assert finished.result["goal_reached"]
+    assert finished.result["replans"] >= 1
     first = next(event["action"] for event in killed.objects() if event["event"] == "start")
-    assert first in [event["action"] for event in story.events if event["event"] == "start"], "the new world starts from the beginning"
+    assert first in [event["action"] for event in finished.events if event["event"] == "start"], "the new world starts from the beginning"
 
 
 def test_without_robots_every_call_tried_fails_by_the_name_of_its_server(waiting):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 
+from tests.support.e2e.deployment import written
 from tests.support.e2e.processes import Program
-from tests.support.e2e.scene import written
 
 DOMAIN = """(define (domain workshop)
   (:requirements :typing :durative-actions :numeric-fluents)
@@ -31,37 +31,37 @@ sensors:
 """
 
 
-def test_what_is_unknown_because_its_sensor_was_killed_fails_a_call_and_is_planned_around(stage):
-    scene = stage("workshop", texts=(DOMAIN, PROBLEM), speed="2")
+def test_what_is_unknown_because_its_sensor_was_killed_fails_a_call_and_is_planned_around(deploy):
+    deployment = deploy("workshop", texts=(DOMAIN, PROBLEM), speed="2")
     battery = {"topic": "/r1/battery", "type": "test_msgs/msg/BasicTypes", "fields": {"float32_value": 0.8}}
-    sensor = scene.start(Program(["-m", "tests.support.ros.sensors", json.dumps(battery)], scene.environment))
+    sensor = deployment.start(Program(["-m", "tests.support.ros.sensors", json.dumps(battery)], deployment.environment))
     sensor.until(lambda: "ready" in sensor.out)
-    simulation = scene.simulate().ready()
-    run = scene.run("--sensing", written(scene.folder / "sensing.yaml", SENSING))
+    simulation = deployment.simulate().ready()
+    run = deployment.run("--sensing", written(deployment.folder / "sensing.yaml", SENSING))
     simulation.happens("start", "warm_up")
     sensor.process.kill()
-    story = scene.judge(run, simulation)
-    (failure,) = story.result["failures"]
+    finished = deployment.finish(run, simulation)
+    (failure,) = finished.result["failures"]
     assert (failure["call"], failure["cause"]) == ("work(r1)#1", "precondition_false")
     assert failure["expected"] == "(charged r1)"
     assert failure["observed"] == "(charged r1) is unknown"
-    assert (story.result["goal_reached"], story.result["plans"], story.result["replans"]) == (True, 2, 1)
-    assert story.attempts("work_slowly") == [1]
+    assert (finished.result["goal_reached"], finished.result["plans"], finished.result["replans"]) == (True, 2, 1)
+    assert finished.attempts("work_slowly") == [1]
     assert any("nothing was heard on /r1/battery for 1 s; what it tells is unknown" in line for line in run.err)
 
 
-def test_sensors_that_are_wrong_are_refused_before_anything_starts(stage):
-    scene = stage("workshop", texts=(DOMAIN, PROBLEM))
+def test_sensors_that_are_wrong_are_refused_before_anything_starts(deploy):
+    deployment = deploy("workshop", texts=(DOMAIN, PROBLEM))
     for text, said in {
         SENSING.replace("charged", "chraged"): "sensing.yaml:6:15: there is no predicate 'chraged' in the domain; did you mean 'charged'?",
         SENSING.replace("battery\n", "battery\n    type: test_msgs/msg/Empty\n"): "sensing.yaml:7:15: Empty has no field 'float32_value'",
     }.items():
-        run = scene.run("--sensing", written(scene.folder / "sensing.yaml", text))
+        run = deployment.run("--sensing", written(deployment.folder / "sensing.yaml", text))
         assert run.ended() == 2
         assert said in run.err[-1]
     battery = {"topic": "/r1/battery", "type": "test_msgs/msg/Strings", "fields": {}}
-    sensor = scene.start(Program(["-m", "tests.support.ros.sensors", json.dumps(battery)], scene.environment))
+    sensor = deployment.start(Program(["-m", "tests.support.ros.sensors", json.dumps(battery)], deployment.environment))
     sensor.until(lambda: "ready" in sensor.out)
-    run = scene.run("--sensing", written(scene.folder / "sensing.yaml", SENSING))
+    run = deployment.run("--sensing", written(deployment.folder / "sensing.yaml", SENSING))
     assert run.ended() == 2
     assert "sensing.yaml:6:15: Strings has no field 'float32_value'; it has string_value" in run.err[-1]

@@ -31,11 +31,11 @@ pytestmark = pytest.mark.skipif(bool(ALONE), reason=ALONE)
 @pytest.fixture
 def survey(tmp_path: Path) -> Iterator[Survey]:
     with lan("rover", "drone") as hosts:
-        scene = Survey(hosts, tmp_path)
+        deployment = Survey(hosts, tmp_path)
         try:
-            yield scene
+            yield deployment
         finally:
-            scene.close()
+            deployment.close()
 
 
 def starts(simulation):

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.e2e.deployment import Run
+from tests.support.e2e.plan_deployment import ABORTED
 from tests.support.e2e.plan_files import DOMAIN, FILES, PLANS, shared
-from tests.support.e2e.plans import ABORTED
 from tests.support.e2e.processes import ROOT
-from tests.support.e2e.scene import Run
 
 
-def refused(scene, *options: str) -> tuple[int, str]:
+def refused(deployment, *options: str) -> tuple[int, str]:
     """Serve a world that cannot be served; return the exit status and what is said."""
-    serving = scene.serve(*options)
+    serving = deployment.serve(*options)
     status = serving.ended()
     assert not any(line.startswith("ready") for line in serving.out), str(serving)
     return status, "\n".join(serving.err)
@@ -47,16 +47,16 @@ def refused(scene, *options: str) -> tuple[int, str]:
         ),
     ],
 )
-def test_a_world_that_is_wrong_is_refused_before_anything_starts(plan_scene, files, options, said):
-    plan_scene.write({**FILES, **files})
-    status, told = refused(plan_scene, *options)
+def test_a_world_that_is_wrong_is_refused_before_anything_starts(deployment, files, options, said):
+    deployment.write({**FILES, **files})
+    status, told = refused(deployment, *options)
     assert (status, said in told) == (2, True), told
 
 
-def test_without_ros_there_is_advice(plan_scene):
-    plan_scene.write({**FILES, "rclpy.py": "raise ImportError('no rclpy')"})
-    plan_scene.environment["PYTHONPATH"] = f"{plan_scene.folder}:{ROOT}"
-    status, told = refused(plan_scene)
+def test_without_ros_there_is_advice(deployment):
+    deployment.write({**FILES, "rclpy.py": "raise ImportError('no rclpy')"})
+    deployment.environment["PYTHONPATH"] = f"{deployment.folder}:{ROOT}"
+    status, told = refused(deployment)
     assert status == 1
     assert told == ("ROS 2 is not there (no rclpy); `pip install 'petri-net-machines[ros2]'`, or source a ROS 2 installation"), (
         "one line, no traceback"
@@ -74,21 +74,21 @@ def test_without_ros_there_is_advice(plan_scene):
         ),
     ],
 )
-def test_names_that_cannot_be_are_refused(plan_scene, files, said):
-    plan_scene.write({**FILES, **files})
-    status, told = refused(plan_scene)
+def test_names_that_cannot_be_are_refused(deployment, files, said):
+    deployment.write({**FILES, **files})
+    status, told = refused(deployment)
     assert (status, said in told) == (2, True), told
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_cancels_what_runs_and_tells_the_clients(plan_scene, number):
-    plan_scene.write(FILES)
-    workers = plan_scene.workers("wait").ready()
-    serving = plan_scene.serve().ready()
-    status, told = refused(plan_scene)
+def test_a_signal_cancels_what_runs_and_tells_the_clients(deployment, number):
+    deployment.write(FILES)
+    workers = deployment.workers("wait").ready()
+    serving = deployment.serve().ready()
+    status, told = refused(deployment)
     assert status == 1
     assert "already" in told
-    client = plan_scene.client("waits", {"time": 1000}, {"time": 2000})
+    client = deployment.client("waits", {"time": 1000}, {"time": 2000})
     for time in (1000, 2000):
         workers.happens("start", "wait", time)
     serving.stop(number)
@@ -97,41 +97,41 @@ def test_a_signal_cancels_what_runs_and_tells_the_clients(plan_scene, number):
     assert sum("cancelled the node is shut down" in line for line in serving.out) == 2
 
 
-def test_an_action_server_that_does_not_let_go_is_not_waited_for_without_end(plan_scene):
-    plan_scene.write({**FILES, "plans.yaml": "clings: {plan: [stubborn: {time: 1000}]}", "domain.yaml": "actions: {stubborn: {cancel: 1}}"})
-    workers = plan_scene.workers("stubborn").ready()
-    serving = plan_scene.serve().ready()
-    client = plan_scene.client("clings")
+def test_an_action_server_that_does_not_let_go_is_not_waited_for_without_end(deployment):
+    deployment.write({**FILES, "plans.yaml": "clings: {plan: [stubborn: {time: 1000}]}", "domain.yaml": "actions: {stubborn: {cancel: 1}}"})
+    workers = deployment.workers("stubborn").ready()
+    serving = deployment.serve().ready()
+    client = deployment.client("clings")
     workers.happens("start", "stubborn")
     serving.stop()
     assert client.result()["reason"] == "cancelled"
 
 
-def test_who_asks_twice_does_not_have_to_wait(plan_scene):
-    plan_scene.write(
+def test_who_asks_twice_does_not_have_to_wait(deployment):
+    deployment.write(
         {**FILES, "plans.yaml": "clings: {plan: [stubborn: {time: 1000}]}", "domain.yaml": "actions: {stubborn: {cancel: 500}}"}
     )
-    workers = plan_scene.workers("stubborn").ready()
-    serving = plan_scene.serve().ready()
-    plan_scene.client("clings")
+    workers = deployment.workers("stubborn").ready()
+    serving = deployment.serve().ready()
+    deployment.client("clings")
     workers.happens("start", "stubborn")
     serving.process.send_signal(signal.SIGTERM)
-    plan_scene.cancel_all("stubborn")
+    deployment.cancel_all("stubborn")
     serving.stop()
     assert "clings has not ended; what it runs is left alone" in serving.err
 
 
-def test_a_plan_of_pnm_run_is_in_touch_with_its_action_servers_too(plan_scene):
-    plan_scene.write({"all.yaml": DOMAIN + PLANS})
-    plan_scene.workers("wait").ready()
-    knowing = plan_scene.workers(script="knowing_workers").ready()
-    file = str(plan_scene.folder / "all.yaml")
-    options = ["--name", "knows", "--set", "value=7", "--actions", "ros2", "--json", "--knowledge", str(plan_scene.knowledge)]
-    run = plan_scene.start(Run(["-m", "planner_bridge", "run", "--plan", file, *options], plan_scene.environment))
+def test_a_plan_of_pnm_run_is_in_touch_with_its_action_servers_too(deployment):
+    deployment.write({"all.yaml": DOMAIN + PLANS})
+    deployment.workers("wait").ready()
+    knowing = deployment.workers(script="asking_servers").ready()
+    file = str(deployment.folder / "all.yaml")
+    options = ["--name", "knows", "--set", "value=7", "--actions", "ros2", "--json", "--knowledge", str(deployment.knowledge)]
+    run = deployment.start(Run(["-m", "planner_bridge", "run", "--plan", file, *options], deployment.environment))
     status, result = run.result()
     assert (status, result["results"]) == (0, {"spam": 7, "eggs": 107, "time": 7})
     assert {"event": "found", "server": "remember", "value": [7, 107]} in knowing.objects()
-    assert shared(plan_scene.knowledge, "eggs") == 107
+    assert shared(deployment.knowledge, "eggs") == 107
 
 
 def test_global_knowledge_of_simulated_runs_is_in_the_file_that_is_named(tmp_path: Path):

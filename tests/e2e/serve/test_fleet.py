@@ -1,4 +1,4 @@
-"""Fifty goals over five robots, one request in twenty of which goes wrong: over ROS 2, and judged by the robots' own log."""
+"""Fifty goals over five robots, one request in twenty of which goes wrong: over ROS 2, compared with the robots' own log."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import random
 import pytest
 
 from planner_bridge.pddl import write_domain, write_problem
-from tests.support.e2e.plans import ABORTED, SUCCEEDED, Client, PlanScene, Serving
-from tests.support.e2e.scene import Simulation
+from tests.support.e2e.deployment import Simulation
+from tests.support.e2e.plan_deployment import ABORTED, SUCCEEDED, Client, PlanDeployment, Serving
 from tests.support.problems import fleet
 
 ROBOTS, PARCELS, ROOMS = 5, 50, 6
@@ -31,19 +31,19 @@ TRUE_REASONS = {"action_failed", "condition_lost", "no_plan", "replan_limit"}
 
 @pytest.mark.parametrize("seed", [1])
 @pytest.mark.timeout(600)
-def test_all_goals_hold_in_the_end_or_are_reported_with_the_reason(plan_scene: PlanScene, seed: int) -> None:
+def test_all_goals_hold_in_the_end_or_are_reported_with_the_reason(deployment: PlanDeployment, seed: int) -> None:
     problem = fleet(ROBOTS, PARCELS, ROOMS)
     files = {"domain.pddl": write_domain(problem.domain), "problem.pddl": write_problem(problem)}
-    plan_scene.write({**files, "bindings.yaml": BINDINGS, "faults.yaml": FAULTS % seed})
-    here = [str(plan_scene.folder / name) for name in ("domain.pddl", "problem.pddl")]
-    bindings = ["--bindings", str(plan_scene.folder / "bindings.yaml")]
-    faults = ["--faults", str(plan_scene.folder / "faults.yaml"), "--speed", "10", "--log", "/dev/stdout"]
-    robots = plan_scene.start(Simulation(["-m", "planner_bridge", "simulate", *here, *bindings, *faults], plan_scene.environment)).ready()
-    plan_scene.start(Serving(["-m", "planner_bridge", "serve", *here, *bindings], plan_scene.environment)).ready()
+    deployment.write({**files, "bindings.yaml": BINDINGS, "faults.yaml": FAULTS % seed})
+    here = [str(deployment.folder / name) for name in ("domain.pddl", "problem.pddl")]
+    bindings = ["--bindings", str(deployment.folder / "bindings.yaml")]
+    faults = ["--faults", str(deployment.folder / "faults.yaml"), "--speed", "10", "--log", "/dev/stdout"]
+    robots = deployment.start(Simulation(["-m", "planner_bridge", "simulate", *here, *bindings, *faults], deployment.environment)).ready()
+    deployment.start(Serving(["-m", "planner_bridge", "serve", *here, *bindings], deployment.environment)).ready()
 
     rng = random.Random(seed)
     goals = [f"(in p{number} a{rng.randrange(ROOMS)})" for number in range(PARCELS)]
-    client = plan_scene.start(Client(["-m", "tests.support.e2e.goal_client", "send", *goals], plan_scene.environment))
+    client = deployment.start(Client(["-m", "tests.support.e2e.programs.goal_client", "send", *goals], deployment.environment))
     assert client.ended(540.0) == 0, str(client)
     results = client.results()
     robots.stop()

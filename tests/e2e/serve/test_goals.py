@@ -7,26 +7,26 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.e2e.plans import ABORTED, CANCELED, SUCCEEDED, Client, PlanScene, Serving
+from tests.support.e2e.deployment import Simulation
+from tests.support.e2e.plan_deployment import ABORTED, CANCELED, SUCCEEDED, Client, PlanDeployment, Serving
 from tests.support.e2e.processes import Program
-from tests.support.e2e.scene import Simulation
 from tests.support.e2e.task_node import DOMAIN, PAGE, PROBLEM, goals
 
 
 @pytest.fixture(scope="module")
-def robots(plan_scene_of_module: PlanScene) -> Simulation:
+def robots(deployment_of_module: PlanDeployment) -> Simulation:
     command = ["-m", "planner_bridge", "simulate", DOMAIN, PROBLEM, "--speed", "20", "--log", "/dev/stdout"]
-    return plan_scene_of_module.start(Simulation(command, plan_scene_of_module.environment)).ready()
+    return deployment_of_module.start(Simulation(command, deployment_of_module.environment)).ready()
 
 
 @pytest.fixture(scope="module")
-def served(plan_scene_of_module: PlanScene, robots: Simulation) -> PlanScene:
+def served(deployment_of_module: PlanDeployment, robots: Simulation) -> PlanDeployment:
     """The node that takes goals, and robots for it."""
-    plan_scene_of_module.write({"goals.yaml": "goals:\n  in the yard: (and (at r1 yard) (not (at r2 yard)))"})
-    options = ["--goals", str(plan_scene_of_module.folder / "goals.yaml"), "--problems", str(plan_scene_of_module.folder)]
-    serving = Serving(["-m", "planner_bridge", "serve", DOMAIN, PROBLEM, *options], plan_scene_of_module.environment)
-    plan_scene_of_module.start(serving).ready()
-    return plan_scene_of_module
+    deployment_of_module.write({"goals.yaml": "goals:\n  in the yard: (and (at r1 yard) (not (at r2 yard)))"})
+    options = ["--goals", str(deployment_of_module.folder / "goals.yaml"), "--problems", str(deployment_of_module.folder)]
+    serving = Serving(["-m", "planner_bridge", "serve", DOMAIN, PROBLEM, *options], deployment_of_module.environment)
+    deployment_of_module.start(serving).ready()
+    return deployment_of_module
 
 
 @pytest.mark.parametrize(
@@ -51,13 +51,13 @@ def test_a_goal_with_a_name_is_reached_by_the_robots(served, robots):
     assert goals(served, "in the yard").result()["status"] == SUCCEEDED, "it is so already"
 
 
-def page(scene: PlanScene, folder: Path, goal: str, limit: str) -> Program:
+def page(deployment: PlanDeployment, folder: Path, goal: str, limit: str) -> Program:
     """Run the client of the page, with another goal and another limit."""
     (script,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     assert script.count("(at r2 kitchen)") == script.count(", 5.0)") == 1
     file = folder / "client.py"
     file.write_text(script.replace("(at r2 kitchen)", goal).replace(", 5.0)", f", {limit})"))
-    client = scene.start(Client([str(file)], scene.environment))
+    client = deployment.start(Client([str(file)], deployment.environment))
     assert client.ended() == 0, str(client)
     return client
 
@@ -77,7 +77,7 @@ def test_the_client_of_the_page_cancels_what_takes_too_long(served, robots, tmp_
 
 
 def test_what_is_known_and_the_problem_are_asked_for(served):
-    client = served.start(Client(["-m", "tests.support.e2e.world_client"], served.environment))
+    client = served.start(Client(["-m", "tests.support.e2e.programs.world_client"], served.environment))
     assert client.ended() == 0, str(client)
     told = {one["event"]: one for one in client.objects()}
     assert told["query"]["values"] == ["true", "false", "1"]

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from tests.support.e2e.plans import SUCCEEDED
-from tests.support.runs.yaml_examples import PAPER_DOMAIN, PAPER_PLAN
+from tests.support.e2e.plan_deployment import SUCCEEDED
+from tests.support.yaml.examples import PAPER_DOMAIN, PAPER_PLAN
 
 
-def test_one_action_and_then_four_at_once_two_with_the_time_it_returned(plan_scene):
-    plan_scene.write(
+def test_one_action_and_then_four_at_once_two_with_the_time_it_returned(deployment):
+    deployment.write(
         {"listing1.yaml": PAPER_DOMAIN, "listing2.yaml": PAPER_PLAN, "world.yaml": "domain: listing1.yaml\nplans: [listing2.yaml]"}
     )
-    workers = plan_scene.workers("dummy_server", "four_waits").ready()
-    serving = plan_scene.serve().ready()
-    result = plan_scene.client("listing2").result()
+    workers = deployment.workers("dummy_server", "four_waits").ready()
+    serving = deployment.serve().ready()
+    result = deployment.client("listing2").result()
     assert (result["status"], result["success"], result["reason"]) == (SUCCEEDED, True, "goal"), f"{result} {serving}"
     events = [(one["event"], one["server"], one["value"]) for one in workers.objects()]
     assert events[:2] == [("start", "dummy_server", 3), ("end", "dummy_server", 3)]

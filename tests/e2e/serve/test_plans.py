@@ -4,32 +4,32 @@ from __future__ import annotations
 
 import pytest
 
+from tests.support.e2e.plan_deployment import ABORTED, CANCELED, SUCCEEDED, PlanDeployment, Workers
 from tests.support.e2e.plan_files import DOMAIN, PLANS, shared
-from tests.support.e2e.plans import ABORTED, CANCELED, SUCCEEDED, PlanScene, Workers
 
 
 @pytest.fixture(scope="module")
-def workers(plan_scene_of_module: PlanScene) -> Workers:
-    return plan_scene_of_module.workers("add_one", "broken", "dummy_server", "wait").ready()
+def workers(deployment_of_module: PlanDeployment) -> Workers:
+    return deployment_of_module.workers("add_one", "broken", "dummy_server", "wait").ready()
 
 
 @pytest.fixture(scope="module")
-def knowing(plan_scene_of_module: PlanScene) -> Workers:
-    return plan_scene_of_module.workers(script="knowing_workers").ready()
+def knowing(deployment_of_module: PlanDeployment) -> Workers:
+    return deployment_of_module.workers(script="asking_servers").ready()
 
 
 @pytest.fixture(scope="module")
-def served(plan_scene_of_module: PlanScene, workers: Workers, knowing: Workers) -> PlanScene:
+def served(deployment_of_module: PlanDeployment, workers: Workers, knowing: Workers) -> PlanDeployment:
     """A process that serves all of the plans, with the action servers that they need."""
-    plan_scene_of_module.write(
+    deployment_of_module.write(
         {
             "domain.yaml": DOMAIN,
             "plans.yaml": PLANS,
             "world.yaml": "mine: {domain: domain.yaml, recipes: [plans.yaml]}\nother: {domain: domain.yaml, recipes: [plans.yaml]}",
         }
     )
-    plan_scene_of_module.serve("--name", "mine").ready()
-    return plan_scene_of_module
+    deployment_of_module.serve("--name", "mine").ready()
+    return deployment_of_module
 
 
 # --- what fails ------------------------------------------------------------------------------

@@ -8,8 +8,8 @@ import signal
 import pytest
 
 from planner_bridge.node.options import PARAMETERS
+from tests.support.e2e.plan_deployment import ABORTED, CANCELED, SUCCEEDED, PlanDeployment
 from tests.support.e2e.plan_files import FILES
-from tests.support.e2e.plans import ABORTED, CANCELED, SUCCEEDED, PlanScene
 from tests.support.e2e.task_node import DOMAIN, PAGE, PROBLEM, change, goals, serve
 
 # --- what is refused -------------------------------------------------------------------------
@@ -27,25 +27,25 @@ from tests.support.e2e.task_node import DOMAIN, PAGE, PROBLEM, change, goals, se
         ([DOMAIN, PROBLEM, "--spam", "--ros-args"], 2, "No such option"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_said_and_nothing_is_served(plan_scene, arguments, status, said):
-    serving = serve(plan_scene, *arguments)
+def test_what_is_wrong_is_said_and_nothing_is_served(deployment, arguments, status, said):
+    serving = serve(deployment, *arguments)
     assert serving.ended() == status, str(serving)
     assert said in "\n".join(serving.err), str(serving)
     assert serving.out == []
 
 
-def test_a_second_node_of_the_same_name_offers_nothing(plan_scene):
-    serving = serve(plan_scene, DOMAIN, PROBLEM).ready()
-    second = serve(plan_scene, DOMAIN, PROBLEM)
+def test_a_second_node_of_the_same_name_offers_nothing(deployment):
+    serving = serve(deployment, DOMAIN, PROBLEM).ready()
+    second = serve(deployment, DOMAIN, PROBLEM)
     assert second.ended() == 1
     assert "there is an action server /achieve_goal already" in "\n".join(second.err)
-    plan_scene.write(FILES)
-    third = serve(plan_scene, "--world", str(plan_scene.folder / "world.yaml"))
+    deployment.write(FILES)
+    third = serve(deployment, "--world", str(deployment.folder / "world.yaml"))
     assert third.ended() == 1
     assert "there is an action server /achieve_goal already" in "\n".join(third.err)
-    fourth = serve(plan_scene, DOMAIN, PROBLEM, "--ros-args", "-r", "__ns:=/r1").ready()
+    fourth = serve(deployment, DOMAIN, PROBLEM, "--ros-args", "-r", "__ns:=/r1").ready()
     assert "ready: 3 action servers: /r1/achieve_goal, /r1/execute_plan, /r1/plan" in fourth.out
-    assert goals(plan_scene, "goal_reached").result()["status"] == SUCCEEDED
+    assert goals(deployment, "goal_reached").result()["status"] == SUCCEEDED
     for one in (serving, fourth):
         one.stop()
 
@@ -54,11 +54,11 @@ def test_a_second_node_of_the_same_name_offers_nothing(plan_scene):
 
 
 @pytest.fixture(scope="module")
-def served(plan_scene_of_module: PlanScene) -> PlanScene:
+def served(deployment_of_module: PlanDeployment) -> PlanDeployment:
     """A node with goals and plans."""
-    plan_scene_of_module.write(FILES)
-    serve(plan_scene_of_module, DOMAIN, PROBLEM, "--world", str(plan_scene_of_module.folder / "world.yaml"), "--max-queue", "3").ready()
-    return plan_scene_of_module
+    deployment_of_module.write(FILES)
+    serve(deployment_of_module, DOMAIN, PROBLEM, "--world", str(deployment_of_module.folder / "world.yaml"), "--max-queue", "3").ready()
+    return deployment_of_module
 
 
 def test_goals_are_answered(served):
@@ -80,13 +80,13 @@ def test_plans_of_a_world_are_offered_beside_goals(served):
     assert served.client("empty").result()["status"] == SUCCEEDED
 
 
-def test_a_client_that_is_killed_leaves_its_goal_behind_until_a_signal_ends_the_node(plan_scene):
-    serving = serve(plan_scene, DOMAIN, PROBLEM, "--max-queue", "2").ready()
-    killed, other = goals(plan_scene, "running 0"), goals(plan_scene, "planning")
+def test_a_client_that_is_killed_leaves_its_goal_behind_until_a_signal_ends_the_node(deployment):
+    serving = serve(deployment, DOMAIN, PROBLEM, "--max-queue", "2").ready()
+    killed, other = goals(deployment, "running 0"), goals(deployment, "planning")
     killed.hears("feedback", state=2)
     other.hears("feedback", state=1)
     killed.process.kill()
-    assert goals(plan_scene, "queued").result()["reason"] == "queue_full", "the goal goes on"
+    assert goals(deployment, "queued").result()["reason"] == "queue_full", "the goal goes on"
     serving.stop(signal.SIGINT)
     assert [(one["status"], one["reason"]) for one in other.results()] == [(ABORTED, "cancelled")]
     assert any("running 0" in line and "goal" in line for line in serving.out), str(serving)
@@ -95,49 +95,49 @@ def test_a_client_that_is_killed_leaves_its_goal_behind_until_a_signal_ends_the_
 # --- life cycle ------------------------------------------------------------------------------
 
 
-def test_a_node_is_led_through_its_states_by_others(plan_scene):
-    serving = serve(plan_scene, DOMAIN, PROBLEM, "--no-autostart")
+def test_a_node_is_led_through_its_states_by_others(deployment):
+    serving = serve(deployment, DOMAIN, PROBLEM, "--no-autostart")
     serving.until(lambda: "unconfigured: waits for its transitions" in serving.out)
-    assert change(plan_scene, "activate", "configure") == [False, True]
-    assert goals(plan_scene, "goal_reached").hears("answered") == {"event": "answered", "goal": 0, "accepted": False}
-    assert change(plan_scene, "activate") == [True]
-    client = goals(plan_scene, "running")
+    assert change(deployment, "activate", "configure") == [False, True]
+    assert goals(deployment, "goal_reached").hears("answered") == {"event": "answered", "goal": 0, "accepted": False}
+    assert change(deployment, "activate") == [True]
+    client = goals(deployment, "running")
     client.hears("feedback", state=2)
-    assert change(plan_scene, "deactivate") == [True]
+    assert change(deployment, "deactivate") == [True]
     client.hears("feedback", state=5)
-    assert change(plan_scene, "activate") == [True]
-    assert change(plan_scene, "deactivate", "cleanup") == [True, True]
+    assert change(deployment, "activate") == [True]
+    assert change(deployment, "deactivate", "cleanup") == [True, True]
     assert client.result()["reason"] == "cancelled"
-    assert change(plan_scene, "configure", "activate") == [True, True]
-    assert goals(plan_scene, "goal_reached").result()["status"] == SUCCEEDED
-    assert change(plan_scene, "shutdown") == [True]
+    assert change(deployment, "configure", "activate") == [True, True]
+    assert goals(deployment, "goal_reached").result()["status"] == SUCCEEDED
+    assert change(deployment, "shutdown") == [True]
     assert serving.ended() == 0
 
 
-def test_plans_of_a_world_are_paused_while_the_node_is_inactive(plan_scene):
-    plan_scene.write(FILES)
-    workers = plan_scene.workers("wait").ready()
-    serving = serve(plan_scene, "--world", str(plan_scene.folder / "world.yaml")).ready()
-    client = plan_scene.client("waits", {"time": 0.5}, {"time": 1000})
+def test_plans_of_a_world_are_paused_while_the_node_is_inactive(deployment):
+    deployment.write(FILES)
+    workers = deployment.workers("wait").ready()
+    serving = serve(deployment, "--world", str(deployment.folder / "world.yaml")).ready()
+    client = deployment.client("waits", {"time": 0.5}, {"time": 1000})
     workers.happens("end", "wait", 0.5)
-    assert change(plan_scene, "deactivate") == [True]
+    assert change(deployment, "deactivate") == [True]
     workers.happens("cancelled", "wait", 1000)
-    assert plan_scene.client("empty").hears("answered") == {"event": "answered", "goal": 0, "accepted": False}
-    assert change(plan_scene, "activate") == [True]
+    assert deployment.client("empty").hears("answered") == {"event": "answered", "goal": 0, "accepted": False}
+    assert change(deployment, "activate") == [True]
     workers.until(lambda: workers.starts("wait").count(1000) == 2)
     serving.stop()
     assert [one["reason"] for one in client.results()] == ["goal", "cancelled"]
 
 
-def test_a_configuration_that_fails_can_be_mended(plan_scene):
-    world = plan_scene.folder / "world.yaml"
-    serving = serve(plan_scene, "--world", str(world), "--no-autostart")
+def test_a_configuration_that_fails_can_be_mended(deployment):
+    world = deployment.folder / "world.yaml"
+    serving = serve(deployment, "--world", str(world), "--no-autostart")
     serving.until(lambda: "unconfigured: waits for its transitions" in serving.out)
-    assert change(plan_scene, "configure") == [False]
+    assert change(deployment, "configure") == [False]
     assert any("world.yaml:1:1: cannot be read" in line for line in serving.err), str(serving)
-    plan_scene.write(FILES)
-    assert change(plan_scene, "configure", "activate") == [True, True]
-    assert plan_scene.client("empty").result()["status"] == SUCCEEDED
+    deployment.write(FILES)
+    assert change(deployment, "configure", "activate") == [True, True]
+    assert deployment.client("empty").result()["status"] == SUCCEEDED
     serving.stop()
 
 

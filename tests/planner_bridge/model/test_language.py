@@ -44,24 +44,24 @@ from pnm.executor import Executor
 
 
 @dataclass
-class Stage:
+class Simulation:
     """A simulated world, and what is known of it, for one run after the other."""
 
     problem: Problem
-    site: SimulatedBackend
+    backend: SimulatedBackend
     knowledge: Layered
     bindings: Bindings
 
     async def run(self, graph: PlanGraph) -> RunResult:
         machine = generate(graph, self.bindings)
         verify(machine)
-        fields = self.site.client.goal_fields
+        fields = self.backend.client.goal_fields
         return await Executor(
-            Run(machine, self.knowledge, id=uuid4(), bindings=self.bindings, goal_fields=fields), self.site.client
+            Run(machine, self.knowledge, id=uuid4(), bindings=self.bindings, goal_fields=fields), self.backend.client
         ).execute()
 
     def truth(self, fluent: Fluent) -> object:
-        return self.site.robots.world.truth.value(fluent)
+        return self.backend.robots.world.truth.value(fluent)
 
     def now(self) -> Problem:
         return problem_now(self.problem, self.knowledge.world)
@@ -71,17 +71,17 @@ class Stage:
         return decide(self.now(), Progress(graph, result.calls), self.knowledge.world, history, Limits())
 
 
-Script = Callable[[Stage], Coroutine[Anything, Anything, None]]
+Scenario = Callable[[Simulation], Coroutine[Anything, Anything, None]]
 
 
-def play(problem: Problem, script: Script, faults: Faults = NO_FAULTS, bindings: Bindings = Bindings()) -> None:
+def simulate(problem: Problem, scenario: Scenario, faults: Faults = NO_FAULTS, bindings: Bindings = Bindings()) -> None:
     async def main() -> None:
-        stage = Stage(problem, simulated_backend(problem, bindings, faults), Layered(initial_knowledge(problem)), bindings)
-        await stage.site.open(stage.knowledge.world)
+        simulation = Simulation(problem, simulated_backend(problem, bindings, faults), Layered(initial_knowledge(problem)), bindings)
+        await simulation.backend.open(simulation.knowledge.world)
         try:
-            await script(stage)
+            await scenario(simulation)
         finally:
-            await stage.site.close()
+            await simulation.backend.close()
 
     run_async(main(), virtual=True)
 
@@ -218,98 +218,98 @@ BOTH = timed("0 2 open-door d1", "2.001 4 go r1 k h")
 def test_a_plan_with_derived_conditions_and_a_derived_goal_is_carried_out() -> None:
     problem = doors(goal="(and (at r1 h) (way g k) (not (shut-in r1)))", init="(at r1 k) (open d3)")
 
-    async def script(stage: Stage) -> None:
-        result = await stage.run(plan_graph(problem, BOTH))
+    async def scenario(simulation: Simulation) -> None:
+        result = await simulation.run(plan_graph(problem, BOTH))
         assert result.goal, result.reason
         assert [(call.started, call.ended) for call in result.calls] == [(0.0, 2.0), (2.0, 6.0)]
 
-    play(problem, script)
+    simulate(problem, scenario)
 
 
 def test_a_derived_precondition_that_is_false_says_what_is_wanting() -> None:
     problem = doors("(at r1 k)")
 
-    async def script(stage: Stage) -> None:
+    async def scenario(simulation: Simulation) -> None:
         graph = plan_graph(problem, timed("0 4 go r1 k h"))
-        result = await stage.run(graph)
+        result = await simulation.run(graph)
         assert [failure.cause for failure in result.failures] == ["precondition_false"]
         assert result.failures[0].expected == "(way k h)"
         assert result.failures[0].observed.startswith("(way k h) is false for want of (open d")
-        decision = stage.decide(graph, result)
+        decision = simulation.decide(graph, result)
         assert isinstance(decision, PlanAgain)
         assert decision.why.startswith("go(r1, k, h) would go on although (way k h) is false for want of (open d")
 
-    play(problem, script)
+    simulate(problem, scenario)
 
 
 def test_a_derived_over_all_condition_that_breaks_is_noticed_and_planned_around() -> None:
     """A door falls shut behind the robot's back: the way is gone, a new plan opens another."""
     problem = doors("(at r1 k) (open d1) (open d3)")
 
-    async def script(stage: Stage) -> None:
+    async def scenario(simulation: Simulation) -> None:
         graph = plan_graph(problem, timed("0 4 go r1 k h"))
-        result = await stage.run(graph)
+        result = await simulation.run(graph)
         assert [failure.cause for failure in result.failures] == ["invariant_false"]
         assert result.failures[0].observed.startswith("(way k h) is false for want of (open d")
         assert result.calls[0].ended == pytest.approx(1.01)
-        assert isinstance(stage.decide(graph, result), PlanAgain)
-        result = await stage.run(plan_graph(stage.now(), timed("0 2 open-door d2", "2.001 4 go r1 k h")))
+        assert isinstance(simulation.decide(graph, result), PlanAgain)
+        result = await simulation.run(plan_graph(simulation.now(), timed("0 2 open-door d2", "2.001 4 go r1 k h")))
         assert result.goal, result.reason
-        assert stage.truth(("at", "r1", "h")) is True
+        assert simulation.truth(("at", "r1", "h")) is True
 
-    play(problem, script, changed(1.0, {("open", "d1"): False}))
+    simulate(problem, scenario, changed(1.0, {("open", "d1"): False}))
 
 
 def test_a_base_fact_that_breaks_does_no_harm_while_the_derived_one_holds() -> None:
     problem = doors("(at r1 k) (open d1) (open d2) (open d3)")
 
-    async def script(stage: Stage) -> None:
-        result = await stage.run(plan_graph(problem, timed("0 4 go r1 k h")))
+    async def scenario(simulation: Simulation) -> None:
+        result = await simulation.run(plan_graph(problem, timed("0 4 go r1 k h")))
         assert result.goal
         assert result.failures == ()
 
-    play(problem, script, changed(1.0, {("open", "d1"): False}))
+    simulate(problem, scenario, changed(1.0, {("open", "d1"): False}))
 
 
 def test_nobody_who_watches_the_doors_leaves_the_world_to_find_out() -> None:
     problem = doors("(at r1 k) (open d1)")
     bindings = Bindings({"go": Binding(retries=0)}, assumed=frozenset({"open"}))
 
-    async def script(stage: Stage) -> None:
-        result = await stage.run(plan_graph(problem, timed("0 4 go r1 k h")))
+    async def scenario(simulation: Simulation) -> None:
+        result = await simulation.run(plan_graph(problem, timed("0 4 go r1 k h")))
         assert [failure.cause for failure in result.failures] == ["aborted"]
         assert result.failures[0].observed.endswith("(way k h) was not so all the time")
 
-    play(problem, script, changed(1.0, {("open", "d1"): False}), bindings)
+    simulate(problem, scenario, changed(1.0, {("open", "d1"): False}), bindings)
 
 
 def test_the_rest_of_a_plan_is_resumed_if_its_derived_conditions_still_hold() -> None:
     problem = doors("(at r1 k)")
     bindings = Bindings({"go": Binding(retries=0)})
 
-    async def script(stage: Stage) -> None:
+    async def scenario(simulation: Simulation) -> None:
         graph = plan_graph(problem, BOTH)
-        result = await stage.run(graph)
+        result = await simulation.run(graph)
         assert [failure.cause for failure in result.failures] == ["aborted"]
-        decision = stage.decide(graph, result)
+        decision = simulation.decide(graph, result)
         assert isinstance(decision, ResumePlan)
         assert [str(call.action) for call in decision.rest.calls] == ["go(r1, k, h)"]
-        assert (await stage.run(decision.rest)).goal
+        assert (await simulation.run(decision.rest)).goal
 
-    play(problem, script, Faults((Fault("go", FaultKind.ABORT, times=1),)), bindings)
+    simulate(problem, scenario, Faults((Fault("go", FaultKind.ABORT, times=1),)), bindings)
 
 
 def test_a_late_report_about_what_is_below_a_derived_fact_is_waited_for() -> None:
     problem = doors("(at r1 k)")
 
-    async def script(stage: Stage) -> None:
-        stage.knowledge.world.sense({"open"}, lag=3.0)
-        asyncio.get_running_loop().call_later(2.5, stage.site.robots.world.change, {("open", "d1"): True})
-        result = await stage.run(plan_graph(problem, timed("0 4 go r1 k h")))
+    async def scenario(simulation: Simulation) -> None:
+        simulation.knowledge.world.sense({"open"}, lag=3.0)
+        asyncio.get_running_loop().call_later(2.5, simulation.backend.robots.world.change, {("open", "d1"): True})
+        result = await simulation.run(plan_graph(problem, timed("0 4 go r1 k h")))
         assert result.goal, result.reason
         assert result.calls[0].started == 2.5
 
-    play(problem, script)
+    simulate(problem, scenario)
 
 
 TELEPORT = replace(
@@ -325,11 +325,11 @@ def test_what_an_action_changes_below_a_derived_fact_is_not_asked_of_it_before_o
     """It opens the door that it needs to be open, and shuts it: neither can be seen before or after."""
     problem = replace(doors("(at r1 k)"), domain=replace(DOMAIN, actions={"go": TELEPORT}))
 
-    async def script(stage: Stage) -> None:
-        result = await stage.run(plan_graph(problem, timed("0 4 go r1 k h")))
+    async def scenario(simulation: Simulation) -> None:
+        result = await simulation.run(plan_graph(problem, timed("0 4 go r1 k h")))
         assert [call.outcome for call in result.calls] == ["succeeded"]
 
-    play(problem, script)
+    simulate(problem, scenario)
 
 
 def test_a_hidden_change_of_a_derived_fact_is_refused_before_anything_starts() -> None:
@@ -397,104 +397,104 @@ def test_objects_order_calls_like_facts() -> None:
 
 
 def test_a_robot_whose_place_is_a_value_arrives() -> None:
-    async def script(stage: Stage) -> None:
-        result = await stage.run(plan_graph(IN_LAB, TO_LAB))
+    async def scenario(simulation: Simulation) -> None:
+        result = await simulation.run(plan_graph(IN_LAB, TO_LAB))
         assert result.goal, result.reason
-        assert (stage.truth(R1), stage.knowledge.value(R1)) == ("lab", "lab")
+        assert (simulation.truth(R1), simulation.knowledge.value(R1)) == ("lab", "lab")
 
-    play(IN_LAB, script)
+    simulate(IN_LAB, scenario)
 
 
 def test_on_the_way_it_is_nowhere() -> None:
     places: list[object] = []
 
-    async def script(stage: Stage) -> None:
-        asyncio.get_running_loop().call_later(2.0, lambda: places.append(stage.knowledge.value(R1)))
-        assert (await stage.run(plan_graph(IN_LAB, TO_LAB))).goal
+    async def scenario(simulation: Simulation) -> None:
+        asyncio.get_running_loop().call_later(2.0, lambda: places.append(simulation.knowledge.value(R1)))
+        assert (await simulation.run(plan_graph(IN_LAB, TO_LAB))).goal
 
-    play(IN_LAB, script)
+    simulate(IN_LAB, scenario)
     assert places == [UNDEFINED]
 
 
 def test_a_robot_that_is_nowhere_is_not_where_it_is_wanted() -> None:
     problem = replace(IN_LAB, init={("wanted", "r1"): "lab"})
 
-    async def script(stage: Stage) -> None:
-        assert (await stage.run(plan_graph(problem, timed("0 3 fetch r1")))).goal
+    async def scenario(simulation: Simulation) -> None:
+        assert (await simulation.run(plan_graph(problem, timed("0 3 fetch r1")))).goal
 
-    play(problem, script)
+    simulate(problem, scenario)
 
 
 @pytest.mark.parametrize("assumed", [frozenset[str](), frozenset({"place"})])
 def test_an_object_that_does_not_come_is_missed_if_it_is_sensed(assumed: frozenset[str]) -> None:
-    async def script(stage: Stage) -> None:
-        result = await stage.run(plan_graph(IN_LAB, TO_LAB))
+    async def scenario(simulation: Simulation) -> None:
+        result = await simulation.run(plan_graph(IN_LAB, TO_LAB))
         assert result.goal is bool(assumed)
         if not assumed:
             assert [(one.cause, one.expected) for one in result.failures] == [("effects_missing", "(= (place r1) lab)")]
-        assert stage.truth(R1) == "hall"
+        assert simulation.truth(R1) == "hall"
 
-    play(IN_LAB, script, Faults((Fault("move", FaultKind.NO_EFFECT),)), Bindings(assumed=assumed))
+    simulate(IN_LAB, scenario, Faults((Fault("move", FaultKind.NO_EFFECT),)), Bindings(assumed=assumed))
 
 
 def test_an_aborted_move_leaves_the_robot_where_it_was_known_to_be() -> None:
-    async def script(stage: Stage) -> None:
+    async def scenario(simulation: Simulation) -> None:
         graph = plan_graph(IN_LAB, TO_LAB)
-        result = await stage.run(graph)
+        result = await simulation.run(graph)
         assert [one.cause for one in result.failures] == ["aborted"]
-        assert (stage.truth(R1), stage.knowledge.value(R1)) == ("hall", "hall")
-        assert isinstance(stage.decide(graph, result), ResumePlan)
+        assert (simulation.truth(R1), simulation.knowledge.value(R1)) == ("hall", "hall")
+        assert isinstance(simulation.decide(graph, result), ResumePlan)
 
     faults = Faults((Fault("move", FaultKind.ABORT),))
-    play(IN_LAB, script, faults, Bindings({"move": Binding(retries=0)}, assumed=frozenset({"place"})))
+    simulate(IN_LAB, scenario, faults, Bindings({"move": Binding(retries=0)}, assumed=frozenset({"place"})))
 
 
 def test_a_robot_that_was_carried_away_is_found_by_the_precondition() -> None:
-    async def script(stage: Stage) -> None:
-        stage.site.robots.world.change({R1: "yard"})
+    async def scenario(simulation: Simulation) -> None:
+        simulation.backend.robots.world.change({R1: "yard"})
         graph = plan_graph(IN_LAB, TO_LAB)
-        result = await stage.run(graph)
+        result = await simulation.run(graph)
         assert [(one.cause, one.observed) for one in result.failures] == [("precondition_false", "(place r1) is yard")]
-        assert isinstance(stage.decide(graph, result), PlanAgain)
-        assert stage.now().init[R1] == "yard"
-        assert (await stage.run(plan_graph(stage.now(), timed("0 4 move r1 yard lab")))).goal
+        assert isinstance(simulation.decide(graph, result), PlanAgain)
+        assert simulation.now().init[R1] == "yard"
+        assert (await simulation.run(plan_graph(simulation.now(), timed("0 4 move r1 yard lab")))).goal
 
-    play(IN_LAB, script)
+    simulate(IN_LAB, scenario)
 
 
 def test_a_robot_that_is_there_does_not_move() -> None:
-    async def script(stage: Stage) -> None:
-        result = await stage.run(plan_graph(IN_LAB, TO_LAB))
+    async def scenario(simulation: Simulation) -> None:
+        result = await simulation.run(plan_graph(IN_LAB, TO_LAB))
         assert result.goal
         assert [call.outcome for call in result.calls] == ["already true"]
 
-    play(replace(IN_LAB, init={R1: "lab"}), script)
+    simulate(replace(IN_LAB, init={R1: "lab"}), scenario)
 
 
 def test_a_value_read_at_the_end_is_the_one_it_has_then() -> None:
     problem = tray_problem({R1: "hall", ("wanted", "r1"): "lab"}, at("r1", "yard"))
 
-    async def script(stage: Stage) -> None:
-        result = await stage.run(plan_graph(problem, timed("0 3 fetch r1")))
+    async def scenario(simulation: Simulation) -> None:
+        result = await simulation.run(plan_graph(problem, timed("0 3 fetch r1")))
         assert result.goal, result.reason
 
-    play(problem, script, changed(1.0, {("wanted", "r1"): "yard"}))
+    simulate(problem, scenario, changed(1.0, {("wanted", "r1"): "yard"}))
 
 
 def test_a_goal_field_may_be_an_object_that_is_known() -> None:
     bindings = Bindings({"fetch": Binding(goal={"robot": "?r", "to": "(wanted ?r)"})})
     wanted = tray_problem({R1: "hall", ("wanted", "r1"): "lab"}, at("r1", "lab"))
 
-    async def script(stage: Stage) -> None:
+    async def scenario(simulation: Simulation) -> None:
         graph = plan_graph(wanted, timed("0 3 fetch r1"))
-        data = goal_data(graph.calls[0].action, bindings.of("fetch"), ("robot", "to"), EvaluationContext(stage.knowledge))
+        data = goal_data(graph.calls[0].action, bindings.of("fetch"), ("robot", "to"), EvaluationContext(simulation.knowledge))
         assert data == ({"robot": "r1", "to": "lab"}, ())
-        assert (await stage.run(graph)).goal
+        assert (await simulation.run(graph)).goal
         for nothing in (UNKNOWN, UNDEFINED):
-            stage.knowledge.world.update({("wanted", "r1"): nothing})
-            assert goal_data(graph.calls[0].action, bindings.of("fetch"), None, EvaluationContext(stage.knowledge))[1] == ("to",)
+            simulation.knowledge.world.update({("wanted", "r1"): nothing})
+            assert goal_data(graph.calls[0].action, bindings.of("fetch"), None, EvaluationContext(simulation.knowledge))[1] == ("to",)
 
-    play(wanted, script, bindings=bindings)
+    simulate(wanted, scenario, bindings=bindings)
 
 
 def test_a_problem_from_what_is_known_has_only_values_that_it_declares() -> None:
@@ -561,13 +561,13 @@ def test_an_early_condition_is_decided_before_the_start_changes_it(wet: bool, as
     graph = plan_graph(problem, timed("0 5 mop"))
     assert why_not(Progress.beginning(graph), initial_knowledge(problem)) == ""
 
-    async def script(stage: Stage) -> None:
-        result = await stage.run(graph)
+    async def scenario(simulation: Simulation) -> None:
+        result = await simulation.run(graph)
         assert result.goal, result.reason
-        for state in (stage.truth, stage.knowledge.value):
+        for state in (simulation.truth, simulation.knowledge.value):
             assert (state(("clean",)) is True, state(("streaked",)) is True) == (wet, False)
 
-    play(problem, script, bindings=Bindings(assumed=assumed))
+    simulate(problem, scenario, bindings=Bindings(assumed=assumed))
 
 
 def test_a_condition_that_is_not_early_is_decided_at_the_end() -> None:
@@ -575,20 +575,20 @@ def test_a_condition_that_is_not_early_is_decided_at_the_end() -> None:
     plan = timed("0 5 mop", "1 2 hose")
     assert why_not(Progress.beginning(plan_graph(problem, plan)), initial_knowledge(problem)) == ""
 
-    async def script(stage: Stage) -> None:
-        assert (await stage.run(plan_graph(problem, plan))).goal
+    async def scenario(simulation: Simulation) -> None:
+        assert (await simulation.run(plan_graph(problem, plan))).goal
 
-    play(problem, script)
+    simulate(problem, scenario)
 
 
 def test_an_effect_decided_at_the_start_is_missed_at_the_end() -> None:
     problem = mops("(wet)", "(clean)")
 
-    async def script(stage: Stage) -> None:
-        result = await stage.run(plan_graph(problem, timed("0 5 mop")))
+    async def scenario(simulation: Simulation) -> None:
+        result = await simulation.run(plan_graph(problem, timed("0 5 mop")))
         assert [(one.cause, one.expected) for one in result.failures] == [("effects_missing", "(not (wet)) (clean)")]
 
-    play(problem, script, Faults((Fault("mop", FaultKind.NO_EFFECT),)), Bindings({"mop": Binding(retries=0)}))
+    simulate(problem, scenario, Faults((Fault("mop", FaultKind.NO_EFFECT),)), Bindings({"mop": Binding(retries=0)}))
 
 
 def test_the_start_reads_an_early_condition_and_the_end_writes() -> None:

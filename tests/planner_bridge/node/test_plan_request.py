@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.node.plan_request import Maker
+from planner_bridge.node.plan_request import make_plan
 from planner_bridge.node.world_queries import SharedWorld
 from planner_bridge.tasks.settings import Settings
 from pnm.errors import InputError
@@ -21,15 +21,15 @@ def test_a_plan_is_looked_for_from_the_world_as_it_is():
     async def main():
         knowledge = initial_knowledge(PROBLEM)
         knowledge.update({("at", "r1", "a"): False, ("at", "r1", "b"): True})
-        maker = Maker(PROBLEM, knowledge, Settings(), SharedWorld(PROBLEM, knowledge).read_goal, asyncio.get_running_loop().time())
-        found = await maker.make("", "", None)
-        assert (found.code, [(step.arguments, step.state) for step in found.steps]) == (
+        world = SharedWorld(PROBLEM, knowledge)
+        made = await make_plan(world, Settings(), "", "", None)
+        assert (made.code, [(step.arguments, step.state) for step in made.steps]) == (
             Code.GOAL_REACHED,
             [(("r1", "b", "c"), StepState.WAITING)],
         )
-        assert (await maker.make("(at r1 b)", "", 5.0)).steps == ()
-        assert (await maker.make("(at r1 a)", "", 5.0)).code is Code.NO_PLAN
+        assert (await make_plan(world, Settings(), "(at r1 b)", "", 5.0)).steps == ()
+        assert (await make_plan(world, Settings(), "(at r1 a)", "", 5.0)).code is Code.NO_PLAN
         with pytest.raises(InputError, match="kairoz"):
-            await maker.make("", "kairoz", 5.0)
+            await make_plan(world, Settings(), "", "kairoz", 5.0)
 
     asyncio.run(main())

@@ -14,7 +14,7 @@ from pnm.core.logic.effects import Effect, ForEach, Set, TimedChange, When
 from pnm.core.logic.expressions import UNDEFINED, Arithmetic, Constant, ValueOf, Variable
 from pnm.core.logic.rules import DerivationRule
 from pnm.errors import InputError
-from tests.support.pddl_text import EXTENDED
+from tests.support.pddl.text import EXTENDED
 from tests.support.refusals import refused
 
 domain_with, problem_with, action, durative = EXTENDED.domain_with, EXTENDED.problem_with, EXTENDED.action, EXTENDED.durative

@@ -11,7 +11,7 @@ from pnm.core.logic.domain import Preference
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Arithmetic, Constant, ValueOf, Variable
 from pnm.core.logic.trajectory import Constraint
-from tests.support.pddl_text import EXTENDED
+from tests.support.pddl.text import EXTENDED
 
 domain_with, problem_with, action, durative = EXTENDED.domain_with, EXTENDED.problem_with, EXTENDED.action, EXTENDED.durative
 HALL, ROOM, ROBOT = Constant("hall"), ("room",), ("robot",)

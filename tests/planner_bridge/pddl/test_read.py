@@ -12,7 +12,7 @@ from pnm.core.logic.conditions import TRUE, All, Any, Compare, Condition, Exists
 from pnm.core.logic.domain import ActionSchema, Declaration, DurationConstraint
 from pnm.core.logic.effects import OPERATIONS, Effect, ForEach, Set, TimedChange, When
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, ValueOf, Variable
-from tests.support.pddl_text import CHARGE, IDLE, NOT_IDLE, SET_IDLE, SMALL
+from tests.support.pddl.text import CHARGE, IDLE, NOT_IDLE, SET_IDLE, SMALL
 
 domain_with, problem_with, action, durative = SMALL.domain_with, SMALL.problem_with, SMALL.action, SMALL.durative
 

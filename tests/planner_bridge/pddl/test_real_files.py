@@ -10,8 +10,8 @@ import pytest
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
 from planner_bridge.pddl.write.writer import write_domain, write_problem
 from pnm.errors import InputError
-from tests.support.pddl_files import REFUSED, pairs
-from tests.support.pddl_text import SMALL
+from tests.support.pddl.files import REFUSED, pairs
+from tests.support.pddl.text import SMALL
 
 
 @pytest.mark.parametrize("folder", [folder for folder in pairs() if folder.name in REFUSED], ids=lambda folder: folder.name)

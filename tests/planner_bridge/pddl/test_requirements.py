@@ -14,7 +14,7 @@ from pnm.core.logic.domain import Declaration
 from pnm.core.logic.expressions import Constant, ValueOf
 from pnm.errors import Position, Tolerated
 from tests.support.files import ROOT
-from tests.support.pddl_text import DECLARING, warnings
+from tests.support.pddl.text import DECLARING, warnings
 
 domain_with = DECLARING.domain_with
 

@@ -11,7 +11,7 @@ from pnm.core.logic.conditions import TRUE, All, Any, Holds, Not
 from pnm.core.logic.domain import Declaration, DurationConstraint
 from pnm.core.logic.expressions import Constant, Variable
 from pnm.errors import InputError, Position
-from tests.support.pddl_text import DECLARING, warnings
+from tests.support.pddl.text import DECLARING, warnings
 
 domain_with, problem_with = DECLARING.domain_with, DECLARING.problem_with
 

@@ -19,7 +19,7 @@ from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant
 from pnm.core.logic.rules import DerivationRule
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError
-from tests.support.pddl_strategies import (
+from tests.support.pddl.models import (
     DURATIVE,
     INSTANTANEOUS,
     NUMBERS,
@@ -33,7 +33,7 @@ from tests.support.pddl_strategies import (
     over,
     values,
 )
-from tests.support.pddl_text import CHARGE, IDLE, NOT_IDLE, SET_IDLE, SMALL
+from tests.support.pddl.text import CHARGE, IDLE, NOT_IDLE, SET_IDLE, SMALL
 
 domain_with = SMALL.domain_with
 

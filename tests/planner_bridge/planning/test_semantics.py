@@ -45,7 +45,7 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import Moment, PlanGraph, PlanGraphError
 from pnm.core.machine.verification.verify import verify
 from pnm.executor import Executor
-from tests.support.strategies import Features, apart, calls, conditions, fluents, goal_of, plans, problems, states, walks
+from tests.support.pddl.random_problems import Features, apart, calls, conditions, fluents, goal_of, plans, problems, states, walks
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # unified-planning calls pyparsing by its old names
 up.get_environment().credits_stream = None
@@ -207,21 +207,21 @@ def test_verdicts_on_plans_and_states_are_those_of_kairos(kind: str) -> None:
 def executed(problem: Problem, graph: PlanGraph, *, sensed: bool) -> tuple[RunResult, KnowledgeBase, KnowledgeBase]:
     """How a plan ends on simulated robots, what the world is then like, and what is believed of it."""
     bindings = Bindings(assumed=frozenset() if sensed else dynamic_names(problem))
-    site, beliefs = simulated_backend(problem, bindings), initial_knowledge(problem)
+    backend, beliefs = simulated_backend(problem, bindings), initial_knowledge(problem)
     machine = generate(graph, bindings)
     verify(machine)
 
     async def main() -> RunResult:
-        await site.open(beliefs)
+        await backend.open(beliefs)
         for change in () if sensed else problem.timed:
             asyncio.get_running_loop().call_at(change.time, beliefs.update, change.changes)
-        run = Run(machine, Layered(beliefs), id=UUID(int=7), bindings=bindings, goal_fields=site.client.goal_fields)
-        result = await Executor(run, site.client).execute()
+        run = Run(machine, Layered(beliefs), id=UUID(int=7), bindings=bindings, goal_fields=backend.client.goal_fields)
+        result = await Executor(run, backend.client).execute()
         await asyncio.sleep(1.0)  # the last reports
-        await site.close()
+        await backend.close()
         return result
 
-    return run_async(main(), virtual=True), site.robots.world.truth, beliefs
+    return run_async(main(), virtual=True), backend.robots.world.truth, beliefs
 
 
 def lasts(problem: Problem, plan: Plan) -> bool:

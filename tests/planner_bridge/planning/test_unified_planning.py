@@ -1,4 +1,4 @@
-"""Our problems in unified-planning mean there what they mean here; its simulator is the judge."""
+"""Our problems in unified-planning mean there what they mean here; as its simulator shows."""
 
 from __future__ import annotations
 

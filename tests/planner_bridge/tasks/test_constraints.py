@@ -95,16 +95,16 @@ def pursued(
     *,
     limits: Limits = Limits(),
     bindings: Bindings = Bindings(),
-    site: SimulatedBackend | None = None,
+    backend: SimulatedBackend | None = None,
 ) -> Pursued:
-    site, log = site or simulated_backend(problem, bindings, faults), Log()
+    backend, log = backend or simulated_backend(problem, bindings, faults), Log()
 
     async def main() -> tuple[TaskResult, float]:
-        result = await achieve_at(site, problem, Settings(limits=limits, bindings=bindings), log)
+        result = await achieve_at(backend, problem, Settings(limits=limits, bindings=bindings), log)
         return result, asyncio.get_running_loop().time()
 
     result, ended = run_async(main(), virtual=True)
-    return Pursued(result, log, site.robots.world.truth, ended)
+    return Pursued(result, log, backend.robots.world.truth, ended)
 
 
 # --- violated ----------------------------------------------------------------------------------------
@@ -138,7 +138,7 @@ def test_a_violation_at_the_very_end_counts() -> None:
 
 def test_a_violation_that_is_reported_after_the_end_counts() -> None:
     problem = constrained(always(Not(B)))
-    done = pursued(problem, site=LateBackend(problem, changes((2.65, "b")), delay=0.3, lag=1.0))
+    done = pursued(problem, backend=LateBackend(problem, changes((2.65, "b")), delay=0.3, lag=1.0))
     assert done.outcomes() == ["succeeded", "succeeded"]
     assert done.result.reason == "(always (not (clean b))) is violated after 2.95 s: (clean b) is true"
     assert done.result.as_json()["decisions"] == []
@@ -153,7 +153,7 @@ class SlowBackend(SimulatedBackend):
 
 def test_nothing_is_started_when_a_constraint_is_violated_before() -> None:
     problem = constrained(always(Not(B)))
-    done = pursued(problem, site=SlowBackend(robots_of(problem, Bindings(), changes((2.0, "b")))))
+    done = pursued(problem, backend=SlowBackend(robots_of(problem, Bindings(), changes((2.0, "b")))))
     assert [call.attempts for call in done.result.calls] == [0, 0]
     assert done.result.reason.startswith("(always (not (clean b))) is violated after 2.00 s")
 
@@ -386,8 +386,8 @@ def test_a_person_reads_what_is_violated_as_it_happens_and_at_the_end() -> None:
     problem = replace(wished(Preference("p", A), Preference("q", B)), constraints=(always(Not(Holds(("clean", "?a"))), ROOM),))
     text = io.StringIO()
     console = Console(file=text)
-    site = simulated_backend(problem, Bindings(), changes((0.3, "b"), (0.3, "c")))
-    print_result(console, run_async(achieve_at(site, problem, Settings(), ConsoleObserver(console)), virtual=True))
+    backend = simulated_backend(problem, Bindings(), changes((0.3, "b"), (0.3, "c")))
+    print_result(console, run_async(achieve_at(backend, problem, Settings(), ConsoleObserver(console)), virtual=True))
     lines = text.getvalue().splitlines()
     assert "      0.31 s  broken (always (not (clean b))); observed (clean b) is true" in lines
     assert "goal     not reached: (always (not (clean b))) is violated after 0.30 s: (clean b) is true" in lines

@@ -36,9 +36,9 @@ def problem(constraints: str = "", *, goal: str = "(at r1 c)", init: str = "(at 
 
 
 def pursued(wanted: Problem, faults: Faults = NO_FAULTS, settings: Settings = Settings()) -> tuple[TaskResult, KnowledgeBase]:
-    site = simulated_backend(wanted, Bindings(), faults)
-    result = run_async(achieve_at(site, wanted, settings, TaskObserver()), virtual=True)
-    return result, site.robots.world.truth
+    backend = simulated_backend(wanted, Bindings(), faults)
+    result = run_async(achieve_at(backend, wanted, settings, TaskObserver()), virtual=True)
+    return result, backend.robots.world.truth
 
 
 def done(result: TaskResult) -> list[str]:

@@ -26,7 +26,7 @@ from pnm.language.runner import Program
 from pnm.tasks import Code, TaskState
 from tests.support.files import ROOT
 from tests.support.problems import fleet
-from tests.support.tasks.task_stage import Stage, play
+from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 
 NO_RETRY = Bindings({name: Binding(retries=0) for name in ("move", "pick", "drop")})
 SERVED = Settings(bindings=NO_RETRY, on_change=OnChange.EAGER, on_failure=OnFailure.CONTINUE_OTHERS)
@@ -37,25 +37,25 @@ BESIDE, ALONE = "(and (at r0 a1) (at r1 a2))", "(at r0 a1)"
 CALL = "move(r0, a0, a1)"
 
 
-def times_sent(stage: Stage, task: UUID, call: str = CALL) -> list[float]:
-    return [event.time for event in stage.seen(task, "sent", call)]
+def times_sent(simulation: TaskSimulation, task: UUID, call: str = CALL) -> list[float]:
+    return [event.time for event in simulation.seen(task, "sent", call)]
 
 
 @pytest.mark.parametrize("goal", [BESIDE, ALONE], ids=["another call is under way", "nothing is under way"])
 def test_attempts_that_fail_for_ever_are_spaced_by_the_back_off(goal: str) -> None:
     limits = Limits(forbid_after=100, replans=100, backoff=0.5, longest_backoff=4.0)
 
-    async def scene(stage: Stage) -> None:
-        task = stage.want(goal)
-        await stage.sees(task, "sent", CALL, times=8)
-        times = times_sent(stage, task)
-        took = stage.seen(task, "failed")[0].time - times[0]
+    async def scenario(simulation: TaskSimulation) -> None:
+        task = simulation.want(goal)
+        await simulation.sees(task, "sent", CALL, times=8)
+        times = times_sent(simulation, task)
+        took = simulation.seen(task, "failed")[0].time - times[0]
         pauses = [later - earlier - took for earlier, later in pairwise(times)]
         assert pauses == pytest.approx([0.0, 0.5, 1.0, 2.0, 4.0, 4.0, 4.0], abs=0.2)
-        assert stage.sent(task).count("move(r1, a1, a2)") == (goal == BESIDE), "what is under way is handed on"
-        await stage.master.cancel(task)
+        assert simulation.sent(task).count("move(r1, a1, a2)") == (goal == BESIDE), "what is under way is handed on"
+        await simulation.master.cancel(task)
 
-    play(scene, fleet(), faults=Faults((ALWAYS_ABORTED, NEVER_ENDS)), chosen=replace(SERVED, limits=limits))
+    simulate_tasks(scenario, fleet(), faults=Faults((ALWAYS_ABORTED, NEVER_ENDS)), chosen=replace(SERVED, limits=limits))
 
 
 PATIENT = Limits(forbid_after=100, replans=100, backoff=1000.0, longest_backoff=1000.0)
@@ -64,35 +64,35 @@ PATIENT = Limits(forbid_after=100, replans=100, backoff=1000.0, longest_backoff=
 def test_what_is_under_way_goes_on_during_the_back_off_which_does_not_begin_anew_at_its_end() -> None:
     limits = Limits(forbid_after=100, replans=100, backoff=50.0, longest_backoff=50.0)
 
-    async def scene(stage: Stage) -> None:
-        task = stage.want(BESIDE)
-        await stage.sees(task, "ended", "move(r1, a1, a2)")
-        assert len(times_sent(stage, task)) == 2, "it was tried once more at once, and then the back-off began"
-        await stage.sees(task, "sent", CALL, times=3)
-        second_failure = stage.seen(task, "failed", CALL)[1].time
-        assert times_sent(stage, task)[2] - second_failure == pytest.approx(50.0, abs=0.2)
-        assert stage.sent(task).count("move(r1, a1, a2)") == 1
-        await stage.master.cancel(task)
+    async def scenario(simulation: TaskSimulation) -> None:
+        task = simulation.want(BESIDE)
+        await simulation.sees(task, "ended", "move(r1, a1, a2)")
+        assert len(times_sent(simulation, task)) == 2, "it was tried once more at once, and then the back-off began"
+        await simulation.sees(task, "sent", CALL, times=3)
+        second_failure = simulation.seen(task, "failed", CALL)[1].time
+        assert times_sent(simulation, task)[2] - second_failure == pytest.approx(50.0, abs=0.2)
+        assert simulation.sent(task).count("move(r1, a1, a2)") == 1
+        await simulation.master.cancel(task)
 
     slow = Fault("move(r1, a1, a2)", FaultKind.SLOW)
-    play(scene, fleet(), faults=Faults((ALWAYS_ABORTED, slow)), chosen=replace(SERVED, limits=limits))
+    simulate_tasks(scenario, fleet(), faults=Faults((ALWAYS_ABORTED, slow)), chosen=replace(SERVED, limits=limits))
 
 
 @pytest.mark.parametrize("goal", [BESIDE, ALONE], ids=["another call is under way", "nothing is under way"])
 def test_a_task_can_be_paused_and_cancelled_during_the_back_off(goal: str) -> None:
-    async def scene(stage: Stage) -> None:
-        task = stage.want(goal)
-        await stage.sees(task, "failed", CALL, times=2)
+    async def scenario(simulation: TaskSimulation) -> None:
+        task = simulation.want(goal)
+        await simulation.sees(task, "failed", CALL, times=2)
         await asyncio.sleep(10.0)
-        await stage.master.pause(task, at_once=True)
-        assert stage.state(task) is TaskState.PAUSED
-        await stage.master.resume(task)
+        await simulation.master.pause(task, at_once=True)
+        assert simulation.state(task) is TaskState.PAUSED
+        await simulation.master.resume(task)
         await asyncio.sleep(10.0)
-        assert len(times_sent(stage, task)) == 2
-        await stage.master.cancel(task)
-        assert stage.endings[task].code is Code.CANCELLED
+        assert len(times_sent(simulation, task)) == 2
+        await simulation.master.cancel(task)
+        assert simulation.endings[task].code is Code.CANCELLED
 
-    play(scene, fleet(), faults=Faults((ALWAYS_ABORTED, NEVER_ENDS)), chosen=replace(SERVED, limits=PATIENT))
+    simulate_tasks(scenario, fleet(), faults=Faults((ALWAYS_ABORTED, NEVER_ENDS)), chosen=replace(SERVED, limits=PATIENT))
 
 
 class LateBackend(SimulatedBackend):
@@ -116,27 +116,27 @@ def test_late_reports_are_waited_for_while_another_call_is_under_way(on_change: 
     problem = load(ROOT / "domains" / "delivery" / "domain.pddl", ROOT / "problems" / "delivery" / "p01.pddl")
     faults = Faults((Fault("move(r1, store, hall)", FaultKind.ABORT, times=1), Fault("move(r2, hall, corridor)", FaultKind.SLOW)))
 
-    async def scene(stage: Stage) -> None:
-        task = stage.want("(and (at r1 hall) (at r2 corridor))")
-        await stage.sees(task, "failed", "move(r1, store, hall)")
+    async def scenario(simulation: TaskSimulation) -> None:
+        task = simulation.want("(and (at r1 hall) (at r2 corridor))")
+        await simulation.sees(task, "failed", "move(r1, store, hall)")
         failed = asyncio.get_running_loop().time()
-        await stage.sees(task, "sent", "move(r1, store, hall)", times=2)
+        await simulation.sees(task, "sent", "move(r1, store, hall)", times=2)
         assert asyncio.get_running_loop().time() - failed < 3.0
-        assert not stage.seen(task, "ended", "move(r2"), "r2 is still on its way"
-        await stage.reaches(task)
+        assert not simulation.seen(task, "ended", "move(r2"), "r2 is still on its way"
+        await simulation.reaches(task)
 
-    play(scene, problem, faults=faults, chosen=replace(SERVED, on_change=on_change), make_backend=late_backend)
+    simulate_tasks(scenario, problem, faults=faults, chosen=replace(SERVED, on_change=on_change), make_backend=late_backend)
 
 
 def test_a_plan_that_is_sent_as_a_text_is_not_replanned_while_its_other_calls_are_under_way() -> None:
-    async def scene(stage: Stage) -> None:
-        task = stage.want("(move r1 a1 a2)\n(move r0 a0 a1)\n(move r0 a1 a2)", is_plan=True)
-        assert await stage.ended_with(task) == [Code.ACTION_FAILED]
-        assert sorted(stage.sent(task)) == ["move(r0, a0, a1)", "move(r1, a1, a2)"]
-        assert not stage.seen(task, "replanned")
+    async def scenario(simulation: TaskSimulation) -> None:
+        task = simulation.want("(move r1 a1 a2)\n(move r0 a0 a1)\n(move r0 a1 a2)", is_plan=True)
+        assert await simulation.ended_with(task) == [Code.ACTION_FAILED]
+        assert sorted(simulation.sent(task)) == ["move(r0, a0, a1)", "move(r1, a1, a2)"]
+        assert not simulation.seen(task, "replanned")
 
     slow = Fault("move(r1, a1, a2)", FaultKind.SLOW)
-    play(scene, fleet(), faults=Faults((ALWAYS_ABORTED, slow)), chosen=SERVED)
+    simulate_tasks(scenario, fleet(), faults=Faults((ALWAYS_ABORTED, slow)), chosen=SERVED)
 
 
 # --- a hand-written plan whose recovery ends with `replan`, among other tasks --------------------
@@ -167,42 +167,42 @@ BLOCKED = Faults((Fault("move(r1, a, b)", FaultKind.ABORT),))
 
 
 def served(folder: Path, scene_of: object, text: str = ROOMS) -> None:
-    """Play a scene in which the plan is loaded."""
+    """Simulate tasks of a node that has loaded the plan."""
     file = folder / "plan.yaml"
     file.write_text(text, encoding="utf-8")
     contents = read(file)
     assert contents.problem
     programs = {name: Program.of(plan) for name, plan in read_plans(file).items()}
     chosen = replace(SERVED, bindings=programs["patrol"].plan.bindings)
-    play(scene_of, contents.problem, faults=BLOCKED, chosen=chosen, programs=programs)  # type: ignore[arg-type]
+    simulate_tasks(scene_of, contents.problem, faults=BLOCKED, chosen=chosen, programs=programs)  # type: ignore[arg-type]
 
 
 def test_a_loaded_plan_that_asks_for_it_is_replanned_among_other_tasks(tmp_path: Path) -> None:
-    async def scene(stage: Stage) -> None:
-        task = stage.want("patrol", is_plan=True)
-        assert await stage.ended_with(task) == [Code.GOAL_REACHED], stage.endings[task].message
-        assert stage.sent(task) == ["move(r1, a, b)", "move(r1, a, c)", "move(r1, c, b)"]
-        assert (stage.endings[task].results, stage.endings[task].cause) == ({"note": 7}, "")
-        assert stage.endings[task].replans == 1
+    async def scenario(simulation: TaskSimulation) -> None:
+        task = simulation.want("patrol", is_plan=True)
+        assert await simulation.ended_with(task) == [Code.GOAL_REACHED], simulation.endings[task].message
+        assert simulation.sent(task) == ["move(r1, a, b)", "move(r1, a, c)", "move(r1, c, b)"]
+        assert (simulation.endings[task].results, simulation.endings[task].cause) == ({"note": 7}, "")
+        assert simulation.endings[task].replans == 1
 
-    served(tmp_path, scene)
+    served(tmp_path, scenario)
 
 
 def test_a_loaded_plan_that_is_replanned_can_be_paused_and_is_preempted(tmp_path: Path) -> None:
-    async def scene(stage: Stage) -> None:
-        task = stage.want("patrol", is_plan=True)
-        await stage.sees(task, "sent", "move(r1, a, c)")
-        await stage.master.pause(task, at_once=True)
-        assert stage.state(task) is TaskState.PAUSED
+    async def scenario(simulation: TaskSimulation) -> None:
+        task = simulation.want("patrol", is_plan=True)
+        await simulation.sees(task, "sent", "move(r1, a, c)")
+        await simulation.master.pause(task, at_once=True)
+        assert simulation.state(task) is TaskState.PAUSED
         await asyncio.sleep(100.0)
-        await stage.master.resume(task)
-        await stage.sees(task, "sent", "move(r1, a, c)", times=2)
-        higher = stage.want("(at r1 c)", priority=1)
-        await stage.sees(task, "state", "makes way for (at r1 c)")
-        await stage.reaches(higher, task)
-        assert stage.holds("(at r1 b)")
+        await simulation.master.resume(task)
+        await simulation.sees(task, "sent", "move(r1, a, c)", times=2)
+        higher = simulation.want("(at r1 c)", priority=1)
+        await simulation.sees(task, "state", "makes way for (at r1 c)")
+        await simulation.reaches(higher, task)
+        assert simulation.holds("(at r1 b)")
 
-    served(tmp_path, scene)
+    served(tmp_path, scenario)
 
 
 @pytest.mark.parametrize(
@@ -214,11 +214,11 @@ def test_a_loaded_plan_that_is_replanned_can_be_paused_and_is_preempted(tmp_path
     ],
 )
 def test_why_no_planner_finds_another_way_for_a_loaded_plan(tmp_path: Path, old: str, new: str, code: Code, why: str) -> None:
-    async def scene(stage: Stage) -> None:
-        task = stage.want("patrol", is_plan=True)
-        assert await stage.ended_with(task) == [code]
-        assert why in stage.endings[task].message
-        assert stage.endings[task].cause == "aborted"
+    async def scenario(simulation: TaskSimulation) -> None:
+        task = simulation.want("patrol", is_plan=True)
+        assert await simulation.ended_with(task) == [code]
+        assert why in simulation.endings[task].message
+        assert simulation.endings[task].cause == "aborted"
 
     assert old in ROOMS
-    served(tmp_path, scene, ROOMS.replace(old, new))
+    served(tmp_path, scenario, ROOMS.replace(old, new))

@@ -14,8 +14,7 @@ from pnm.language.plan import HandWrittenPlan, parse_plans
 from pnm.language.runner import Program
 from pnm.tasks import Code
 from tests.support.problems import fleet
-from tests.support.tasks.task_stage import Stage
-from tests.support.tasks.task_stage import play as on_stage
+from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 
 TRIP = """
 actions:
@@ -29,45 +28,47 @@ trip:
 """
 
 
-def play(scene: Callable[[Stage], Awaitable[None]]) -> None:
+def simulate(scenario: Callable[[TaskSimulation], Awaitable[None]]) -> None:
     programs = {name: Program.of(plan) for name, plan in parse_plans(TRIP).items()}
-    on_stage(scene, chosen=Settings(), programs=programs)
+    simulate_tasks(scenario, chosen=Settings(), programs=programs)
 
 
 def test_a_plan_whose_parameter_has_no_value_is_refused_before_anything_of_it_begins() -> None:
-    async def scene(stage: Stage) -> None:
-        task = stage.want("trip", is_plan=True)
-        assert await stage.ended_with(task) == [Code.INVALID_GOAL]
-        assert stage.endings[task].message.startswith("trip needs a value for its parameter 'robot'; expected one such as {robot: …} among")
-        assert stage.sent(task) == []
+    async def scenario(simulation: TaskSimulation) -> None:
+        task = simulation.want("trip", is_plan=True)
+        assert await simulation.ended_with(task) == [Code.INVALID_GOAL]
+        assert simulation.endings[task].message.startswith(
+            "trip needs a value for its parameter 'robot'; expected one such as {robot: …} among"
+        )
+        assert simulation.sent(task) == []
 
-    play(scene)
+    simulate(scenario)
 
 
 def test_the_steps_of_a_plan_have_the_values_that_are_known() -> None:
-    async def scene(stage: Stage) -> None:
-        task = stage.want("trip", is_plan=True, parameters={"robot": "r0"})
-        await stage.sees(task, "sent")
-        assert [str(step) for step in stage.master.plan(task)[1]] == ["move(r0, a0, a1)", "move(r0, a1, ?to)"]
-        run = stage.performer.going_on[0].executor.run  # type: ignore[union-attr]
+    async def scenario(simulation: TaskSimulation) -> None:
+        task = simulation.want("trip", is_plan=True, parameters={"robot": "r0"})
+        await simulation.sees(task, "sent")
+        assert [str(step) for step in simulation.master.plan(task)[1]] == ["move(r0, a0, a1)", "move(r0, a1, ?to)"]
+        run = simulation.performer.going_on[0].executor.run  # type: ignore[union-attr]
         run.knowledge.local.store({"far": "a3", "home": "a0"})
-        assert [str(step) for step in stage.master.plan(task)[1]] == ["move(r0, a0, a1)", "move(r0, a3, a0)"]
+        assert [str(step) for step in simulation.master.plan(task)[1]] == ["move(r0, a0, a1)", "move(r0, a3, a0)"]
         run.knowledge.local.store({"far": "a1"})
-        assert await stage.ended_with(task) == [Code.GOAL_REACHED], stage.endings[task]
+        assert await simulation.ended_with(task) == [Code.GOAL_REACHED], simulation.endings[task]
 
-    play(scene)
+    simulate(scenario)
 
 
 def test_people_read_with_which_parameters_a_plan_is_carried_out() -> None:
     shown = StringIO()
 
-    async def scene(stage: Stage) -> None:
-        stage.master.listen(TaskConsole(SafeConsole(file=shown, width=200), stage.master))
-        one = stage.want("trip", is_plan=True, parameters={"robot": "r0", "far": ["a1", 2]})
-        other, goal = stage.want("trip", is_plan=True), stage.want("(at r0 a0)")
-        await stage.ended_with(one, other, goal)
+    async def scenario(simulation: TaskSimulation) -> None:
+        simulation.master.listen(TaskConsole(SafeConsole(file=shown, width=200), simulation.master))
+        one = simulation.want("trip", is_plan=True, parameters={"robot": "r0", "far": ["a1", 2]})
+        other, goal = simulation.want("trip", is_plan=True), simulation.want("(at r0 a0)")
+        await simulation.ended_with(one, other, goal)
 
-    play(scene)
+    simulate(scenario)
     goals = [line.split("goal", 1)[1].strip() for line in shown.getvalue().splitlines() if "  goal  " in line]
     assert goals == ['trip(robot: r0, far: ["a1", 2])', "trip", "(at r0 a0)"]
 
@@ -78,11 +79,11 @@ def test_goals_share_resources_with_the_capacities_that_plans_give_them() -> Non
     )
     chosen = Settings(bindings=Bindings({"move": Binding(resources=("lift",))}))
 
-    async def scene(stage: Stage) -> None:
-        stage.site.robots.capacities = {"lift": 2}
-        task = stage.want("(and (at r0 a1) (at r1 a2) (at r2 a3))")
-        await stage.reaches(task)
-        first, second, third = (one.time for one in stage.seen(task, "sent", "move"))
+    async def scenario(simulation: TaskSimulation) -> None:
+        simulation.backend.robots.capacities = {"lift": 2}
+        task = simulation.want("(and (at r0 a1) (at r1 a2) (at r2 a3))")
+        await simulation.reaches(task)
+        first, second, third = (one.time for one in simulation.seen(task, "sent", "move"))
         assert first == second < third
 
-    on_stage(scene, fleet(robots=3), chosen=chosen, programs={"spare": Program.of(plan)})
+    simulate_tasks(scenario, fleet(robots=3), chosen=chosen, programs={"spare": Program.of(plan)})

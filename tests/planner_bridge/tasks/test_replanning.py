@@ -36,9 +36,9 @@ def pursued(
     problem: Problem, faults: Faults = NO_FAULTS, *, limits: Limits = Limits(), bindings: Bindings = Bindings()
 ) -> tuple[TaskResult, KnowledgeBase]:
     """Pursue the goal of the problem and return the result with the truth; the verdict must be true to the world."""
-    site = simulated_backend(problem, bindings, faults)
-    result = run_async(achieve_at(site, problem, Settings(limits=limits, bindings=bindings), TaskObserver()), virtual=True)
-    truth = site.robots.world.truth
+    backend = simulated_backend(problem, bindings, faults)
+    result = run_async(achieve_at(backend, problem, Settings(limits=limits, bindings=bindings), TaskObserver()), virtual=True)
+    truth = backend.robots.world.truth
     assert result.goal_reached == (evaluate(problem.goal, truth) is True)
     return result, truth
 
@@ -165,8 +165,8 @@ def test_a_task_is_stopped_when_its_time_is_up() -> None:
 def test_an_action_that_may_still_be_going_on_is_not_planned_with() -> None:
     stuck = Faults((Fault("move(r1, a, b)", FaultKind.SLOW, ignores_cancel=True),))
     bindings = Bindings({"move": Binding(timeout=3.0, cancel=1.0)}, assumed=frozenset({"at"}))
-    site = simulated_backend(rooms(init="(at r1 a)", goal="(at r1 b)"), bindings, stuck)
-    task = achieve_at(site, rooms(init="(at r1 a)", goal="(at r1 b)"), Settings(bindings=bindings), TaskObserver())
+    backend = simulated_backend(rooms(init="(at r1 a)", goal="(at r1 b)"), bindings, stuck)
+    task = achieve_at(backend, rooms(init="(at r1 a)", goal="(at r1 b)"), Settings(bindings=bindings), TaskObserver())
     result = run_async(task, virtual=True)
     assert result.failures[0].unconfirmed
     assert sum(call.attempts for call in result.calls) == 1
@@ -273,10 +273,10 @@ def test_the_rest_of_a_network_of_tasks_is_used_and_otherwise_the_whole_network_
 def test_late_reports_are_waited_for_before_anything_is_decided(what: str) -> None:
     problem = matches(1)
     faults = Faults((Fault(what, FaultKind.ABORT, times=1),))
-    site = LateBackend(problem, faults, delay=0.3, lag=1.0)
+    backend = LateBackend(problem, faults, delay=0.3, lag=1.0)
     settings = Settings(bindings=Bindings({"strike": Binding(retries=0), "mend": Binding(retries=0)}))
-    result = run_async(achieve_at(site, problem, settings, TaskObserver()), virtual=True)
-    truth = evaluate(problem.goal, site.robots.world.truth)
+    result = run_async(achieve_at(backend, problem, settings, TaskObserver()), virtual=True)
+    truth = evaluate(problem.goal, backend.robots.world.truth)
     assert result.goal_reached is truth
     assert what != "strike(m0)" or result.goal_reached
 

@@ -109,14 +109,14 @@ def test_calls_and_restarts_of_a_plan_are_counted_and_told(tmp_path: Path) -> No
             self.over.set()
 
     async def go() -> Told:
-        await performer.site.open(performer.world)
-        master = TaskManager(NOTHING, performer.world, performer.site, Settings(), _no_goal, performer=performer)
+        await performer.backend.open(performer.world)
+        master = TaskManager(NOTHING, performer.world, performer.backend, Settings(), _no_goal, performer=performer)
         told = Told(master)
         master.listen(told)
         master.begin(tour)
         await asyncio.wait_for(told.over.wait(), 100.0)
         await master.close()
-        await performer.site.close()
+        await performer.backend.close()
         return told
 
     told = run_async(go(), virtual=True)
@@ -138,8 +138,8 @@ def test_a_pause_does_not_use_up_the_time_of_a_plan(tmp_path: Path) -> None:
             over.append(ending.code)
 
     async def go() -> None:
-        await performer.site.open(performer.world)
-        master = TaskManager(NOTHING, performer.world, performer.site, Settings(), _no_goal, performer=performer)
+        await performer.backend.open(performer.world)
+        master = TaskManager(NOTHING, performer.world, performer.backend, Settings(), _no_goal, performer=performer)
         master.listen(Told())
         master.begin(Wanted(UUID(int=1), "tour", is_plan=True))
         await asyncio.sleep(1.0)
@@ -148,7 +148,7 @@ def test_a_pause_does_not_use_up_the_time_of_a_plan(tmp_path: Path) -> None:
         await master.resume(UUID(int=1))
         await asyncio.sleep(15.0)
         await master.close()
-        await performer.site.close()
+        await performer.backend.close()
 
     run_async(go(), virtual=True)
     assert over == [Code.GOAL_REACHED]

@@ -28,10 +28,10 @@ from pnm.core.logic.expressions import Constant, Fluent, ValueOf
 from pnm.core.logic.rules import DerivationRule
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError
-from tests.support import pddl_strategies as pddl
-from tests.support import strategies as generated
 from tests.support.files import ROOT, SHARED
-from tests.support.pddl_files import REFUSED
+from tests.support.pddl import models as pddl
+from tests.support.pddl import random_problems as generated
+from tests.support.pddl.files import REFUSED
 from tests.support.refusals import refused
 
 PAIRS = SHARED / "pddl"

@@ -43,20 +43,20 @@ def told(calls: tuple[CallResult, ...]) -> list[tuple[str, ...]]:
 
 def planned(domain: Path, problem: Path) -> Told:
     loaded = load(domain, problem)
-    site = simulated_backend(loaded, Settings().bindings)
-    result = run_async(achieve_at(site, loaded, Settings(), TaskObserver()), virtual=True)
-    return result.goal_reached, told(result.calls), site.robots.world.truth.facts()
+    backend = simulated_backend(loaded, Settings().bindings)
+    result = run_async(achieve_at(backend, loaded, Settings(), TaskObserver()), virtual=True)
+    return result.goal_reached, told(result.calls), backend.robots.world.truth.facts()
 
 
 def written(plan: HandWrittenPlan) -> Told:
-    site = simulated_backend(plan, merge_bindings([plan]))
+    backend = simulated_backend(plan, merge_bindings([plan]))
 
     async def performed() -> Told:
-        performer = Performer({plan.name: Program.of(plan)}, site, KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules))
-        await site.open(performer.world)
+        performer = Performer({plan.name: Program.of(plan)}, backend, KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules))
+        await backend.open(performer.world)
         result = await performer.execute(performer.perform(plan.name))
-        await site.close()
-        return result.goal, told(result.calls), site.robots.world.truth.facts()
+        await backend.close()
+        return result.goal, told(result.calls), backend.robots.world.truth.facts()
 
     return run_async(performed(), virtual=True)
 

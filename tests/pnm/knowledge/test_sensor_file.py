@@ -26,9 +26,9 @@ from pnm.knowledge.sensor_model import ByService, ByTopic, Instance, instances, 
 from pnm.knowledge.state_reports import StateReports, Watchdog
 from pnm.ros.backend import Ros2Backend
 from tests.support.files import ROOT
+from tests.support.pddl.sensed_world import KNOWN, PROBLEM
 from tests.support.refusals import refused
-from tests.support.sensed_world import KNOWN, PROBLEM
-from tests.support.yaml_damage import damaged
+from tests.support.yaml.damage import damaged
 
 BAD_INPUT = Path(__file__).with_name("refused")
 

@@ -562,7 +562,7 @@ def test_files_are_relative_to_the_file_that_names_them(tmp_path: Path) -> None:
 # --- the terminal --------------------------------------------------------------------------
 
 
-class Person:
+class TerminalUser:
     """Somebody at a terminal, who sees what is shown there and types."""
 
     def __init__(self) -> None:
@@ -589,13 +589,13 @@ class Person:
 
 
 @pytest.fixture
-def person() -> Iterator[Person]:
-    somebody = Person()
+def person() -> Iterator[TerminalUser]:
+    somebody = TerminalUser()
     yield somebody
     somebody.leave()
 
 
-def test_a_question_at_the_terminal(person: Person) -> None:
+def test_a_question_at_the_terminal(person: TerminalUser) -> None:
     async def main() -> list[object]:
         terminal = TerminalSource(person.answers, person.shown)
         found = []
@@ -609,7 +609,7 @@ def test_a_question_at_the_terminal(person: Person) -> None:
     assert run(main(), virtual=False) == ["bakery", 5, [1], MISSING]
 
 
-def test_a_slip_of_the_pen_is_asked_for_once_more(person: Person) -> None:
+def test_a_slip_of_the_pen_is_asked_for_once_more(person: TerminalUser) -> None:
     async def main() -> object:
         asking = asyncio.ensure_future(TerminalSource(person.answers, person.shown).query(about("shop", Layer.PERSON), ME))
         await person.sees("What is shop? ")
@@ -622,7 +622,7 @@ def test_a_slip_of_the_pen_is_asked_for_once_more(person: Person) -> None:
     assert run(main(), virtual=False) == ["a"]
 
 
-def test_questions_queue_and_say_who_asks(person: Person) -> None:
+def test_questions_queue_and_say_who_asks(person: TerminalUser) -> None:
     async def main() -> list[object]:
         terminal = TerminalSource(person.answers, person.shown)
         one = asyncio.ensure_future(terminal.query(about("a", Layer.PERSON), Asker(UUID(int=1), "first")))
@@ -639,7 +639,7 @@ def test_questions_queue_and_say_who_asks(person: Person) -> None:
     assert run(main(), virtual=False) == [1, 2, None]
 
 
-def test_a_withdrawn_question_makes_place_and_its_late_answer_is_not_taken(person: Person) -> None:
+def test_a_withdrawn_question_makes_place_and_its_late_answer_is_not_taken(person: TerminalUser) -> None:
     async def main() -> object:
         terminal = TerminalSource(person.answers, person.shown)
         one = asyncio.ensure_future(terminal.query(about("a", Layer.PERSON), ME))
@@ -658,7 +658,7 @@ def test_a_withdrawn_question_makes_place_and_its_late_answer_is_not_taken(perso
 
 
 @pytest.mark.parametrize("virtual", [True, False])
-def test_nobody_answers_at_the_terminal(person: Person, virtual: bool) -> None:
+def test_nobody_answers_at_the_terminal(person: TerminalUser, virtual: bool) -> None:
     async def main() -> None:
         with pytest.raises(SourceError, match=r"nobody has answered on the terminal within 0\.2 s"):
             await TerminalSource(person.answers, person.shown, limit=0.2).query(about("a", Layer.PERSON), ME)
@@ -667,7 +667,7 @@ def test_nobody_answers_at_the_terminal(person: Person, virtual: bool) -> None:
     run(main(), virtual=virtual)
 
 
-def test_thinking_takes_no_virtual_time(person: Person) -> None:
+def test_thinking_takes_no_virtual_time(person: TerminalUser) -> None:
     async def main() -> tuple[object, float]:
         asking = asyncio.ensure_future(Sources([], TerminalSource(person.answers, person.shown)).query(about("a", Layer.PERSON), ME))
         await person.sees("What is a? ")
@@ -677,7 +677,7 @@ def test_thinking_takes_no_virtual_time(person: Person) -> None:
     assert run(main()) == ("x", 0.0)
 
 
-def test_the_terminal_is_closed_while_somebody_thinks(person: Person) -> None:
+def test_the_terminal_is_closed_while_somebody_thinks(person: TerminalUser) -> None:
     async def main() -> None:
         asking = asyncio.ensure_future(TerminalSource(person.answers, person.shown).query(about("a", Layer.PERSON), ME))
         await person.sees("What is a? ")

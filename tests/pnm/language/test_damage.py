@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from pnm.errors import InputError
 from pnm.language.plan import parse_plans
-from tests.support.runs.yaml_examples import COUNTING, NESTED, ORIGINAL, PAPER_DOMAIN, PAPER_PLAN, PDDL, RECIPES, RECOVERING
-from tests.support.yaml_damage import WORDS, damaged
+from tests.support.yaml.damage import WORDS, damaged
+from tests.support.yaml.examples import COUNTING, NESTED, ORIGINAL, PAPER_DOMAIN, PAPER_PLAN, PDDL, RECIPES, RECOVERING
 
 GOOD = (COUNTING, NESTED, RECIPES, RECOVERING, f"{ORIGINAL}plan: [count: {{value: 1}}]\n")
 MARKS = (*WORDS, ":", "-", "[", "]", "{", "}", "'", '"', "&a ", "*a", "\t", "---\n", "...\n")

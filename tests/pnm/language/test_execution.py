@@ -12,8 +12,8 @@ import pytest
 from pnm.core.logic.computed_values import Layer
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from pnm.language.plan import HandWrittenPlan, parse_plans
-from tests.support.runs.direct import Answer, Story, outcomes, play, succeed
-from tests.support.runs.yaml_examples import COUNTING, NESTED, PAPER_DOMAIN, PAPER_PLAN
+from tests.support.runs.direct import Answer, Trace, drive, outcomes, succeed
+from tests.support.yaml.examples import COUNTING, NESTED, PAPER_DOMAIN, PAPER_PLAN
 
 
 def plan_of(text: str) -> HandWrittenPlan:
@@ -21,9 +21,9 @@ def plan_of(text: str) -> HandWrittenPlan:
     return plan
 
 
-def run(text: str, answer: Answer = succeed, known: Mapping[str, object] | None = None) -> Story:
+def run(text: str, answer: Answer = succeed, known: Mapping[str, object] | None = None) -> Trace:
     plan = plan_of(text)
-    return play(plan.graph, answer, bindings=plan.bindings, variables=plan.variables, known=known, on_failure=plan.on_failure)
+    return drive(plan.graph, answer, bindings=plan.bindings, variables=plan.variables, known=known, on_failure=plan.on_failure)
 
 
 def results(**fields: object) -> Answer:
@@ -41,9 +41,9 @@ def results(**fields: object) -> Answer:
 
 def test_the_listings_of_the_paper() -> None:
     text = PAPER_DOMAIN.rstrip(".\n") + "\n" + PAPER_PLAN
-    story = run(text, results(dummy_server=lambda goal: {"time": goal["value"]}))
-    assert story.result.goal, story.result.reason
-    assert [(name, goal.get("value", goal.get("time"))) for name, goal in story.sent] == [
+    trace = run(text, results(dummy_server=lambda goal: {"time": goal["value"]}))
+    assert trace.result.goal, trace.result.reason
+    assert [(name, goal.get("value", goal.get("time"))) for name, goal in trace.sent] == [
         ("dummy_server", 3),
         ("wait", 3),
         ("wait", 3),
@@ -53,10 +53,10 @@ def test_the_listings_of_the_paper() -> None:
 
 
 def test_a_loop_counts_from_5_to_10() -> None:
-    story = run(COUNTING, results(echo=lambda goal: {"result": goal["value"]}, add_one=lambda goal: {"result": goal["value"] + 1}))
-    assert story.result.goal, story.result.reason
-    assert [goal["value"] for _, goal in story.sent] == [5, 5, 6, 7, 8, 9]
-    assert story.run.knowledge.local.variables() == {"value": 10, "result": 10}
+    trace = run(COUNTING, results(echo=lambda goal: {"result": goal["value"]}, add_one=lambda goal: {"result": goal["value"] + 1}))
+    assert trace.result.goal, trace.result.reason
+    assert [goal["value"] for _, goal in trace.sent] == [5, 5, 6, 7, 8, 9]
+    assert trace.run.knowledge.local.variables() == {"value": 10, "result": 10}
 
 
 ONE = "actions: {a: , b: }\nplan: [a: ]\n"
@@ -81,18 +81,18 @@ def test_how_single_outcomes_end(text: str, kinds: dict[str, list[str]], goal: b
 
 
 def test_a_precondition_that_is_false_is_a_failure() -> None:
-    story = run("actions: {a: {preconditions: {Exists: [LocalQuery: x]}}}\nplan: [a: ]\n")
-    assert not story.result.goal
-    assert story.sent == []
+    trace = run("actions: {a: {preconditions: {Exists: [LocalQuery: x]}}}\nplan: [a: ]\n")
+    assert not trace.result.goal
+    assert trace.sent == []
 
 
 def test_effects_that_hold_already_spare_the_action_even_if_its_precondition_is_false() -> None:
     text = (
         "actions: {a: {preconditions: {Exists: [Query: nothing]}, effects: {Query: done}}}\ninitial_knowledge: {done: true}\nplan: [a: ]\n"
     )
-    story = run(text)
-    assert story.result.goal
-    assert story.sent == []
+    trace = run(text)
+    assert trace.result.goal
+    assert trace.sent == []
 
 
 def test_values_that_a_step_gives_are_not_seen_by_preconditions() -> None:
@@ -103,15 +103,15 @@ def test_values_that_a_step_gives_are_not_seen_by_preconditions() -> None:
 
 
 def test_effects_that_never_come_are_waited_for_three_times() -> None:
-    story = run("actions: {a: {effects: {Exists: [LocalQuery: result]}}}\nplan: [a: ]\n")
-    assert not story.result.goal
-    assert story.actions == ["a"] * 4
+    trace = run("actions: {a: {effects: {Exists: [LocalQuery: result]}}}\nplan: [a: ]\n")
+    assert not trace.result.goal
+    assert trace.actions == ["a"] * 4
 
 
 def test_a_value_that_nobody_has_is_a_failure_by_name() -> None:
-    story = run("actions: {a: {params: [speed]}}\nplan: [a: ]\n")
-    assert not story.result.goal
-    assert "speed" in story.result.reason
+    trace = run("actions: {a: {params: [speed]}}\nplan: [a: ]\n")
+    assert not trace.result.goal
+    assert "speed" in trace.result.reason
 
 
 def test_queries_in_what_a_step_gives_are_answered() -> None:
@@ -146,13 +146,13 @@ plan:
               - {status: which}
   - k: {operation: {RemoteUpdate: [CONTROLLER, "", {status: end, value: {LocalQuery: place}}]}}
 """
-    story = run(text, known={"coffee": "shops", "shops": "the one upstairs"})
-    assert story.result.goal, story.result.reason
-    assert [(question.name, question.layer, question.meta) for question in story.asked] == [
+    trace = run(text, known={"coffee": "shops", "shops": "the one upstairs"})
+    assert trace.result.goal, trace.result.reason
+    assert [(question.name, question.layer, question.meta) for question in trace.asked] == [
         ("coffee", Layer.GLOBAL, '{"kind": "class"}'),
         ("shops", Layer.GLOBAL, '{"status": "which"}'),
     ]
-    ((told, value),) = story.told
+    ((told, value),) = trace.told
     assert (told.name, value, told.meta) == ("CONTROLLER", "", '{"status": "end", "value": "the one upstairs"}')
 
 
@@ -160,10 +160,10 @@ plan:
 
 
 def test_blocks_in_blocks() -> None:
-    story = run(NESTED)
-    assert story.result.goal, story.result.reason
-    assert sorted(story.actions) == ["a"] * 4 + ["b"] * 2 + ["c"]
-    numbers = [goal["i"] for name, goal in story.sent if name == "a"]
+    trace = run(NESTED)
+    assert trace.result.goal, trace.result.reason
+    assert sorted(trace.actions) == ["a"] * 4 + ["b"] * 2 + ["c"]
+    numbers = [goal["i"] for name, goal in trace.sent if name == "a"]
     assert numbers.index(2) < numbers.index(3)
     assert numbers[-1] == 4
 
@@ -178,13 +178,13 @@ actions:
 initial_knowledge: {speed: 7}
 plan: [move: {r: r1}]
 """
-    story = run(text, outcomes(move=["aborted", "aborted"]))
-    assert story.result.goal, story.result.reason
-    assert story.actions == ["move", "say", "move", "say", "move"]
-    assert story.sent[1][1]["text"] == ["r1", 7]
+    trace = run(text, outcomes(move=["aborted", "aborted"]))
+    assert trace.result.goal, trace.result.reason
+    assert trace.actions == ["move", "say", "move", "say", "move"]
+    assert trace.sent[1][1]["text"] == ["r1", 7]
 
 
 def test_a_step_stores_its_result_where_it_says() -> None:
     text = "actions: {a: {store: {x: other}}}\nplan: [{a: , store: {x: mine}}, a: ]\n"
-    story = run(text, results(a=lambda goal: {"x": 1}))
-    assert story.run.knowledge.local.variables() == {"mine": 1, "other": 1}
+    trace = run(text, results(a=lambda goal: {"x": 1}))
+    assert trace.run.knowledge.local.variables() == {"mine": 1, "other": 1}

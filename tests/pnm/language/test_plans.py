@@ -21,7 +21,7 @@ from pnm.errors import InputError
 from pnm.language import HandWrittenPlan, read_plans
 from pnm.language.to_plan_graph import MAX_NESTING, MAX_STEPS
 from tests.support.refusals import refused
-from tests.support.runs.yaml_examples import PAPER_DOMAIN, PAPER_PLAN, RECIPES, RECOVERING
+from tests.support.yaml.examples import PAPER_DOMAIN, PAPER_PLAN, RECIPES, RECOVERING
 
 BAD_INPUT = Path(__file__).with_name("refused")
 

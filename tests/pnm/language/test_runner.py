@@ -144,11 +144,11 @@ def test_names_of_plans_and_parameters_are_checked(tmp_path: Path) -> None:
 
 def test_two_runs_of_a_plan_go_on_side_by_side_with_their_own_knowledge(tmp_path: Path) -> None:
     plans = read_plans(written(tmp_path, GUIDE))
-    site = simulated_backend(plans["inner"], merge_bindings(plans.values()))
-    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, site, KnowledgeBase(), MemoryKnowledge())
+    backend = simulated_backend(plans["inner"], merge_bindings(plans.values()))
+    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase(), MemoryKnowledge())
 
     async def both() -> None:
-        await site.open(performer.world)
+        await backend.open(performer.world)
         one, two = (performer.perform("inner", {"place": place}) for place in ("a", "b"))
         running = asyncio.gather(performer.execute(one), performer.execute(two))
         await asyncio.sleep(1)
@@ -160,18 +160,18 @@ def test_two_runs_of_a_plan_go_on_side_by_side_with_their_own_knowledge(tmp_path
         assert performer.knowledge_of(request) is None
         assert (one.results, two.results) == ({"told": "a"}, {"told": "b"})
         assert asyncio.get_running_loop().time() == pytest.approx(5.0, abs=0.1)
-        await site.close()
+        await backend.close()
 
     run_async(both(), virtual=True)
 
 
 def test_cancelling_a_plan_cancels_the_plan_it_calls(tmp_path: Path) -> None:
     plans = read_plans(written(tmp_path, GUIDE))
-    site = simulated_backend(plans["outer"], merge_bindings(plans.values()))
-    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, site, KnowledgeBase())
+    backend = simulated_backend(plans["outer"], merge_bindings(plans.values()))
+    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase())
 
     async def stopped() -> None:
-        await site.open(performer.world)
+        await backend.open(performer.world)
         outer = performer.perform("outer", {"shop": "pharmacy"})
         running = asyncio.ensure_future(performer.execute(outer))
         await asyncio.sleep(7)
@@ -183,7 +183,7 @@ def test_cancelling_a_plan_cancels_the_plan_it_calls(tmp_path: Path) -> None:
         assert [one.outcome for one in result.calls if one.call.action.name == "inner"] == ["canceled"]
         assert performer.going_on == []
         assert asyncio.get_running_loop().time() == pytest.approx(7.0, abs=0.1)
-        await site.close()
+        await backend.close()
 
     run_async(stopped(), virtual=True)
 
@@ -347,14 +347,14 @@ class Cancelled:
 @pytest.mark.parametrize("operation", ["{LocalUpdate: [v, {RemoteQuery: w}]}", "{RemoteUpdate: [v, 1]}"])
 def test_a_source_that_was_cancelled_by_somebody_else_is_a_failure(tmp_path: Path, operation: str) -> None:
     (plan,) = read_plans(written(tmp_path, f"actions: {{note: {{type: kb_action}}}}\nplan: [note: {{operation: {operation}}}]")).values()
-    site = simulated_backend(plan, plan.bindings)
-    performer = Performer({plan.name: Program.of(plan)}, site, KnowledgeBase(), Sources([Cancelled()]))
+    backend = simulated_backend(plan, plan.bindings)
+    performer = Performer({plan.name: Program.of(plan)}, backend, KnowledgeBase(), Sources([Cancelled()]))
 
     async def performed() -> None:
-        await site.open(performer.world)
+        await backend.open(performer.world)
         result = await performer.execute(performer.perform(plan.name))
         assert "cannot be" in result.failures[0].observed
-        await site.close()
+        await backend.close()
 
     run_async(asyncio.wait_for(performed(), 100), virtual=True)
 

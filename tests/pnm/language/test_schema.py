@@ -24,7 +24,7 @@ from pnm.language.files import SCHEMA
 from pnm.language.formulas import effects, words
 from pnm.language.plan import read_plans
 from tests.support.files import ROOT
-from tests.support.runs.yaml_programs import programs
+from tests.support.yaml.programs import programs
 
 TEXT = SCHEMA.read_text(encoding="utf-8")
 KNOWN = json.loads(TEXT)

@@ -27,8 +27,8 @@ from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.files import ROOT
 from tests.support.processes import LIMIT
+from tests.support.ros.child_process import ChildProcess
 from tests.support.ros.domains import ros_domain
-from tests.support.ros.scripts import Script
 
 # Before the first ROS context of this process, and inherited by all of its servers. Killed processes leave
 # shared memory behind, so everything goes over UDP.
@@ -131,17 +131,17 @@ def start() -> Iterator[Callable[..., Server]]:
 
 
 @pytest.fixture
-def begin() -> Iterator[Callable[..., Script]]:
+def begin() -> Iterator[Callable[..., ChildProcess]]:
     """Start scripts of this folder that end with the test."""
-    scripts: list[Script] = []
+    scripts: list[ChildProcess] = []
 
-    def start_script(*arguments: str) -> Script:
-        scripts.append(Script(*arguments))
+    def start_script(*arguments: str) -> ChildProcess:
+        scripts.append(ChildProcess(*arguments))
         return scripts[-1]
 
     yield start_script
-    for script in scripts:
-        script.kill()
+    for process in scripts:
+        process.kill()
 
 
 @pytest.fixture(scope="session")
@@ -157,7 +157,7 @@ Scenario = Callable[[Client], Coroutine[Any, Any, None]]
 
 
 @pytest.fixture
-def play(ros: RosThread) -> Callable[..., None]:
+def with_client(ros: RosThread) -> Callable[..., None]:
     """Run a test's coroutine with a client that has the given bindings."""
 
     def run(scenario: Scenario, limit: float = LIMIT, **bindings: Binding) -> None:

@@ -78,7 +78,7 @@ def _connect(made: Lan, host: str, address: str) -> None:
 
 
 def why_not() -> str:
-    """Return why this machine cannot play several hosts; empty when it can. What is missing is not to be had with pip."""
+    """Return why this machine cannot have several hosts; empty when it can. What is missing is not to be had with pip."""
     if shutil.which("ip") is None:
         return "there is no command ip (package iproute2)"
     tried = subprocess.run(["unshare", "--net", "true"], capture_output=True, text=True, check=False)

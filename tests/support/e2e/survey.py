@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from tests.support.e2e.deployment import P, Run, Simulation, written
 from tests.support.e2e.hosts import DDS, Lan
-from tests.support.e2e.plans import Serving
+from tests.support.e2e.plan_deployment import Serving
 from tests.support.e2e.processes import Program
-from tests.support.e2e.scene import P, Run, Simulation, written
 
 DOMAIN = """
 (define (domain survey)
@@ -116,7 +116,7 @@ class Survey:
 
     def client(self, plan: str, parameters: str = "{}") -> Program:
         """Send a goal to a plan that is served, from the rover's host."""
-        return self._started(Program, "rover", "tests.support.e2e.plan_client", plan, "", parameters)
+        return self._started(Program, "rover", "tests.support.e2e.programs.plan_client", plan, "", parameters)
 
     def close(self) -> None:
         """End all processes."""

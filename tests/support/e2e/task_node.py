@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.support.e2e.plans import Client, PlanScene, Serving
+from tests.support.e2e.plan_deployment import Client, PlanDeployment, Serving
 from tests.support.e2e.processes import ROOT
 
 DOMAIN, PROBLEM = str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl")
@@ -11,16 +11,16 @@ DOMAIN, PROBLEM = str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "proble
 PAGE = (ROOT / "docs" / "serving.md").read_text(encoding="utf-8")
 
 
-def serve(scene: PlanScene, *arguments: str) -> Serving:
-    return scene.start(Serving(["-m", "tests.support.e2e.scripted_serve", "serve", *arguments], scene.environment))
+def serve(deployment: PlanDeployment, *arguments: str) -> Serving:
+    return deployment.start(Serving(["-m", "tests.support.e2e.programs.fake_serve", "serve", *arguments], deployment.environment))
 
 
-def goals(scene: PlanScene, *texts: str) -> Client:
-    return scene.start(Client(["-m", "tests.support.e2e.goal_client", "send", *texts], scene.environment))
+def goals(deployment: PlanDeployment, *texts: str) -> Client:
+    return deployment.start(Client(["-m", "tests.support.e2e.programs.goal_client", "send", *texts], deployment.environment))
 
 
-def change(scene: PlanScene, *labels: str) -> list[bool]:
+def change(deployment: PlanDeployment, *labels: str) -> list[bool]:
     """Ask for transitions; return which of them were made."""
-    client = scene.start(Client(["-m", "tests.support.e2e.goal_client", "change", *labels], scene.environment))
+    client = deployment.start(Client(["-m", "tests.support.e2e.programs.goal_client", "change", *labels], deployment.environment))
     assert client.ended() == 0, str(client)
     return [one["success"] for one in client.objects() if one["event"] == "changed"]

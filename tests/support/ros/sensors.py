@@ -1,4 +1,4 @@
-"""Sensors in a process of their own. Run as a script: each argument is one, as JSON; prints "ready", and what services are asked.
+"""Sensors in a process of their own. Run as a module: each argument is one, as JSON; prints "ready", and what services are asked.
 
 {"topic": NAME, "type": TYPE, "fields": {...}}    published every 0.1 s; "once": true for once and no more
     "reliable", "latched": true or false          true by default

@@ -1,4 +1,4 @@
-"""A real action server to test against: each goal says how it is to end. Run as a script.
+"""A real action server to test against: each goal says how it is to end. Run as a module.
 
 Of a GroundAction goal the action says what to do and the first argument how long, in seconds, or how many:
 

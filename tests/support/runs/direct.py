@@ -39,7 +39,7 @@ def outcomes(**kinds: list[str]) -> Answer:
 
 
 @dataclass
-class Story:
+class Trace:
     """What happened in a run."""
 
     result: RunResult
@@ -55,7 +55,7 @@ class Story:
 
 
 @dataclass
-class Player:
+class Driver:
     """Answers everything a run asks for. The mutable state is the lists."""
 
     run: Run
@@ -64,12 +64,12 @@ class Player:
     now: float = 0.0
     events: list[Event] = field(default_factory=lambda: [Begin()])
     wakes: list[float] = field(default_factory=list)
-    story: list[tuple[str, Mapping[str, object]]] = field(default_factory=list)
+    trace: list[tuple[str, Mapping[str, object]]] = field(default_factory=list)
     asked: list[Question] = field(default_factory=list)
     told: list[tuple[Question, object]] = field(default_factory=list)
     steps: int = 0
 
-    def play(self) -> Story:
+    def drive(self) -> Trace:
         """Go on to the end, which must come."""
         while not self.run.over:
             self.steps += 1
@@ -82,12 +82,12 @@ class Player:
                 self.wakes.clear()
             for command in self.run.handle(event, self.now):
                 self._do(command)
-        return Story(self.run.result(), self.run, self.story, self.asked, self.told)
+        return Trace(self.run.result(), self.run, self.trace, self.asked, self.told)
 
     def _do(self, command: Command) -> None:
         match command:
             case Send(request):
-                self.story.append((request.action.name, request.goal))
+                self.trace.append((request.action.name, request.goal))
                 outcome = self.answer(request)
                 refused = outcome.kind in (OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE)
                 self.events += [*([] if refused else [Accepted(request.id)]), Ended(request.id, outcome)]
@@ -105,7 +105,7 @@ class Player:
                 pass
 
 
-def play(
+def drive(
     graph: PlanGraph,
     answer: Answer = succeed,
     *,
@@ -114,10 +114,10 @@ def play(
     known: Mapping[str, object] | None = None,
     world: KnowledgeBase | None = None,
     on_failure: OnFailure = OnFailure.DRAIN,
-) -> Story:
+) -> Trace:
     """Prove the machine of the plan and run it; `known` is what is answered outside, None when there is nobody to ask."""
     machine = generate(graph, bindings, on_failure=on_failure)
     verify(machine)
     knowledge = Layered(world or KnowledgeBase(), KnowledgeBase(variables=variables))
     run = Run(machine, knowledge, id=RUN, bindings=bindings, asks=known is not None)
-    return Player(run, answer, known or {}).play()
+    return Driver(run, answer, known or {}).drive()

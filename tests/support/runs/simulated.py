@@ -1,4 +1,4 @@
-"""Runs of small plans on simulated robots, under virtual time, judged by the world's own truth."""
+"""Runs of small plans on simulated robots, under virtual time, compared with the world's own truth."""
 
 from __future__ import annotations
 

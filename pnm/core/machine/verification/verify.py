@@ -23,7 +23,6 @@ keeps them, and for that case every wait for resources has another way out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from math import isfinite
@@ -80,13 +79,18 @@ def verify(machine: PetriNetMachine) -> Proof:
     anatomy = Anatomy(machine)
     proved: set[_Proved] = set()
     waits: dict[Event, set[Event]] = {}
-    _check_failures(anatomy)
+    for place, call in anatomy.machine.failure_places.items():
+        if anatomy.writers[place] - {call}:
+            raise Unsound(f"{place} marks the failure of another call than its own")
     for owner, names in anatomy.transitions.items():
         _check_rules(anatomy, owner, names)
         block = anatomy.block(owner)
         anatomy.note_waits(block, waits)
         proved.add(_proved(block.part))
-    _check_order(waits)
+    try:
+        TopologicalSorter(waits).prepare()
+    except CycleError as error:
+        raise Unsound(f"blocks wait for each other: {error.args[1]}") from error
     return Proof(len(machine.plan.calls), len(proved), sum(shape.states for shape in proved))
 
 
@@ -95,7 +99,12 @@ def _proved(part: Part) -> _Proved:
     shape = shape_of(part)
     found = _FOUND_GOOD.get(shape)
     if found is None:
-        _check_withheld(part)
+        for number, step in enumerate(part.steps):
+            rest = {place: weight for place, weight in step.inputs.items() if place not in part.resources}
+            if rest != step.inputs and not isinstance(step.guard, Adopted):
+                before = part.steps[:number]
+                if not any(isinstance(one.guard, Withheld) and isfinite(one.guard.seconds) and one.inputs == rest for one in before):
+                    raise Unsound(f"{step.name} has no way out for when resources that it needs are withheld")
         found = _Proved(explore_part(part))
         if len(_FOUND_GOOD) == _REMEMBERED:
             _FOUND_GOOD.pop(next(iter(_FOUND_GOOD)))
@@ -128,16 +137,6 @@ def explore(machine: PetriNetMachine) -> int:
 # --- checks --------------------------------------------------------------------------------
 
 
-def _check_withheld(part: Part) -> None:
-    """Check that before each wait for resources stands a guard for withheld ones, which opens after a finite time."""
-    for number, step in enumerate(part.steps):
-        rest = {place: weight for place, weight in step.inputs.items() if place not in part.resources}
-        if rest != step.inputs and not isinstance(step.guard, Adopted):
-            before = part.steps[:number]
-            if not any(isinstance(one.guard, Withheld) and isfinite(one.guard.seconds) and one.inputs == rest for one in before):
-                raise Unsound(f"{step.name} has no way out for when resources that it needs are withheld")
-
-
 def _check_rules(anatomy: Anatomy, call: int | None, names: list[str]) -> None:
     """Check that the rules of a block speak of its own call, and that requests and the goal are what they seem."""
     machine = anatomy.machine
@@ -154,16 +153,3 @@ def _check_rules(anatomy: Anatomy, call: int | None, names: list[str]) -> None:
                 raise Unsound(f"{name} counts from the marking of {place}, which it does not take from")
         if goal in outputs and rule.guard != ConditionTrue(machine.plan.goal):
             raise Unsound(f"{name} marks the goal place without asking for the goal")
-
-
-def _check_failures(anatomy: Anatomy) -> None:
-    for place, call in anatomy.machine.failure_places.items():
-        if anatomy.writers[place] - {call}:
-            raise Unsound(f"{place} marks the failure of another call than its own")
-
-
-def _check_order(waits: Mapping[Event, set[Event]]) -> None:
-    try:
-        TopologicalSorter(waits).prepare()
-    except CycleError as error:
-        raise Unsound(f"blocks wait for each other: {error.args[1]}") from error

@@ -249,7 +249,7 @@ class Server:
 
 
 def carried(
-    story: Callable[[Executor, Server], object], *actions: GroundAction, bindings: Bindings | None = None, source: Source | None = None
+    scenario: Callable[[Executor, Server], object], *actions: GroundAction, bindings: Bindings | None = None, source: Source | None = None
 ) -> RunResult:
     """Have a run of these actions carried out, and something done to it after a second."""
     graph = plan(*(ActionCall(index, action) for index, action in enumerate(actions)))
@@ -261,7 +261,7 @@ def carried(
     async def main() -> RunResult:
         task = asyncio.ensure_future(executor.execute())
         await asyncio.sleep(1)
-        story(executor, server)
+        scenario(executor, server)
         result = await asyncio.wait_for(task, 1000)
         assert asyncio.get_running_loop().time() < 500, "it ends by itself"
         return result
@@ -270,12 +270,12 @@ def carried(
 
 
 def test_the_result_is_that_of_the_last_run() -> None:
-    def story(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: Server) -> None:
         executor.succeed(successor(executor.run, LAST))
         asyncio.get_running_loop().call_later(3, server.end, "act")
         asyncio.get_running_loop().call_later(5, server.end, "last")
 
-    result = carried(story, ACT)
+    result = carried(scenario, ACT)
     assert result.goal
     assert [(call.call.action.name, call.outcome, call.ended) for call in result.calls] == [
         ("act", "succeeded", pytest.approx(4.0)),
@@ -284,33 +284,33 @@ def test_the_result_is_that_of_the_last_run() -> None:
 
 
 def test_a_report_that_waits_in_the_inbox_reaches_the_successor() -> None:
-    def story(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: Server) -> None:
         server.end("act")
         executor.succeed(successor(executor.run))
 
-    assert carried(story, ACT).goal
+    assert carried(scenario, ACT).goal
 
 
 def test_a_successor_with_nothing_to_do_ends_at_once() -> None:
-    def story(executor: Executor, _: Server) -> None:
+    def scenario(executor: Executor, _: Server) -> None:
         executor.succeed(successor(executor.run))
 
-    assert carried(story, GroundAction("blocked", precondition=Holds(("seen",)))).goal
+    assert carried(scenario, GroundAction("blocked", precondition=Holds(("seen",)))).goal
 
 
 def test_nobody_stands_in_line_for_a_run_that_is_succeeded() -> None:
-    def story(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: Server) -> None:
         pool = executor.run.resources
         assert len(pool.line) == 1
         executor.succeed(successor(executor.run))
         assert ([claim.names for claim in pool.held], pool.line) == ([("arm",)], ())
         server.end("act")
 
-    assert carried(story, ACT, LAST).goal
+    assert carried(scenario, ACT, LAST).goal
 
 
 def test_a_pause_goes_on_in_the_successor() -> None:
-    def story(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: Server) -> None:
         executor.run.handle(Pause(), 1.0)
         executor.succeed(successor(executor.run, LAST))
         server.end("act")
@@ -320,7 +320,7 @@ def test_a_pause_goes_on_in_the_successor() -> None:
         loop.call_later(7, server.end, "last")
 
     states: list[object] = []
-    assert carried(story, ACT).goal
+    assert carried(scenario, ACT).goal
     assert states == [(True, ["act"])]
 
 
@@ -368,7 +368,7 @@ async def settle() -> None:
 def test_what_a_person_is_asked_is_asked_once_whichever_run_goes_on(moment: str) -> None:
     person, loops = Person(), list[asyncio.Task[None]]()
 
-    def story(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: Server) -> None:
         loops.append(asyncio.ensure_future(tell(executor, server)))
 
     async def tell(executor: Executor, server: Server) -> None:
@@ -403,7 +403,7 @@ def test_what_a_person_is_asked_is_asked_once_whichever_run_goes_on(moment: str)
     def successor_of_successor(run: Run) -> Run:
         return successor(run, GroundAction("first"), greet("ann"), orders=("1e<2s",), bindings=ASKING, asks=True, id=UUID(int=3))
 
-    assert carried(story, ACT, greet("ann"), bindings=ASKING, source=person).goal
+    assert carried(scenario, ACT, greet("ann"), bindings=ASKING, source=person).goal
     assert person.asked == ["What shall I say to ann?"]
     assert not person.open
     loops[0].result()
@@ -412,7 +412,7 @@ def test_what_a_person_is_asked_is_asked_once_whichever_run_goes_on(moment: str)
 def test_a_question_that_the_successor_does_not_ask_is_withdrawn() -> None:
     person = Person()
 
-    def story(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: Server) -> None:
         executor.succeed(successor(executor.run, greet("bob"), bindings=ASKING, asks=True))
         asyncio.get_running_loop().call_later(1, lambda: open_then.extend(person.open))
         asyncio.get_running_loop().call_later(2, person.answer, "bob", "good day")
@@ -420,7 +420,7 @@ def test_a_question_that_the_successor_does_not_ask_is_withdrawn() -> None:
         asyncio.get_running_loop().call_later(3, server.end, "greet")
 
     open_then: list[str] = []
-    assert carried(story, ACT, greet("ann"), bindings=ASKING, source=person).goal
+    assert carried(scenario, ACT, greet("ann"), bindings=ASKING, source=person).goal
     assert open_then == ["What shall I say to bob?"]
     assert person.asked == ["What shall I say to ann?", "What shall I say to bob?"]
 
@@ -428,7 +428,7 @@ def test_a_question_that_the_successor_does_not_ask_is_withdrawn() -> None:
 def test_an_answer_does_for_one_call() -> None:
     person = Person()
 
-    def story(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: Server) -> None:
         executor.pause()
         loop = asyncio.get_running_loop()
         loop.call_later(1, person.answer, "ann", "hello")
@@ -444,7 +444,7 @@ def test_an_answer_does_for_one_call() -> None:
         return successor(run, greet("ann"), greet("ann"), orders=("1e<2s",), bindings=ASKING, asks=True)
 
     words: list[object] = []
-    assert carried(story, ACT, greet("ann"), bindings=ASKING, source=person).goal
+    assert carried(scenario, ACT, greet("ann"), bindings=ASKING, source=person).goal
     assert person.asked == ["What shall I say to ann?"] * 2
     assert words == ["hello again"]
 
@@ -455,7 +455,7 @@ def test_an_answer_does_for_one_call() -> None:
 def refusing(match: str, change: Callable[[Executor, Server], Run]) -> Callable[[Executor, Server], None]:
     """Try to go on with another run; then end all that is open."""
 
-    def story(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: Server) -> None:
         old, new = executor.run, change(executor, server)
         with pytest.raises(RunError, match=match):
             executor.succeed(new)
@@ -463,7 +463,7 @@ def refusing(match: str, change: Callable[[Executor, Server], Run]) -> Callable[
         for name in server.reporters:
             server.end(name)
 
-    return story
+    return scenario
 
 
 def stopped(executor: Executor) -> Run:
@@ -490,14 +490,14 @@ def test_nothing_that_is_under_way_is_lost() -> None:
 def test_a_call_whose_effects_are_looked_for_is_waited_for() -> None:
     effects = (Set(("seen",), Constant(True)),)
 
-    def story(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: Server) -> None:
         executor.run.handle(Ended(executor.run.open_requests[0], SUCCEEDED), 1.0)
         new = successor(executor.run)
         with pytest.raises(RunError, match=r"the effects of act\(\)#0 are still to be looked for"):
             executor.succeed(new)
         executor.run.knowledge.world.update({("seen",): True})
 
-    assert carried(story, GroundAction("act", end_effects=effects)).goal
+    assert carried(scenario, GroundAction("act", end_effects=effects)).goal
 
 
 def test_what_is_not_being_carried_out_is_not_succeeded() -> None:
@@ -537,11 +537,11 @@ def test_the_resources_of_a_run_that_is_succeeded_are_given_back_but_for_what_go
 
 
 def test_changes_of_knowledge_reach_the_successor_alone() -> None:
-    def story(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: Server) -> None:
         old = executor.run
         executor.succeed(successor(old, GroundAction("sees", precondition=Holds(("seen",)))))
         old.knowledge.world.update({("seen",): True})
         server.end("act")
         asyncio.get_running_loop().call_later(1, server.end, "sees")
 
-    assert carried(story, ACT).goal
+    assert carried(scenario, ACT).goal

@@ -30,7 +30,7 @@ from pnm.core.machine.verification.verify import explore, verify
 from pnm.executor import Executor
 from tests.support.runs.plan_graphs import ordering, plan
 from tests.support.runs.simulated import Log, move
-from tests.support.runs.yaml_programs import Chaos, in_use, programs, read
+from tests.support.yaml.programs import Chaos, in_use, programs, read
 
 RUN = UUID(int=1)
 CANCELED, SUCCEEDED = Outcome(OutcomeKind.CANCELED), Outcome(OutcomeKind.SUCCEEDED)
@@ -405,7 +405,7 @@ def test_any_program_that_is_paused_and_resumed_ends_and_loses_no_token(text: st
     chaos = Pausing(run, knowledge, random)
     open_before: set[UUID] = set()
     was_pausing = False
-    for _ in chaos.play():
+    for _ in chaos.drive():
         for place, tokens in run.marking.items():
             assert tokens == 1 or place in machine.record_places, f"{place} holds {tokens} tokens"
         for name, used in in_use(chaos.requests).items():

@@ -535,19 +535,19 @@ def test_all_plans_of_a_performer_share_resources(tmp_path: Path) -> None:
     file = tmp_path / "plan.yaml"
     file.write_text(NESTED, encoding="utf-8")
     plans = read_plans(file)
-    site = simulated_backend(plans["inner"], merge_bindings(plans.values()))
-    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, site, KnowledgeBase())
+    backend = simulated_backend(plans["inner"], merge_bindings(plans.values()))
+    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase())
 
     async def main() -> None:
-        await site.open(performer.world)
+        await backend.open(performer.world)
         performances = [performer.perform("outer", {"what": what}) for what in ("plate", "spoon", "fork")]
         results = await asyncio.gather(*map(performer.execute, performances))
         assert all(result.goal for result in results)
         assert asyncio.get_running_loop().time() == pytest.approx(18.0, abs=0.1)
-        await site.close()
+        await backend.close()
 
     run_async(main(), virtual=True)
-    assert site.robots.clashes == []
+    assert backend.robots.clashes == []
 
 
 def test_a_machine_made_for_other_capacities_is_refused() -> None:
@@ -584,14 +584,14 @@ def test_every_plan_of_a_performer_shares_what_one_of_them_says_of_a_resource(tm
     branches = "plan: [{concurrent_actions: [{lift: {what: plate}}, {lift: {what: spoon}}]}]"
     file.write_text(f"{text}one: {{resources: {{arm: 2}}, {branches}}}\nother: {{{branches}}}\n", encoding="utf-8")
     plans = read_plans(file)
-    site = simulated_backend(plans["one"], merge_bindings(plans.values()))
-    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, site, KnowledgeBase())
+    backend = simulated_backend(plans["one"], merge_bindings(plans.values()))
+    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase())
 
     async def main() -> None:
-        await site.open(performer.world)
+        await backend.open(performer.world)
         assert (await performer.execute(performer.perform("other"))).goal
         assert asyncio.get_running_loop().time() == pytest.approx(2.0, abs=0.1)
-        await site.close()
+        await backend.close()
 
     run_async(main(), virtual=True)
-    assert site.robots.clashes == []
+    assert backend.robots.clashes == []

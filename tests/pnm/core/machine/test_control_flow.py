@@ -31,7 +31,7 @@ from pnm.core.machine.plan_graph import (
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.explore import Unsound
 from pnm.core.machine.verification.verify import explore, verify
-from tests.support.runs.direct import RUN, outcomes, play
+from tests.support.runs.direct import RUN, drive, outcomes
 from tests.support.runs.mutants import _less_output, check_proof_of_mutants
 from tests.support.runs.plan_graphs import ordering
 
@@ -128,19 +128,19 @@ def counted(limit: int = 1000) -> PlanGraph:
 
 
 def test_a_loop_goes_round_as_long_as_its_condition_holds() -> None:
-    story = play(counted(), variables={"n": 5}, bindings=ONCE)
-    assert story.result.goal
-    assert story.actions == ["a0"] * 5
-    assert story.run.knowledge.local.variable("n") == 10
-    assert [one.outcome for one in story.result.calls] == ["succeeded"] * 10
-    assert len({one.started for one in story.result.calls}) == 1
+    trace = drive(counted(), variables={"n": 5}, bindings=ONCE)
+    assert trace.result.goal
+    assert trace.actions == ["a0"] * 5
+    assert trace.run.knowledge.local.variable("n") == 10
+    assert [one.outcome for one in trace.result.calls] == ["succeeded"] * 10
+    assert len({one.started for one in trace.result.calls}) == 1
 
 
 def test_a_loop_whose_condition_never_becomes_false_fails_by_name() -> None:
-    story = play(counted(3), variables={"n": 5}, bindings=ONCE)
-    assert not story.result.goal
-    assert story.actions == ["a0"] * 3
-    (failure,) = story.result.failures
+    trace = drive(counted(3), variables={"n": 5}, bindings=ONCE)
+    assert not trace.result.goal
+    assert trace.actions == ["a0"] * 3
+    (failure,) = trace.result.failures
     assert (failure.cause, failure.observed) == ("loop_limit", "local[n] is 8")
     assert "after 3 rounds" in failure.expected
 
@@ -151,24 +151,24 @@ def test_a_loop_counts_its_rounds_anew_each_time_it_is_reached() -> None:
     outer = flow(
         store(0, "n", Literal.of(0)), inner, store(2, "m", Operation("add", (local("m"), Literal.of(1)))), orders=("0e<4s", "4e<2s")
     )
-    story = play(plan(Loop(3, ne("m", 4), outer, 4)), variables={"m": 0})
-    assert story.result.goal, story.result.reason
+    trace = drive(plan(Loop(3, ne("m", 4), outer, 4)), variables={"m": 0})
+    assert trace.result.goal, trace.result.reason
 
 
 @pytest.mark.parametrize(("variables", "expected"), [({"n": 1}, ["a1"]), ({"n": 2}, ["a0"]), ({}, ["a0"])])
 def test_a_choice_takes_one_branch(variables: dict[str, object], expected: list[str]) -> None:
-    assert play(plan(Choice(2, ne("n", 1), flow(call(0)), flow(call(1)))), variables=variables).actions == expected
+    assert drive(plan(Choice(2, ne("n", 1), flow(call(0)), flow(call(1)))), variables=variables).actions == expected
 
 
 def test_a_condition_that_cannot_be_computed_is_not_true() -> None:
     late = Computed(Operation("gt", (local("n"), Literal.of(1))))
-    assert play(plan(Choice(2, late, flow(call(0)), flow(call(1)))), variables={"n": "three"}).actions == ["a1"]
+    assert drive(plan(Choice(2, late, flow(call(0)), flow(call(1)))), variables={"n": "three"}).actions == ["a1"]
 
 
 def test_a_chain_recovers_and_the_call_begins_anew_until_that_is_used_up() -> None:
     recovering = plan(call(0, on(Cause.ABORTED, Then.RETRY, call(1), times=2)))
-    assert play(recovering, outcomes(a0=["aborted", "aborted"]), bindings=ONCE).actions == ["a0", "a1", "a0", "a1", "a0"]
-    failed = play(recovering, outcomes(a0=["aborted"] * 3), bindings=ONCE).result
+    assert drive(recovering, outcomes(a0=["aborted", "aborted"]), bindings=ONCE).actions == ["a0", "a1", "a0", "a1", "a0"]
+    failed = drive(recovering, outcomes(a0=["aborted"] * 3), bindings=ONCE).result
     assert [one.cause for one in failed.failures] == ["aborted"]
 
 
@@ -183,34 +183,34 @@ def test_a_chain_recovers_and_the_call_begins_anew_until_that_is_used_up() -> No
 )
 @pytest.mark.parametrize("chain", [(), (call(1),)])
 def test_how_a_recovery_goes_on(then: Then, goal: bool, outcome: str, chain: tuple[ActionCall, ...]) -> None:
-    story = play(plan(call(0, on(Cause.ABORTED, then, *chain))), outcomes(a0=["aborted"]), bindings=ONCE)
-    assert story.result.goal is goal
-    assert story.actions == ["a0", *(one.action.name for one in chain)]
-    assert story.result.calls[0].outcome == outcome
-    assert [one.replan for one in story.result.failures] == ([] if goal else [then is Then.REPLAN])
+    trace = drive(plan(call(0, on(Cause.ABORTED, then, *chain))), outcomes(a0=["aborted"]), bindings=ONCE)
+    assert trace.result.goal is goal
+    assert trace.actions == ["a0", *(one.action.name for one in chain)]
+    assert trace.result.calls[0].outcome == outcome
+    assert [one.replan for one in trace.result.failures] == ([] if goal else [then is Then.REPLAN])
 
 
 def test_a_chain_that_fails_fails_the_call() -> None:
-    story = play(plan(call(0, on(Cause.ABORTED, Then.RETRY, call(1)))), outcomes(a0=["aborted"], a1=["aborted"]), bindings=ONCE)
-    assert [str(one.call) for one in story.result.failures] == ["a1()#1", "a0()#0"]
+    trace = drive(plan(call(0, on(Cause.ABORTED, Then.RETRY, call(1)))), outcomes(a0=["aborted"], a1=["aborted"]), bindings=ONCE)
+    assert [str(one.call) for one in trace.result.failures] == ["a1()#1", "a0()#0"]
 
 
 def test_a_check_of_the_plan_s_own_comes_before_the_action() -> None:
     lost = Recovery(frozenset({Cause.BEFORE}), Then.SKIP, flow(call(1)), 1, ne("n", 1))
-    assert play(plan(call(0, lost)), variables={"n": 1}).actions == ["a0"]
-    assert play(plan(call(0, lost)), variables={"n": 2}).actions == ["a1"]
+    assert drive(plan(call(0, lost)), variables={"n": 1}).actions == ["a0"]
+    assert drive(plan(call(0, lost)), variables={"n": 2}).actions == ["a1"]
 
 
 def test_restarting_the_plan_ends_what_is_beside_it_first_and_begins_once() -> None:
     restarting = plan(
         call(0, on(Cause.ABORTED, Then.RESTART_PLAN)), call(1, on(Cause.ABORTED, Then.RESTART_PLAN)), call(2), orders=("0e<2s", "1e<2s")
     )
-    story = play(restarting, outcomes(a0=["aborted"], a1=["aborted"]), bindings=ONCE)
-    assert story.result.goal
-    assert story.actions == ["a0", "a1", "a0", "a1", "a2"]
-    story = play(restarting, outcomes(a0=["aborted"] * 2), bindings=ONCE)
-    assert not story.result.goal
-    assert story.actions == ["a0", "a1"] * 2
+    trace = drive(restarting, outcomes(a0=["aborted"], a1=["aborted"]), bindings=ONCE)
+    assert trace.result.goal
+    assert trace.actions == ["a0", "a1", "a0", "a1", "a2"]
+    trace = drive(restarting, outcomes(a0=["aborted"] * 2), bindings=ONCE)
+    assert not trace.result.goal
+    assert trace.actions == ["a0", "a1"] * 2
 
 
 def test_however_many_calls_may_restart_the_plan_the_proof_costs_the_same() -> None:
@@ -229,7 +229,7 @@ def test_a_call_whose_wish_to_restart_is_treated_otherwise_is_found() -> None:
 
 def test_a_call_that_others_would_undo_is_not_counted_as_failed_when_the_plan_begins_anew() -> None:
     beside = plan(call(0, on(Cause.ABORTED, Then.RESTART_PLAN)), call(1, on(Cause.ABORTED, Then.RETRY)))
-    assert play(beside, outcomes(a0=["aborted"], a1=["aborted"]), bindings=ONCE).result.goal
+    assert drive(beside, outcomes(a0=["aborted"], a1=["aborted"]), bindings=ONCE).result.goal
 
 
 def test_a_resource_is_had_by_one_call_at_a_time() -> None:
@@ -259,40 +259,40 @@ def test_what_keeps_a_resource_while_it_waits_for_others_is_not_sound() -> None:
 
 def test_an_update_of_global_knowledge_is_awaited_and_a_local_one_is_not() -> None:
     both = plan(store(0, "spam", Literal.of("eggs"), Layer.ALL), store(1, "ham", local("spam")), orders=("0e<1s",))
-    story = play(both, known={})
-    assert story.told == [(Question("spam", Layer.GLOBAL, "null"), "eggs")]
-    assert story.run.knowledge.local.variables() == {"spam": "eggs", "ham": "eggs"}
-    shared = play(both).run.knowledge
+    trace = drive(both, known={})
+    assert trace.told == [(Question("spam", Layer.GLOBAL, "null"), "eggs")]
+    assert trace.run.knowledge.local.variables() == {"spam": "eggs", "ham": "eggs"}
+    shared = drive(both).run.knowledge
     assert shared.world.variables() == {"spam": "eggs"}
 
 
 def test_a_variable_that_nobody_knows_is_not_copied_as_nothing() -> None:
-    story = play(plan(store(0, "ham", Query(Literal.of("spam")))), known={})
-    assert [(one.cause, one.expected) for one in story.result.failures] == [("data_missing", "values for spam")]
+    trace = drive(plan(store(0, "ham", Query(Literal.of("spam")))), known={})
+    assert [(one.cause, one.expected) for one in trace.result.failures] == [("data_missing", "values for spam")]
 
 
 def test_an_operation_that_is_impossible_fails_by_name() -> None:
-    story = play(
+    trace = drive(
         plan(store(0, "ham", Operation("add", (Literal.of(1), Literal.of("x"))))), bindings=Bindings({"store": Binding(retries=0)})
     )
-    assert story.result.failures[0].cause == "aborted"
-    assert "add(1, 'x')" in story.result.failures[0].observed
+    assert trace.result.failures[0].cause == "aborted"
+    assert "add(1, 'x')" in trace.result.failures[0].observed
 
 
 def test_a_question_is_asked_once_per_decision() -> None:
     both_ways = Computed(Operation("eq", (Query(Literal.of("spam"), Layer.GLOBAL), Literal.of(1))))
-    story = play(plan(Loop(1, both_ways, flow(store(0, "n", Literal.of(1))), 3)), known={"spam": 1})
-    assert len(story.asked) == 4
-    assert not story.result.goal
+    trace = drive(plan(Loop(1, both_ways, flow(store(0, "n", Literal.of(1))), 3)), known={"spam": 1})
+    assert len(trace.asked) == 4
+    assert not trace.result.goal
 
 
 def test_missing_goal_data_is_looked_up_globally_then_asked_for_then_a_failure_by_name() -> None:
     graph = plan(ActionCall(0, GroundAction("wait", ("?time",), ("time",))))
-    near = play(graph, variables={"time": 1}, known={"time": 2})
+    near = drive(graph, variables={"time": 1}, known={"time": 2})
     assert near.sent == [("wait", {"action": "wait", "arguments": ["1"], "duration": 0.0, "time": 1})]
-    assert play(graph, known={"time": 2}).sent[0][1]["time"] == 2
+    assert drive(graph, known={"time": 2}).sent[0][1]["time"] == 2
     asking = Bindings({"wait": Binding(ask={"time": "How long?"})})
-    asked = play(graph, known={}, bindings=asking)
+    asked = drive(graph, known={}, bindings=asking)
     assert asked.asked == [Question("time", Layer.GLOBAL, "null"), Question("time", Layer.PERSON, '"How long?"')]
     assert [(one.cause, one.expected) for one in asked.result.failures] == [("data_missing", "values for time")]
 
@@ -300,27 +300,27 @@ def test_missing_goal_data_is_looked_up_globally_then_asked_for_then_a_failure_b
 def test_what_a_person_is_asked_names_the_arguments_of_the_call() -> None:
     graph = plan(ActionCall(0, GroundAction("wait", ("r1", "?time"), ("robot", "time"))))
     asking = Bindings({"wait": Binding(ask={"time": "How long shall {robot} wait, {sir}?"})})
-    asked = play(graph, known={}, bindings=asking).asked
+    asked = drive(graph, known={}, bindings=asking).asked
     assert asked[-1] == Question("time", Layer.PERSON, '"How long shall r1 wait, {sir}?"')
 
 
 def test_a_parameter_that_knowledge_fills_keeps_its_kind() -> None:
     few = Computed(Operation("lt", (Parameter("?n"), Literal.of(5))))
     graph = plan(ActionCall(0, GroundAction("count", ("?n",), ("n",), precondition=few)))
-    assert play(graph, variables={"n": 3}).sent[0][1]["n"] == 3
-    assert [one.cause for one in play(graph, variables={"n": 7}).result.failures] == ["precondition_false"]
+    assert drive(graph, variables={"n": 3}).sent[0][1]["n"] == 3
+    assert [one.cause for one in drive(graph, variables={"n": 7}).result.failures] == ["precondition_false"]
 
 
 def test_what_is_expected_is_checked_after_and_spares_the_action_before() -> None:
     done = replace(call(0).action, expected=Computed(Operation("exists", (local("result"),))))
     graph = plan(ActionCall(0, done))
-    assert play(graph, variables={"result": 1}, bindings=ONCE).actions == []
-    story = play(graph, bindings=ONCE)
-    assert [one.cause for one in story.result.failures] == ["effects_missing"]
-    found = play(graph, lambda _: Outcome(OutcomeKind.SUCCEEDED, {"result": 1}), bindings=ONCE)
+    assert drive(graph, variables={"result": 1}, bindings=ONCE).actions == []
+    trace = drive(graph, bindings=ONCE)
+    assert [one.cause for one in trace.result.failures] == ["effects_missing"]
+    found = drive(graph, lambda _: Outcome(OutcomeKind.SUCCEEDED, {"result": 1}), bindings=ONCE)
     assert found.result.goal
     loop = plan(Loop(1, ne("n", 1), flow(ActionCall(0, done)), 2))
-    assert play(loop, variables={"result": 1}, bindings=ONCE).actions == ["a0", "a0"]
+    assert drive(loop, variables={"result": 1}, bindings=ONCE).actions == ["a0", "a0"]
 
 
 @pytest.mark.parametrize("name", [*SHAPES, *LARGE])

@@ -16,8 +16,8 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.verification.verify import verify
 from pnm.core.net.net import Marking
-from tests.support.runs.direct import RUN, play
-from tests.support.runs.yaml_programs import DOMAIN, Chaos, Json, in_use, programs, read, written
+from tests.support.runs.direct import RUN, drive
+from tests.support.yaml.programs import DOMAIN, Chaos, Json, in_use, programs, read, written
 
 
 def check_marking(machine: PetriNetMachine, marking: Marking, budgets: Mapping[tuple[str, str], int]) -> None:
@@ -56,7 +56,7 @@ def carry_out(text: str, seed: int) -> None:
     run = Run(machine, knowledge, id=RUN, bindings=plan.bindings, asks=random.random() < 0.7)
     chaos = Chaos(run, knowledge, random)
     budgets = counters(machine)
-    for _ in chaos.play():
+    for _ in chaos.drive():
         check_marking(machine, run.marking, budgets)
         for name, used in in_use(chaos.requests).items():
             assert used <= plan.graph.capacities.get(name, 1), f"{name} is used by {used} calls"
@@ -185,8 +185,8 @@ class Interpreter:
 @given(BLOCKS, st.integers(0, 3), st.integers(0, 3))
 def test_a_program_without_concurrency_does_what_it_says(steps: Json, x: int, y: int) -> None:
     plan = read(f"{COUNTING}---\n{written({'initial_knowledge': {'x': x, 'y': y}, 'plan': steps})}")
-    story = play(plan.graph, bindings=plan.bindings, variables=plan.variables)
+    trace = drive(plan.graph, bindings=plan.bindings, variables=plan.variables)
     meant = Interpreter({"x": x, "y": y})
-    assert story.result.goal is meant.do(steps)
-    assert story.actions == meant.done
-    assert story.run.knowledge.local.variables() == meant.variables
+    assert trace.result.goal is meant.do(steps)
+    assert trace.actions == meant.done
+    assert trace.run.knowledge.local.variables() == meant.variables

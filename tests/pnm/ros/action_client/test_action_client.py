@@ -28,26 +28,26 @@ FIBONACCI = "test_msgs/action/Fibonacci"
         ("oddly", OutcomeKind.ABORTED, "no end"),
     ],
 )
-def test_outcome_and_result(play, shared, action, kind, message):
+def test_outcome_and_result(with_client, shared, action, kind, message):
     async def scenario(client):
         sent = client.send("act", action=action, arguments=["r1"])
         await sent.accepted()
         outcome = await sent.ended()
         assert (outcome.kind, outcome.message, outcome.result) == (kind, message, {"message": message})
 
-    play(scenario, act=Binding(server=shared))
+    with_client(scenario, act=Binding(server=shared))
 
 
-def test_rejected(play, shared):
+def test_rejected(with_client, shared):
     async def scenario(client):
         outcome = await client.send("act", action="reject").ended()
         assert outcome.kind is OutcomeKind.REJECTED
         assert shared in outcome.message
 
-    play(scenario, act=Binding(server=shared, type=GROUND))
+    with_client(scenario, act=Binding(server=shared, type=GROUND))
 
 
-def test_cancel_is_confirmed_by_the_end(play, shared):
+def test_cancel_is_confirmed_by_the_end(with_client, shared):
     async def scenario(client):
         sent = client.send("act", action="hang")
         await sent.accepted()
@@ -56,10 +56,10 @@ def test_cancel_is_confirmed_by_the_end(play, shared):
         assert outcome.kind is OutcomeKind.CANCELED
         assert outcome.message.startswith("stopped after")
 
-    play(scenario, act=Binding(server=shared))
+    with_client(scenario, act=Binding(server=shared))
 
 
-def test_cancel_before_acceptance_is_sent_on_acceptance(play, shared):
+def test_cancel_before_acceptance_is_sent_on_acceptance(with_client, shared):
     async def scenario(client):
         await client.send("act", action="succeed").ended()  # from now on goals are sent at once
         sent = client.send("act", action="hesitate", arguments=["0.5"])
@@ -67,30 +67,30 @@ def test_cancel_before_acceptance_is_sent_on_acceptance(play, shared):
         await sent.accepted()
         assert (await sent.ended()).kind is OutcomeKind.CANCELED
 
-    play(scenario, act=Binding(server=shared))
+    with_client(scenario, act=Binding(server=shared))
 
 
-def test_cancel_before_sending_sends_nothing(play, names):
+def test_cancel_before_sending_sends_nothing(with_client, names):
     async def scenario(client):
         sent = client.send("act")
         client.cancel(sent)
         outcome = await sent.ended()
         assert (outcome.kind, outcome.message) == (OutcomeKind.CANCELED, "cancelled before it was sent")
 
-    play(scenario, act=Binding(server=names(), type=GROUND))
+    with_client(scenario, act=Binding(server=names(), type=GROUND))
 
 
-def test_a_refused_cancel_is_not_an_end(play, shared):
+def test_a_refused_cancel_is_not_an_end(with_client, shared):
     async def scenario(client):
         sent = client.send("act", action="stubborn", arguments=["1.5"])
         await sent.accepted()
         client.cancel(sent)
         assert (await sent.ended()).kind is OutcomeKind.SUCCEEDED
 
-    play(scenario, act=Binding(server=shared))
+    with_client(scenario, act=Binding(server=shared))
 
 
-def test_cancelling_what_is_unknown_or_over_does_nothing(play, shared):
+def test_cancelling_what_is_unknown_or_over_does_nothing(with_client, shared):
     async def scenario(client):
         sent = client.send("act", action="succeed")
         await sent.ended()
@@ -98,7 +98,7 @@ def test_cancelling_what_is_unknown_or_over_does_nothing(play, shared):
         await client.send("act", action="succeed").ended()
         assert sent.reports.empty()
 
-    play(scenario, act=Binding(server=shared))
+    with_client(scenario, act=Binding(server=shared))
 
 
 @pytest.mark.parametrize(
@@ -109,44 +109,44 @@ def test_cancelling_what_is_unknown_or_over_does_nothing(play, shared):
         ({"acton": "x"}, "field acton needs to be one of action, arguments"),
     ],
 )
-def test_a_value_that_does_not_fit_is_rejected_and_named(play, shared, goal, said):
+def test_a_value_that_does_not_fit_is_rejected_and_named(with_client, shared, goal, said):
     async def scenario(client):
         outcome = await client.send("act", **goal).ended()
         assert outcome.kind is OutcomeKind.REJECTED
         assert said in outcome.message
 
-    play(scenario, act=Binding(server=shared))
+    with_client(scenario, act=Binding(server=shared))
 
 
-def test_an_absent_server_is_unavailable_and_a_similar_one_named(play, shared):
+def test_an_absent_server_is_unavailable_and_a_similar_one_named(with_client, shared):
     async def scenario(client):
         assert await client.ros2.prepare([GroundAction("act")], limit=0.3) == (f"/{shared}x",)
         outcome = await client.send("act").ended()
         assert outcome.kind is OutcomeKind.UNAVAILABLE
         assert f"there is no action server /{shared}x; similar are /{shared}" in outcome.message
 
-    play(scenario, act=Binding(server=f"{shared}x"))
+    with_client(scenario, act=Binding(server=f"{shared}x"))
 
 
-def test_a_server_of_another_type_is_unavailable_and_both_types_named(play, shared):
+def test_a_server_of_another_type_is_unavailable_and_both_types_named(with_client, shared):
     async def scenario(client):
         outcome = await client.send("act", order=3).ended()
         assert outcome.kind is OutcomeKind.UNAVAILABLE
         assert outcome.message == f"the action server /{shared} has the type {GROUND}, the binding says {FIBONACCI}"
 
-    play(scenario, act=Binding(server=shared, type=FIBONACCI))
+    with_client(scenario, act=Binding(server=shared, type=FIBONACCI))
 
 
-def test_a_name_that_cannot_be_one_is_unavailable(play):
+def test_a_name_that_cannot_be_one_is_unavailable(with_client):
     async def scenario(client):
         outcome = await client.send("act").ended()
         assert outcome.kind is OutcomeKind.UNAVAILABLE
         assert "not a name for an action server: 'two words'" in outcome.message
 
-    play(scenario, act=Binding(server="two words"))
+    with_client(scenario, act=Binding(server="two words"))
 
 
-def test_type_found_from_the_graph_and_hyphens_written_as_underscores(play, start, names):
+def test_type_found_from_the_graph_and_hyphens_written_as_underscores(with_client, start, names):
     name = names()
     start("--fibonacci", f"{name}_up")
 
@@ -157,11 +157,11 @@ def test_type_found_from_the_graph_and_hyphens_written_as_underscores(play, star
         outcome = await client.send(f"{name}-up", order=6.0).ended()
         assert outcome.result == {"sequence": [0, 1, 1, 2, 3, 5]}
 
-    play(scenario)
+    with_client(scenario)
 
 
 @pytest.mark.parametrize(("goal", "kind"), [({}, OutcomeKind.UNAVAILABLE), ({"order": 2}, OutcomeKind.SUCCEEDED)])
-def test_a_goal_that_was_filled_before_its_type_was_known_is_sent_if_it_has_all_fields(play, start, names, goal, kind):
+def test_a_goal_that_was_filled_before_its_type_was_known_is_sent_if_it_has_all_fields(with_client, start, names, goal, kind):
     name = names()
     start("--fibonacci", name)
 
@@ -171,10 +171,10 @@ def test_a_goal_that_was_filled_before_its_type_was_known_is_sent_if_it_has_all_
         if not goal:
             assert outcome.message == f"/{name} came when the goal had been filled; nobody has looked for values for order"
 
-    play(scenario)
+    with_client(scenario)
 
 
-def test_the_type_of_a_server_that_comes_later_is_learned(play, start, names):
+def test_the_type_of_a_server_that_comes_later_is_learned(with_client, start, names):
     name = names()
 
     async def scenario(client):
@@ -184,10 +184,10 @@ def test_the_type_of_a_server_that_comes_later_is_learned(play, start, names):
         await client.ros2.prepare([action], LIMIT)
         assert client.ros2.goal_fields(action) == ("order",)
 
-    play(scenario)
+    with_client(scenario)
 
 
-def test_a_server_that_comes_late_is_waited_for(play, start, names):
+def test_a_server_that_comes_late_is_waited_for(with_client, start, names):
     name = names()
 
     async def scenario(client):
@@ -195,19 +195,19 @@ def test_a_server_that_comes_late_is_waited_for(play, start, names):
         await asyncio.to_thread(start, name)
         assert (await sent.ended()).kind is OutcomeKind.SUCCEEDED
 
-    play(scenario, act=Binding(server=name))
+    with_client(scenario, act=Binding(server=name))
 
 
-def test_30_goals_at_once_on_a_server_with_default_qos_that_end_together(play, shared):
+def test_30_goals_at_once_on_a_server_with_default_qos_that_end_together(with_client, shared):
     async def scenario(client):
         sent = [client.send("act", action="together", arguments=["30"]) for _ in range(30)]
         outcomes = await asyncio.gather(*(one.ended() for one in sent))
         assert {outcome.kind for outcome in outcomes} == {OutcomeKind.SUCCEEDED}
 
-    play(scenario, act=Binding(server=shared))
+    with_client(scenario, act=Binding(server=shared))
 
 
-def test_30_cancellations_at_once(play, shared):
+def test_30_cancellations_at_once(with_client, shared):
     async def scenario(client):
         sent = [client.send("act", action="hang") for _ in range(30)]
         await asyncio.gather(*(one.accepted() for one in sent))
@@ -216,10 +216,10 @@ def test_30_cancellations_at_once(play, shared):
         outcomes = await asyncio.gather(*(one.ended() for one in sent))
         assert {outcome.kind for outcome in outcomes} == {OutcomeKind.CANCELED}
 
-    play(scenario, act=Binding(server=shared))
+    with_client(scenario, act=Binding(server=shared))
 
 
-def test_an_unanswered_goal_ends_and_is_cancelled_when_accepted_after_all(play, start, names):
+def test_an_unanswered_goal_ends_and_is_cancelled_when_accepted_after_all(with_client, start, names):
     name = names()
     start(name, "--threads", "2")
 
@@ -232,10 +232,10 @@ def test_an_unanswered_goal_ends_and_is_cancelled_when_accepted_after_all(play, 
         assert (await client.send("patient", action="succeed").ended()).kind is OutcomeKind.SUCCEEDED
         assert late.reports.empty()
 
-    play(scenario, act=Binding(server=name, accept=1.0), patient=Binding(server=name))
+    with_client(scenario, act=Binding(server=name, accept=1.0), patient=Binding(server=name))
 
 
-def test_a_server_that_shuts_down_is_lost(play, start, names):
+def test_a_server_that_shuts_down_is_lost(with_client, start, names):
     name = names()
     server = start(name)
 
@@ -245,10 +245,10 @@ def test_a_server_that_shuts_down_is_lost(play, start, names):
         await asyncio.to_thread(server.stop)
         assert (await sent.ended()).kind is OutcomeKind.LOST
 
-    play(scenario, act=Binding(server=name))
+    with_client(scenario, act=Binding(server=name))
 
 
-def test_a_restarted_server_is_noticed_quickly_and_used_again(play, start, names):
+def test_a_restarted_server_is_noticed_quickly_and_used_again(with_client, start, names):
     name = names()
     server = start(name)
 
@@ -261,10 +261,10 @@ def test_a_restarted_server_is_noticed_quickly_and_used_again(play, start, names
         assert (outcome.kind, outcome.message) == (OutcomeKind.LOST, f"/{name} no longer knows the goal; it was restarted")
         assert (await client.send("act", action="succeed").ended()).kind is OutcomeKind.SUCCEEDED
 
-    play(scenario, act=Binding(server=name))
+    with_client(scenario, act=Binding(server=name))
 
 
-def test_a_killed_server_is_lost_and_a_blocked_one_is_not(play, start, names):
+def test_a_killed_server_is_lost_and_a_blocked_one_is_not(with_client, start, names):
     killed, blocked = names(), names()
     victim = start(killed)
     start(blocked, "--threads", "1")
@@ -280,10 +280,10 @@ def test_a_killed_server_is_lost_and_a_blocked_one_is_not(play, start, names):
         assert 2.0 < monotonic() - since < 60.0  # its lease lasts 20 s
         assert (await busy.ended()).kind is OutcomeKind.SUCCEEDED
 
-    play(scenario, act=Binding(server=killed), busy=Binding(server=blocked))
+    with_client(scenario, act=Binding(server=killed), busy=Binding(server=blocked))
 
 
-def test_goals_end_when_the_ros_thread_is_closed_under_the_client(play, shared):
+def test_goals_end_when_the_ros_thread_is_closed_under_the_client(with_client, shared):
     async def scenario(another):
         ros = RosThread("closed_early")
         client = type(another)(ros, act=Binding(server=shared))
@@ -294,7 +294,7 @@ def test_goals_end_when_the_ros_thread_is_closed_under_the_client(play, shared):
         assert (outcome.kind, outcome.message) == (OutcomeKind.LOST, "the ROS 2 node was closed")
         assert (await client.send("act", action="succeed").ended()).kind is OutcomeKind.UNAVAILABLE
 
-    play(scenario)
+    with_client(scenario)
 
 
 CLOSING = """

@@ -21,15 +21,15 @@ from pnm.ros.knowledge.knowledge_services import KnowledgeServices
 from pnm.ros.knowledge.knowledge_source import uuid_field
 from pnm.ros.node.service_client import ServiceClient, until_true
 from tests.support.processes import LIMIT
-from tests.support.ros.executive import Executive, executive
-from tests.support.ros.scripts import Script, run
+from tests.support.ros.child_process import ChildProcess, run
+from tests.support.ros.fake_executor import FakeExecutor, fake_executor
 
 
 @pytest.fixture(scope="module")
 def server(names: Callable[[], str]) -> Iterator[str]:
     """A server whose callback is a function and whose executor has one thread."""
     name = names()
-    process = Script("knowing", name)
+    process = ChildProcess("asking_server", name)
     yield name
     process.kill()
 
@@ -68,7 +68,7 @@ class Person:
 
 def test_local_and_global_and_both(ros, server):
     async def main():
-        async with executive(ros) as one:
+        async with fake_executor(ros) as one:
             assert await one.said(server, "query", "all", "spam") == []
             assert await one.said(server, "update", "local", "spam", {"eggs": [1, 2.5, None, "ü"]}) == [None]
             assert one.local.variable("spam") == {"eggs": [1, 2.5, None, "ü"]}
@@ -90,8 +90,8 @@ def test_every_kind_of_server_may_ask(ros, names, begin, options):
     name = names()
 
     async def main():
-        await asyncio.to_thread(begin, "knowing", name, *options)
-        async with executive(ros) as one:
+        await asyncio.to_thread(begin, "asking_server", name, *options)
+        async with fake_executor(ros) as one:
             ended = [one.send(name, "update", "all", f"v{number}", number) for number in range(20)]
             assert {outcome.message for outcome in await asyncio.gather(*ended)} == {"[null]"}
             assert one.local.variables() == {f"v{number}": number for number in range(20)}
@@ -102,8 +102,8 @@ def test_every_kind_of_server_may_ask(ros, names, begin, options):
 
 def test_the_example_of_the_documentation(ros, begin):
     async def main():
-        await asyncio.to_thread(begin, "guide")
-        async with executive(ros) as one:
+        await asyncio.to_thread(begin, "example_server")
+        async with fake_executor(ros) as one:
             await one.sources.update(Question("shop", Layer.GLOBAL, "null"), "bakery", Asker(one.run))
             assert (await one.send("guide", "lead")).kind is OutcomeKind.SUCCEEDED
             assert one.local.variables() == {"seen": ["bakery"]}
@@ -115,8 +115,8 @@ def test_waiting_on_the_thread_that_spins_is_refused_at_once(ros, names, begin):
     name = names()
 
     async def main():
-        await asyncio.to_thread(begin, "knowing", name, "--kind", "wrong")
-        async with executive(ros) as one:
+        await asyncio.to_thread(begin, "asking_server", name, "--kind", "wrong")
+        async with fake_executor(ros) as one:
             assert "in a coroutine, await the ..._async method" in await one.said(name, "query", "all", "a")
             assert "in a coroutine, await the ..._async method" in await one.said(name, "update", "all", "a", 1)
 
@@ -125,7 +125,7 @@ def test_waiting_on_the_thread_that_spins_is_refused_at_once(ros, names, begin):
 
 def test_a_goal_of_somebody_else_is_carried_out_and_has_no_knowledge(ros, server):
     async def main():
-        async with executive(ros) as one:
+        async with fake_executor(ros) as one:
             outcome = await one.send(server, "query", "all", "spam", id=uuid4())
             assert outcome.kind is OutcomeKind.SUCCEEDED
             assert "the goal does not come from a plan executive" in outcome.message
@@ -135,7 +135,7 @@ def test_a_goal_of_somebody_else_is_carried_out_and_has_no_knowledge(ros, server
 
 def test_an_executive_without_services_is_missed_by_name(ros, server):
     async def main():
-        one = Executive(ros, Sources())
+        one = FakeExecutor(ros, Sources())
         for action, rest in (("query", []), ("update", [1])):
             said = await one.said(server, action, "all", "spam", *rest, None, 0.5)
             assert said == f"there is no service {one.name}/{action}; the executive that has sent the goal is gone"
@@ -156,7 +156,7 @@ def test_an_executive_is_asked_again_until_it_has_answered_once_but_told_once(ro
         return answer
 
     async def main():
-        one = Executive(ros, Sources())
+        one = FakeExecutor(ros, Sources())
         heard = {kind: [] for kind in (QueryKnowledge, UpdateKnowledge)}
         names = {QueryKnowledge: f"{one.name}/query", UpdateKnowledge: f"{one.name}/update"}
 
@@ -177,8 +177,8 @@ def test_an_executive_is_asked_again_until_it_has_answered_once_but_told_once(ro
 
 def test_an_executive_that_is_killed_is_not_waited_for(names, begin):
     name = names()
-    server = begin("knowing", name)
-    killed = begin("executive", name)
+    server = begin("asking_server", name)
+    killed = begin("fake_executor", name)
     assert killed.line() == "asked"
     killed.kill()
     said = json.loads(server.line())
@@ -193,7 +193,7 @@ def test_a_global_source_that_never_answers_is_said_to_the_server(ros, server):
             return await asyncio.get_running_loop().create_future()
 
     async def main():
-        async with executive(ros, [Never()]) as one:
+        async with fake_executor(ros, [Never()]) as one:
             assert await one.said(server, "query", "all", "spam", None, 0.5) == "there was no answer within 0.5 s"
 
     run(main())
@@ -205,7 +205,7 @@ def test_what_a_source_refuses_is_said_to_the_server_and_changes_nothing(ros, se
             raise SourceError("the disk\nis full")
 
     async def main():
-        async with executive(ros, [Full()]) as one:
+        async with fake_executor(ros, [Full()]) as one:
             assert await one.said(server, "update", "all", "spam", 1) == "the disk is full"
             assert one.local.variable("spam") is MISSING
 
@@ -215,7 +215,7 @@ def test_what_a_source_refuses_is_said_to_the_server_and_changes_nothing(ros, se
 def test_a_person_is_asked_while_others_go_on(ros, server):
     async def main():
         person = Person()
-        async with executive(ros, person=person) as one:
+        async with fake_executor(ros, person=person) as one:
             first = one.send(server, "query", "person", "shop", "Which shop?", LIMIT)
             second = one.send(server, "query", "global", "USER", None, LIMIT)
             assert {await person.asked.get(), await person.asked.get()} == {"shop", "USER"}
@@ -236,9 +236,9 @@ def test_cancelling_a_goal_that_asks_ends_it_and_withdraws_the_question(ros, nam
     name = names()
 
     async def main():
-        server = await asyncio.to_thread(begin, "knowing", name, "--kind", kind)
+        server = await asyncio.to_thread(begin, "asking_server", name, "--kind", kind)
         person = Person()
-        async with executive(ros, person=person) as one:
+        async with fake_executor(ros, person=person) as one:
             await one.meet(name)
             goal = one.new_id()
             ended = one.send(name, "query", "person", "shop", None, 300.0, id=goal)
@@ -256,9 +256,9 @@ def test_a_simple_server_carries_out_one_goal_at_a_time_and_none_that_was_cancel
     name = names()
 
     async def main():
-        await asyncio.to_thread(begin, "knowing", name, "--kind", "simple")
+        await asyncio.to_thread(begin, "asking_server", name, "--kind", "simple")
         person = Person()
-        async with executive(ros, person=person) as one:
+        async with fake_executor(ros, person=person) as one:
             await one.meet(name)
             first = one.send(name, "query", "person", "a", None, LIMIT)
             await person.asked.get()
@@ -280,7 +280,7 @@ def test_a_simple_server_carries_out_one_goal_at_a_time_and_none_that_was_cancel
 
 def test_two_executives_have_services_of_their_own(ros, server):
     async def main():
-        async with executive(ros) as one, executive(ros) as two:
+        async with fake_executor(ros) as one, fake_executor(ros) as two:
             await one.said(server, "update", "all", "spam", 1)
             await two.said(server, "update", "all", "spam", 2)
             assert (one.local.variables(), two.local.variables()) == ({"spam": 1}, {"spam": 2})
@@ -291,7 +291,7 @@ def test_two_executives_have_services_of_their_own(ros, server):
 @pytest.mark.parametrize("action", ["raise", "return"])
 def test_a_callback_that_fails_aborts_its_goal_and_nothing_more(ros, server, action):
     async def main():
-        async with executive(ros) as one:
+        async with fake_executor(ros) as one:
             assert (await one.send(server, action)).kind is OutcomeKind.ABORTED
             assert await one.said(server, "query", "all", "spam") == []
 
@@ -309,7 +309,7 @@ def test_a_callback_that_fails_aborts_its_goal_and_nothing_more(ros, server, act
 )
 def test_a_server_that_asks_nonsense_is_told_so(ros, server, arguments, said):
     async def main():
-        async with executive(ros) as one:
+        async with fake_executor(ros) as one:
             assert said in await one.said(server, *arguments)
 
     run(main())
@@ -319,9 +319,9 @@ def test_a_server_that_ends_while_it_asks_leaves_no_traceback_of_ours(ros, names
     name = names()
 
     async def main():
-        server = await asyncio.to_thread(begin, "knowing", name)
+        server = await asyncio.to_thread(begin, "asking_server", name)
         person = Person()
-        async with executive(ros, person=person) as one:
+        async with fake_executor(ros, person=person) as one:
             await one.meet(name)
             ended = one.send(name, "query", "person", "a", None, LIMIT)
             await person.asked.get()
@@ -353,7 +353,7 @@ def test_a_query_that_cannot_be_answered_is_refused(ros, fields, said):
             raise KeyError(question.name)
 
     async def main():
-        async with executive(ros, [Buggy()]) as one:
+        async with fake_executor(ros, [Buggy()]) as one:
             one.local.store({"odd": float("nan")})
             goal = one.new_id()
             one.goals[goal] = None
@@ -371,7 +371,7 @@ def test_a_query_that_cannot_be_answered_is_refused(ros, fields, said):
 def test_who_repeats_a_question_to_a_person_gets_the_same_answer(ros):
     async def main():
         person = Person()
-        async with executive(ros, person=person) as one:
+        async with fake_executor(ros, person=person) as one:
             goals = [one.new_id() for _ in range(2)]
             one.goals |= dict.fromkeys(goals)
             client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{one.name}/query")
@@ -409,7 +409,7 @@ def test_who_repeats_a_question_to_a_person_gets_the_same_answer(ros):
 @pytest.mark.parametrize("value", ["", "kitchen", "NaN"])
 def test_an_update_with_what_is_no_json_is_refused(ros, value):
     async def main():
-        async with executive(ros) as one:
+        async with fake_executor(ros) as one:
             goal = one.new_id()
             one.goals[goal] = None
             client = ServiceClient(ros, "pnm_interfaces/srv/UpdateKnowledge", f"{one.name}/update")
@@ -425,7 +425,7 @@ def test_an_update_with_what_is_no_json_is_refused(ros, value):
 def test_closing_refuses_what_is_still_being_asked(ros):
     async def main():
         person = Person()
-        async with executive(ros, person=person) as one:
+        async with fake_executor(ros, person=person) as one:
             goal = one.new_id()
             one.goals[goal] = None
             client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{one.name}/query")

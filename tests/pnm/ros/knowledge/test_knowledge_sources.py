@@ -14,7 +14,7 @@ from pnm.ros.knowledge.knowledge_source import Ros2Knowledge
 from pnm.ros.knowledge.person_source import Ros2Person
 from pnm.ros.node.service_client import ServiceClient
 from tests.support.processes import LIMIT
-from tests.support.ros.scripts import Script, run
+from tests.support.ros.child_process import ChildProcess, run
 
 ME = Asker(UUID(int=7), "tour")
 
@@ -23,12 +23,12 @@ def about(name: str, layer: Layer = Layer.GLOBAL, meta: object = None) -> Questi
     return Question(name, layer, json.dumps(meta))
 
 
-async def heard(script: Script) -> list[object]:
+async def heard(process: ChildProcess) -> list[object]:
     """Return what it says next; at a first contact it may be asked the same several times."""
-    before = script.said
-    while script.said == before:
-        script.said = await asyncio.to_thread(script.line)
-    found: list[object] = json.loads(script.said)
+    before = process.said
+    while process.said == before:
+        process.said = await asyncio.to_thread(process.line)
+    found: list[object] = json.loads(process.said)
     return found
 
 
@@ -39,14 +39,14 @@ def test_knowledge_elsewhere(ros, names, begin):
     name = names()
 
     async def main():
-        script = await asyncio.to_thread(begin, "somewhere", "knowledge", name)
+        process = await asyncio.to_thread(begin, "remote_sources", "knowledge", name)
         knowledge = Ros2Knowledge(ros, name, limit=LIMIT)
         assert await knowledge.query(about("a", meta={"x": 1}), ME) is MISSING
-        assert await heard(script) == ["query", 1, "a", '{"x": 1}', ME.run.hex]
+        assert await heard(process) == ["query", 1, "a", '{"x": 1}', ME.run.hex]
         await knowledge.update(about("a", Layer.ALL), {"b": [None, "ü"]}, ME)
-        assert await heard(script) == ["update", 1, "a", '{"b": [null, "\\u00fc"]}']
+        assert await heard(process) == ["update", 1, "a", '{"b": [null, "\\u00fc"]}']
         assert await knowledge.query(about("a", Layer.ALL), ME) == {"b": [None, "ü"]}
-        assert await heard(script) == ["query", 1, "a", "", ME.run.hex]
+        assert await heard(process) == ["query", 1, "a", "", ME.run.hex]
         with pytest.raises(SourceError, match=f"the knowledge behind {name} refuses: not for you"):
             await knowledge.query(about("no"), ME)
         with pytest.raises(SourceError, match="refuses: it does not say why"):
@@ -69,7 +69,7 @@ def test_a_service_is_asked_again_until_it_has_answered_once(ros, names, begin):
     name = names()
 
     async def main():
-        script = await asyncio.to_thread(begin, "somewhere", "knowledge", name, "deaf")
+        process = await asyncio.to_thread(begin, "remote_sources", "knowledge", name, "deaf")
         knowledge = Ros2Knowledge(ros, name, limit=LIMIT)
         await knowledge.update(about("a"), 1, ME)
         assert await asyncio.gather(*[knowledge.query(about("a"), ME) for _ in range(2)]) == [1, 1]
@@ -80,7 +80,7 @@ def test_a_service_is_asked_again_until_it_has_answered_once(ros, names, begin):
         await met.call({"name": "done"}, LIMIT)
         said = []
         while not said or said[-1][2] != "done":
-            said.append(json.loads(await asyncio.to_thread(script.line)))
+            said.append(json.loads(await asyncio.to_thread(process.line)))
         asked = [(service, variable) for service, _, variable, *_ in said]
         assert asked.count(("update", "a")) >= 2
         assert asked.count(("query", "a")) >= 3, "one that is answered does not say that others were"
@@ -95,7 +95,7 @@ def test_a_service_that_is_missing_is_named_with_similar_ones(ros, names, begin)
     name = names()
 
     async def main():
-        await asyncio.to_thread(begin, "somewhere", "knowledge", name)
+        await asyncio.to_thread(begin, "remote_sources", "knowledge", name)
         there = Ros2Knowledge(ros, name, limit=LIMIT)
         await there.query(about("a"), ME)
         knowledge = Ros2Knowledge(ros, f"{name}x", limit=0.5)
@@ -113,13 +113,13 @@ def test_a_service_that_does_not_answer_or_is_killed_is_not_waited_for(ros, name
     name = names()
 
     async def main():
-        script = await asyncio.to_thread(begin, "somewhere", "knowledge", name)
+        process = await asyncio.to_thread(begin, "remote_sources", "knowledge", name)
         patient, knowledge = Ros2Knowledge(ros, name, limit=LIMIT), Ros2Knowledge(ros, name, limit=1.0)
         await patient.query(about("a"), ME)
-        await heard(script)
+        await heard(process)
         with pytest.raises(SourceError, match=f"the service {name}/query did not answer within 1 s"):
             await knowledge.query(about("slow"), ME)
-        await asyncio.to_thread(script.kill)
+        await asyncio.to_thread(process.kill)
         with pytest.raises(SourceError, match=f"the service {name}/update did not answer within 1 s"):
             await knowledge.update(about("a"), 1, ME)  # the graph does not know yet that it is dead
         await patient.close()
@@ -134,7 +134,7 @@ def test_knowledge_that_comes_late_is_waited_for(ros, names, begin):
     async def main():
         knowledge = Ros2Knowledge(ros, name, limit=LIMIT)
         asking = asyncio.ensure_future(knowledge.query(about("a"), ME))
-        await asyncio.to_thread(begin, "somewhere", "knowledge", name)
+        await asyncio.to_thread(begin, "remote_sources", "knowledge", name)
         assert await asking is MISSING
         await knowledge.close()
 
@@ -151,9 +151,9 @@ def test_answers_reach_who_asked_in_whatever_order_they_come(ros, names, begin):
         person = Ros2Person(ros, name, limit=LIMIT)
         first = asyncio.ensure_future(person.query(about("shop", Layer.PERSON, "Which shop?"), ME))
         second = asyncio.ensure_future(person.query(about("USER"), Asker(UUID(int=8), "talk\x1b")))
-        script = await asyncio.to_thread(begin, "somewhere", "person", name, "reversed")  # hears of them although it comes later
+        process = await asyncio.to_thread(begin, "remote_sources", "person", name, "reversed")  # hears of them although it comes later
         assert await asyncio.gather(first, second) == ["shop it is", "USER it is"]
-        said = [await heard(script) for _ in range(4)]
+        said = [await heard(process) for _ in range(4)]
         assert ["ask", "shop", "Which shop?", "tour", '"Which shop?"', ""] in said
         assert ["ask", "USER", "What do you say?", "talk\N{REPLACEMENT CHARACTER}", "null", ""] in said
         assert [one[:2] for one in said].count(["withdraw", "shop"]) == 1, "others who show the question learn that it is answered"
@@ -168,9 +168,9 @@ def test_a_message(ros, names, begin):
 
     async def main():
         person = Ros2Person(ros, name)
-        script = await asyncio.to_thread(begin, "somewhere", "person", name, "never")
+        process = await asyncio.to_thread(begin, "remote_sources", "person", name, "never")
         await person.update(about("CONTROLLER", meta={"status": 1}), {"at": "hall"}, ME)
-        assert await heard(script) == ["tell", "CONTROLLER", '{"at": "hall"}', "tour", '{"status": 1}', '{"at": "hall"}']
+        assert await heard(process) == ["tell", "CONTROLLER", '{"at": "hall"}', "tour", '{"status": 1}', '{"at": "hall"}']
         await person.close()
         with pytest.raises(SourceError, match="nobody can be asked or told anything any more"):
             await person.update(about("USER"), 1, ME)
@@ -185,8 +185,8 @@ def test_a_question_that_nobody_answers_is_withdrawn(ros, names, begin):
         person = Ros2Person(ros, name, limit=0.3)
         with pytest.raises(SourceError, match=f"nobody has answered 'Which shop\\?' within 0.3 s; nobody listens on {name}/questions"):
             await person.query(about("shop", Layer.PERSON, "Which shop?"), ME)
-        script = await asyncio.to_thread(begin, "somewhere", "person", name, "never")
-        assert [(await heard(script))[:2] for _ in range(2)] == [["ask", "shop"], ["withdraw", "shop"]]
+        process = await asyncio.to_thread(begin, "remote_sources", "person", name, "never")
+        assert [(await heard(process))[:2] for _ in range(2)] == [["ask", "shop"], ["withdraw", "shop"]]
         with pytest.raises(SourceError, match=r"nobody has answered 'What is shop\?' within 0\.3 s$"):
             await person.query(about("shop", Layer.PERSON), ME)
         await person.close()
@@ -199,12 +199,12 @@ def test_a_question_that_is_cancelled_is_withdrawn_and_its_late_answer_ignored(r
     name = names()
 
     async def main():
-        script = await asyncio.to_thread(begin, "somewhere", "person", name, "late")
+        process = await asyncio.to_thread(begin, "remote_sources", "person", name, "late")
         person = Ros2Person(ros, name, limit=LIMIT)
         asking = asyncio.ensure_future(person.query(about("shop", Layer.PERSON), ME))
-        assert (await heard(script))[:2] == ["ask", "shop"]
+        assert (await heard(process))[:2] == ["ask", "shop"]
         asking.cancel()
-        assert (await heard(script))[:2] == ["withdraw", "shop"]
+        assert (await heard(process))[:2] == ["withdraw", "shop"]
         while "comes too late, or is for others" not in caplog.text:
             await ros.ask(lambda: None)
         assert asking.cancelled()
@@ -217,7 +217,7 @@ def test_answers_that_are_none_leave_the_question_open(ros, names, begin, caplog
     name = names()
 
     async def main():
-        await asyncio.to_thread(begin, "somewhere", "person", name, "wrong")
+        await asyncio.to_thread(begin, "remote_sources", "person", name, "wrong")
         person = Ros2Person(ros, name, limit=LIMIT)
         assert await person.query(about("shop", Layer.PERSON), ME) is MISSING, "the first that says something counts"
         await person.close()
@@ -242,14 +242,14 @@ def test_closing_ends_open_questions(ros, names, begin):
     name = names()
 
     async def main():
-        script = await asyncio.to_thread(begin, "somewhere", "person", name, "never")
+        process = await asyncio.to_thread(begin, "remote_sources", "person", name, "never")
         person = Ros2Person(ros, name, limit=LIMIT)
         asking = asyncio.ensure_future(person.query(about("shop", Layer.PERSON), ME))
-        await heard(script)
+        await heard(process)
         await person.close()
         with pytest.raises(SourceError, match="the question was not answered before the end"):
             await asking
-        assert (await heard(script))[:2] == ["withdraw", "shop"]
+        assert (await heard(process))[:2] == ["withdraw", "shop"]
 
     run(main())
 

@@ -25,9 +25,9 @@ from pnm.ros.node.messages import import_type, to_message
 from pnm.ros.node.service_client import until_true
 from pnm.ros.sensors.fields import find_field, fitted, value_at
 from pnm.ros.sensors.sensors import Sensors
+from tests.support.pddl.sensed_world import DOMAIN, PROBLEM
 from tests.support.processes import LIMIT
-from tests.support.ros.scripts import run
-from tests.support.sensed_world import DOMAIN, PROBLEM
+from tests.support.ros.child_process import run
 
 BASIC = "test_msgs/msg/BasicTypes"
 
@@ -259,12 +259,12 @@ def test_services_are_polled_and_unknown_when_they_do_not_answer(ros, names, sen
 
     async def main():
         other = await asyncio.to_thread(sensors, {**offered, "service": deaf, "deaf": True})
-        script = await asyncio.to_thread(sensors, offered)
+        process = await asyncio.to_thread(sensors, offered)
         async with listening(ros, file) as world:
             await becomes(world, ("battery", "a1"), 0.5)
-            assert json.loads(await asyncio.to_thread(script.line)) == {"string_value": "a1", "int32_value": 3}
+            assert json.loads(await asyncio.to_thread(process.line)) == {"string_value": "a1", "int32_value": 3}
             await becomes(world, ("dark",), UNKNOWN)
-            await asyncio.to_thread(script.kill)
+            await asyncio.to_thread(process.kill)
             await becomes(world, ("battery", "a1"), UNKNOWN)
             await asyncio.to_thread(sensors, offered)
             await becomes(world, ("battery", "a1"), 0.5)

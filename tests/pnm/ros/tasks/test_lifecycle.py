@@ -18,7 +18,7 @@ from pnm.ros.node.lifecycle import Lifecycle
 from pnm.ros.node.parameters import NodeParameter, declare
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.processes import LIMIT
-from tests.support.ros.scripts import run
+from tests.support.ros.child_process import run
 from tests.support.ros.task_client import TaskClient
 
 NUMBERS = count()
@@ -55,7 +55,7 @@ class Work:
 
 
 @dataclass
-class Scene:
+class ManagedNode:
     ros: RosThread
     work: Work
     lifecycle: Lifecycle
@@ -74,11 +74,11 @@ class Scene:
 
 
 @asynccontextmanager
-async def scene() -> AsyncIterator[Scene]:
+async def managed_node() -> AsyncIterator[ManagedNode]:
     namespace = f"managed{next(NUMBERS)}"
     ros, other = RosThread("pnm", namespace=namespace, managed=True), RosThread("client", namespace=namespace)
     work = Work()
-    one = Scene(ros, work, Lifecycle(ros, work), TaskClient(other))
+    one = ManagedNode(ros, work, Lifecycle(ros, work), TaskClient(other))
     try:
         await one.lifecycle.open()
         await one.state()  # the first answer may get lost, so a transition is not the first that is asked for
@@ -94,7 +94,7 @@ async def scene() -> AsyncIterator[Scene]:
 
 def test_a_node_goes_through_its_states_and_ends():
     async def main():
-        async with scene() as one:
+        async with managed_node() as one:
             states = [await one.state()]
             for label in ("configure", "activate", "deactivate", "activate", "deactivate", "cleanup", "configure", "shutdown"):
                 assert await one.ask(label), label
@@ -110,7 +110,7 @@ def test_a_node_goes_through_its_states_and_ends():
 
 def test_transitions_are_known_by_their_numbers_too():
     async def main():
-        async with scene() as one:
+        async with managed_node() as one:
             for number, state in ((1, "inactive"), (3, "active"), (7, "finalized")):
                 assert await one.ask_number(number)
                 assert await one.state() == state
@@ -121,7 +121,7 @@ def test_transitions_are_known_by_their_numbers_too():
 @pytest.mark.parametrize("label", ["activate", "deactivate", "cleanup", "on_configure_success", "transition_success", "spam", ""])
 def test_what_cannot_be_done_in_a_state_is_refused(label, caplog):
     async def main():
-        async with scene() as one:
+        async with managed_node() as one:
             assert not await one.ask(label)
             assert await one.state() == "unconfigured"
             assert one.work.done == []
@@ -132,7 +132,7 @@ def test_what_cannot_be_done_in_a_state_is_refused(label, caplog):
 
 def test_a_transition_that_fails_says_why_and_leaves_the_state(caplog):
     async def main():
-        async with scene() as one:
+        async with managed_node() as one:
             one.work.wrong["configure"] = InputError("problem.pddl:1:1: expected (define")
             assert not await one.ask("configure")
             assert await one.state() == "unconfigured"
@@ -148,7 +148,7 @@ def test_a_transition_that_fails_says_why_and_leaves_the_state(caplog):
 
 def test_an_error_of_ours_cleans_up(caplog):
     async def main():
-        async with scene() as one:
+        async with managed_node() as one:
             assert await one.ask("configure")
             one.work.wrong["activate"] = ZeroDivisionError("a bug")
             assert not await one.ask("activate")
@@ -162,7 +162,7 @@ def test_an_error_of_ours_cleans_up(caplog):
 
 def test_one_transition_at_a_time_and_the_node_goes_on_answering():
     async def main():
-        async with scene() as one:
+        async with managed_node() as one:
             go_on = one.work.slow["configure"] = asyncio.Event()
             asked = asyncio.ensure_future(one.ask("configure"))
             await one.work.begun.wait()
@@ -180,7 +180,7 @@ def test_one_transition_at_a_time_and_the_node_goes_on_answering():
 
 def test_closing_in_the_middle_of_a_transition_cleans_up():
     async def main():
-        async with scene() as one:
+        async with managed_node() as one:
             one.work.slow["configure"] = asyncio.Event()
             asked = asyncio.ensure_future(one.ask("configure"))
             await one.work.begun.wait()
@@ -193,7 +193,7 @@ def test_closing_in_the_middle_of_a_transition_cleans_up():
 
 def test_the_node_is_finalized_when_it_is_closed():
     async def main():
-        async with scene() as one:
+        async with managed_node() as one:
             assert await one.ask("configure")
             await one.lifecycle.close()
             assert await one.state() == "finalized"

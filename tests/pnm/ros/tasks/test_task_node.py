@@ -22,9 +22,9 @@ from pnm.ros.tasks.executor_topics import TaskTopics
 from pnm.ros.tasks.task_messages import TRACE, run_ending_fields
 from pnm.ros.tasks.task_node import TaskNode, action_names
 from pnm.tasks import Code, OnConflict, TaskEnding, TaskState, Wanted
-from tests.support.ros.scripts import run
+from tests.support.ros.child_process import run
 from tests.support.ros.task_client import ABORTED, CANCELED, LIMIT, SUCCEEDED, SentGoal, TaskClient, uuid_data
-from tests.support.tasks.scripted_tasks import ScriptedTasks, ScriptedWorld, scripted_search
+from tests.support.tasks.fake_tasks import FakeTasks, FakeWorld, fake_search
 
 NUMBERS = count()
 ALL = uuid_data(UUID(int=0))
@@ -40,9 +40,9 @@ def two() -> Iterator[tuple[RosThread, RosThread]]:
 
 
 @dataclass
-class Scene:
+class ServingNode:
     node: TaskNode
-    tasks: ScriptedTasks
+    tasks: FakeTasks
     knowledge: KnowledgeBase
     client: TaskClient
 
@@ -54,13 +54,13 @@ class Scene:
 
 
 @asynccontextmanager
-async def scene(two: tuple[RosThread, RosThread], *, is_active: bool = True, max_queue: int = 1000) -> AsyncIterator[Scene]:
-    knowledge, tasks = KnowledgeBase(), ScriptedTasks(max_queue)
-    node = TaskNode(two[0], tasks, scripted_search, ScriptedWorld(knowledge), {"running": "running_tour"})
+async def serving_node(two: tuple[RosThread, RosThread], *, is_active: bool = True, max_queue: int = 1000) -> AsyncIterator[ServingNode]:
+    knowledge, tasks = KnowledgeBase(), FakeTasks(max_queue)
+    node = TaskNode(two[0], tasks, fake_search, FakeWorld(knowledge), {"running": "running_tour"})
     await node.open()
     if is_active:
         await node.activate()
-    one = Scene(node, tasks, knowledge, TaskClient(two[1]))
+    one = ServingNode(node, tasks, knowledge, TaskClient(two[1]))
     try:
         yield one
     finally:
@@ -84,7 +84,7 @@ async def heard(queue: asyncio.Queue[dict[str, Any]], found: Any) -> dict[str, A
 
 def test_a_goal_while_the_node_is_inactive_is_rejected_and_a_later_one_is_not(two):
     async def main():
-        async with scene(two, is_active=False) as one:
+        async with serving_node(two, is_active=False) as one:
             for action in ("achieve_goal", "execute_plan", "plan"):
                 assert not await (await one.client.send(action)).accepted
             assert not one.tasks.wanted
@@ -112,7 +112,7 @@ def test_a_goal_while_the_node_is_inactive_is_rejected_and_a_later_one_is_not(tw
 )
 def test_what_is_wrong_with_a_goal_is_in_its_result(two, action, goal, said):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             status, result = await (await one.client.send(action, **goal)).result()
             assert (status, result["code"], result["reason"]) == (ABORTED, Code.INVALID_GOAL, "invalid_goal")
             assert said in result["message"]
@@ -123,7 +123,7 @@ def test_what_is_wrong_with_a_goal_is_in_its_result(two, action, goal, said):
 
 def test_every_code_arrives_and_only_one_is_a_success(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             goals = {code: await one.goal(code.word) for code in Code}
             for code, goal in goals.items():
                 status, result = await goal.result()
@@ -135,7 +135,7 @@ def test_every_code_arrives_and_only_one_is_a_success(two):
 
 def test_a_full_queue_says_so(two):
     async def main():
-        async with scene(two, max_queue=2) as one:
+        async with serving_node(two, max_queue=2) as one:
             for _ in range(2):
                 await one.goal("queued")
             status, result = await one.ended("queued")
@@ -146,7 +146,7 @@ def test_a_full_queue_says_so(two):
 
 def test_an_id_is_that_of_one_task_only(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             first = await one.goal("running")
             for action, id, fields in (("execute_plan", first.id, {"plan": "running"}), ("achieve_goal", UUID(int=0), {"goal": "running"})):
                 status, result = await (await one.client.send(action, id, **fields)).result()
@@ -160,7 +160,7 @@ def test_an_id_is_that_of_one_task_only(two):
 
 def test_a_failure_inside_is_a_result_too(two, caplog):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             one.tasks.begin = None  # type: ignore[method-assign,assignment]
             status, result = await one.ended("running")
             assert (status, result["code"]) == (ABORTED, Code.ERROR)
@@ -173,7 +173,7 @@ def test_a_failure_inside_is_a_result_too(two, caplog):
 @pytest.mark.parametrize("service", ["pause", "resume", "cancel"])
 def test_requests_about_unknown_tasks_are_refused(two, service):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             id = uuid4()
             answer = await one.client.call(f"executor/{service}", task=uuid_data(id))
             assert answer == {"success": False, "message": f"there is no task {id}"}
@@ -183,7 +183,7 @@ def test_requests_about_unknown_tasks_are_refused(two, service):
 
 def test_a_task_that_is_not_paused_is_not_resumed(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             goal = await one.goal("running")
             answer = await one.client.call("executor/resume", task=uuid_data(goal.id))
             assert answer == {"success": False, "message": f"the task {goal.id} is not paused"}
@@ -193,7 +193,7 @@ def test_a_task_that_is_not_paused_is_not_resumed(two):
 
 def test_a_client_that_disappears_leaves_its_goal_behind(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             goal = await one.goal("running")
             await one.client.close()
             one.client = TaskClient(two[1])
@@ -207,7 +207,7 @@ def test_a_client_that_disappears_leaves_its_goal_behind(two):
 
 def test_closing_cancels_everything_and_answers_everybody(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             goals = [await one.goal(text) for text in ("running", "queued")] + [await one.client.send("plan", goal="planning")]
             await one.node.close(5.0)
             for goal in goals:
@@ -219,7 +219,7 @@ def test_closing_cancels_everything_and_answers_everybody(two):
 
 def test_a_task_that_does_not_end_is_not_waited_for_without_end(two, caplog):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             goal = await one.goal("stubborn")
             await one.node.close(0.1)
             one.tasks.open.clear()
@@ -238,7 +238,7 @@ def test_a_task_that_does_not_end_is_not_waited_for_without_end(two, caplog):
 @pytest.mark.parametrize("by", ["client", "service", "all"])
 def test_a_goal_is_cancelled_in_every_state(two, text, by):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             goal = await one.goal("running" if text == "paused" else text)
             if text == "paused":
                 assert (await one.client.call("executor/pause", task=uuid_data(goal.id)))["success"]
@@ -255,7 +255,7 @@ def test_a_goal_is_cancelled_in_every_state(two, text, by):
 
 def test_a_goal_is_not_canceled_before_its_task_has_ended(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             goal = await one.goal("stubborn")
             assert await one.client.cancel(goal) == 1
             await goal.is_in(TaskState.CANCELLING)
@@ -268,7 +268,7 @@ def test_a_goal_is_not_canceled_before_its_task_has_ended(two):
 
 def test_a_goal_that_is_reached_while_it_is_cancelled_has_succeeded(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             for code, status in ((Code.GOAL_REACHED, SUCCEEDED), (Code.ACTION_FAILED, ABORTED)):
                 goal = await one.goal("stubborn")
                 assert await one.client.cancel(goal) == 1
@@ -280,7 +280,7 @@ def test_a_goal_that_is_reached_while_it_is_cancelled_has_succeeded(two):
 
 def test_a_search_for_a_plan_is_given_up(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             search = await one.client.send("plan", goal="planning")
             assert (await search.hears(lambda told: told["seconds"] > 0.5))["seconds"] < LIMIT
             assert await one.client.cancel(search) == 1
@@ -292,7 +292,7 @@ def test_a_search_for_a_plan_is_given_up(two):
 
 def test_one_task_is_paused_and_goes_on(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             goal, other = await one.goal("running"), await one.goal("running")
             assert (await one.client.call("executor/pause", task=uuid_data(goal.id), at_once=True))["success"]
             assert [status.state for status in one.tasks.status()] == [TaskState.PAUSED, TaskState.RUNNING]
@@ -305,7 +305,7 @@ def test_one_task_is_paused_and_goes_on(two):
 
 def test_tasks_are_paused_while_the_node_is_inactive(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             goal = await one.goal("running")
             await one.node.deactivate()
             assert one.tasks.open[goal.id].state is TaskState.PAUSED
@@ -321,7 +321,7 @@ def test_tasks_are_paused_while_the_node_is_inactive(two):
 
 def test_what_somebody_has_paused_does_not_go_on_because_the_node_does(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             goal = await one.goal("running")
             assert (await one.client.call("executor/pause", task=ALL))["success"]
             await one.node.deactivate()
@@ -335,7 +335,7 @@ def test_what_somebody_has_paused_does_not_go_on_because_the_node_does(two):
 
 def test_what_is_paused_by_itself_does_not_go_on_with_the_others(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             paused, resumed, other = await one.goal("running"), await one.goal("running"), await one.goal("running")
             for goal in (paused, resumed):
                 assert (await one.client.call("executor/pause", task=uuid_data(goal.id)))["success"]
@@ -360,7 +360,7 @@ def test_what_is_paused_by_itself_does_not_go_on_with_the_others(two):
 
 def test_a_plan_with_an_action_of_its_own_is_a_task_like_others(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             goal = await one.client.send("running_tour", parameters="{shop: bakery}")
             assert await goal.hears(lambda told: told["running"]) == {"running": ["move(r1, hall)"], "ended": 1, "restarts": 0}
             assert one.tasks.wanted == [Wanted(goal.id, "running", parameters={"shop": "bakery"}, is_plan=True)]
@@ -404,7 +404,7 @@ def test_plans_have_names_that_can_be_told_apart(two):
 
 def test_what_is_wanted_arrives_as_it_was_said(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             await one.goal(" running ", priority=-3, deadline=2.5, policy=2)
             await one.client.send("execute_plan", plan="running fast", parameters="{shop: bakery}", priority=7)
             goal = Wanted(one.tasks.wanted[0].id, "running", -3, 2.5, OnConflict.QUEUE)
@@ -416,7 +416,7 @@ def test_what_is_wanted_arrives_as_it_was_said(two):
 
 def test_feedback_tells_how_the_task_is_doing(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             goal = await one.goal("running", priority=2)
             told = await goal.is_in(TaskState.RUNNING)
             assert told["plan"] == ["move(r1, hall)", "pick(r1, cup)"]
@@ -430,7 +430,7 @@ def test_feedback_tells_how_the_task_is_doing(two):
 
 def test_a_result_has_the_last_events_and_what_a_plan_gives_back(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             goal = await one.client.send("execute_plan", plan="running")
             one.tasks.tell(goal.id, TRACE)
             one.tasks.end(goal.id, Code.GOAL_REACHED)
@@ -445,7 +445,7 @@ def test_a_result_has_the_last_events_and_what_a_plan_gives_back(two):
 
 def test_a_plan_is_looked_for(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             status, result = await (await one.client.send("plan", goal="(at r1 hall)", planner="kairos", timeout=2.5)).result()
             assert (status, result["code"], result["message"]) == (SUCCEEDED, Code.GOAL_REACHED, "kairos 2.5")
             assert (result["plan"]["goal"], result["plan"]["task"]) == ("(at r1 hall)", ALL)
@@ -472,7 +472,7 @@ def test_the_status_says_that_a_task_is_over_before_its_client_is_told(two, monk
     note(GoalServer, "end", "answer")
 
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             status = await one.client.subscribe("executor/status")
             goal = await one.goal("running")
             await heard(status, lambda told: not told["tasks"])
@@ -488,7 +488,7 @@ def test_the_status_says_that_a_task_is_over_before_its_client_is_told(two, monk
 
 def test_who_comes_late_learns_how_everything_is(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             goal = await one.goal("running")
             assert (await one.client.call("executor/pause", task=ALL))["success"]
             status = await heard(await one.client.subscribe("executor/status"), lambda told: told["paused"])
@@ -503,7 +503,7 @@ def test_who_comes_late_learns_how_everything_is(two):
 
 def test_what_is_over_is_no_longer_told(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             goal = await one.goal("running")
             queues = [await one.client.subscribe(f"executor/{name}") for name in ("plan", "net")]
             for queue, name in zip(queues, ("plans", "nets"), strict=True):
@@ -517,7 +517,7 @@ def test_what_is_over_is_no_longer_told(two):
 
 def test_markings_and_events_are_told_to_those_who_listen(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             first = await one.goal("running")
             markings = await one.client.subscribe("executor/marking")
             told = await heard(markings, lambda told: bytes(told["task"]["uuid"]) == first.id.bytes)
@@ -535,7 +535,7 @@ def test_markings_and_events_are_told_to_those_who_listen(two):
 
 def test_changes_of_the_knowledge_are_counted(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             changes = await one.client.subscribe("knowledge/changes")
             until, number = asyncio.get_running_loop().time() + LIMIT, 0
             while changes.empty() and asyncio.get_running_loop().time() < until:
@@ -554,7 +554,7 @@ def test_changes_of_the_knowledge_are_counted(two):
 
 def test_what_is_known_and_the_problem_may_be_asked_for(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             one.knowledge.update({("clean", "a"): True})
             answer = await one.client.call("knowledge/query", questions=["(clean a)", "(clean b)"])
             assert (answer["facts"], answer["values"]) == (["(clean a)", "(clean b)"], ["true", "false"])
@@ -571,7 +571,7 @@ def test_what_is_known_and_the_problem_may_be_asked_for(two):
 
 def test_a_hundred_goals_at_once_are_all_answered(two):
     async def main():
-        async with scene(two) as one:
+        async with serving_node(two) as one:
             await one.client.meet("achieve_goal")
             goals = await asyncio.gather(*(one.goal("running") for _ in range(100)))
             assert len(one.tasks.open) == 100

@@ -18,7 +18,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from pnm.ros.action_server import KnowledgeError, PnmActionServer
-from tests.support.e2e.workers import say
+from tests.support.e2e.programs.plain_servers import say
 
 
 class Knowing(Node):  # type: ignore[misc]

@@ -6,11 +6,11 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
-from tests.support.e2e.plans import Serving, Workers
+from tests.support.e2e.deployment import RosDomain, written
+from tests.support.e2e.mall.scripts import file_of, script
+from tests.support.e2e.mall.verdict import Verdict, verdict_on
+from tests.support.e2e.plan_deployment import Serving, Workers
 from tests.support.e2e.processes import ROOT, Program
-from tests.support.e2e.scene import Place, written
-from tests.support.mall.judge import Verdict, judge
-from tests.support.mall.scripts import file_of, script
 
 DOMAIN: Final = ROOT / "domains" / "mall"
 SPEED: Final = "80"
@@ -21,7 +21,7 @@ EACH: Final = 60.0
 """Seconds for a script, at most; most take about one."""
 
 
-class Mall(Place):
+class Mall(RosDomain):
     """A ROS domain with a robot and a node.
 
     Args:
@@ -34,8 +34,8 @@ class Mall(Place):
         super().__init__(folder, ros_domain)
         self._patience = patience
 
-    def play(self, numbers: Iterable[int]) -> Verdict:
-        """Play scripts one after the other, and judge them."""
+    def execute(self, numbers: Iterable[int]) -> Verdict:
+        """Run scripts one after the other; return the verdict."""
         numbers = list(numbers)
         robot = self.start(Workers([str(DOMAIN / "robot.py"), SPEED], self.environment))
         node = self.start(Serving(["-m", "planner_bridge", "serve", *self._files()], self.environment))
@@ -45,7 +45,7 @@ class Mall(Place):
         visitor = self.start(Program([str(DOMAIN / "visitor.py"), scripts], self.environment))
         assert visitor.ended(60.0 + EACH * len(numbers)) == 0, str(visitor)
         node.stop()
-        return judge([script(number) for number in numbers], robot.objects(), visitor.objects())
+        return verdict_on([script(number) for number in numbers], robot.objects(), visitor.objects())
 
     def keep(self, folder: Path) -> None:
         """Write down what the processes have printed."""

@@ -233,7 +233,7 @@ class Chaos:
     """What will still be said, by who says it."""
     sent: list[str] = field(default_factory=list)
 
-    def play(self, steps: int = 20_000) -> Iterator[None]:
+    def drive(self, steps: int = 20_000) -> Iterator[None]:
         """Go on to the end, which must come; yield after every event."""
         self._handle(Begin())
         yield

@@ -30,7 +30,7 @@ LIMIT = 20000.0
 """Virtual seconds within which everything must be over."""
 
 
-class Stage(TaskListener):
+class TaskSimulation(TaskListener):
     """A master of tasks over simulated robots; what is wanted of it and what has come of that."""
 
     def __init__(
@@ -44,11 +44,11 @@ class Stage(TaskListener):
         make_backend: Callable[[Problem, Bindings, Faults], SimulatedBackend] = simulated_backend,
     ) -> None:
         self.problem = problem
-        self.site = make_backend(problem, chosen.bindings, faults)
+        self.backend = make_backend(problem, chosen.bindings, faults)
         self.knowledge = initial_knowledge(problem)
-        self.performer = None if programs is None else Performer(programs, self.site, self.knowledge, source)
+        self.performer = None if programs is None else Performer(programs, self.backend, self.knowledge, source)
         self.master = TaskManager(
-            problem, self.knowledge, self.site, chosen, self.read, source=source, limits=limits, performer=self.performer
+            problem, self.knowledge, self.backend, chosen, self.read, source=source, limits=limits, performer=self.performer
         )
         self.master.listen(self)
         self.goals: dict[UUID, str] = {}
@@ -89,7 +89,7 @@ class Stage(TaskListener):
         text = self.goals[task]
         is_goal = text.startswith("(") and not any(text.startswith(f"({name}") for name in self.problem.domain.actions)
         if is_goal and ending.code is Code.GOAL_REACHED:
-            for state in (self.knowledge, self.site.robots.world.truth):
+            for state in (self.knowledge, self.backend.robots.world.truth):
                 if evaluate(self.read(text), state) is not True:
                     self.wrong.append(f"{text} is said to be reached, and is not")
         self.wrong += [f"{one} belongs to no task" for one in self.orphans()]
@@ -104,14 +104,14 @@ class Stage(TaskListener):
         runs = [one.control.run for one in self.master._tasks.values() if one.control.run]
         runs += [one.executor.run for one in self.performer.going_on] if self.performer else []
         wanted = {request for run in runs for request in run.open_requests}
-        jobs = self.site.robots._jobs
+        jobs = self.backend.robots._jobs
         return [str(job.request.action) for id, job in jobs.items() if id not in wanted and not (job.fault and job.fault.ignores_cancel)]
 
     def _stir(self) -> None:
         self._news.set()
         self._news = asyncio.Event()
 
-    # --- what scenes do and wait for --------------------------------------------------------------
+    # --- what scenarios do and wait for -----------------------------------------------------------
 
     def want(self, text: str, **how: object) -> UUID:
         wanted = Wanted(uuid4(), text, **how)  # type: ignore[arg-type]
@@ -158,7 +158,7 @@ class Stage(TaskListener):
         return self.endings[task].trace[-1].time
 
     def holds(self, text: str) -> bool:
-        return self.site.robots.world.holds(self.read(text))
+        return self.backend.robots.world.holds(self.read(text))
 
 
 def _objects(problem: Problem) -> str:
@@ -176,8 +176,8 @@ class _Errors(logging.Handler):
         self.found.append(self.format(record))
 
 
-def play(
-    scene: Callable[[Stage], Awaitable[None]],
+def simulate_tasks(
+    scenario: Callable[[TaskSimulation], Awaitable[None]],
     problem: Problem | None = None,
     *,
     faults: Faults = NO_FAULTS,
@@ -187,29 +187,29 @@ def play(
     source: Source | None = None,
     make_backend: Callable[[Problem, Bindings, Faults], SimulatedBackend] = simulated_backend,
 ) -> None:
-    """Play a scene, close the master, and see that nothing was against the rules."""
+    """Run a scenario, close the task manager, and check that nothing was against the rules."""
     errors = _Errors()
 
     async def whole() -> None:
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(lambda _, context: errors.found.append(str(context)))
-        stage = Stage(problem or fleet(), faults, chosen, limits or TaskLimits(), programs, source, make_backend)
-        await stage.site.open(stage.knowledge)
+        simulation = TaskSimulation(problem or fleet(), faults, chosen, limits or TaskLimits(), programs, source, make_backend)
+        await simulation.backend.open(simulation.knowledge)
         try:
-            await scene(stage)
+            await scenario(simulation)
         finally:
-            await asyncio.wait_for(stage.master.close(), LIMIT)
-            left = stage.orphans()
-            await stage.site.close()
-        assert stage.goals.keys() == stage.endings.keys(), "every task has an end"
+            await asyncio.wait_for(simulation.master.close(), LIMIT)
+            left = simulation.orphans()
+            await simulation.backend.close()
+        assert simulation.goals.keys() == simulation.endings.keys(), "every task has an end"
         await asyncio.sleep(0)
         gc.collect()
         await asyncio.sleep(0)
         others = [one for one in asyncio.all_tasks() if one is not asyncio.current_task()]
-        assert not stage.wrong, stage.wrong
+        assert not simulation.wrong, simulation.wrong
         assert not left, f"{left} go on after the end"
         assert not others, others
-        clashes = stage.site.robots.clashes
+        clashes = simulation.backend.robots.clashes
         assert not clashes, clashes
 
     logging.getLogger().addHandler(errors)

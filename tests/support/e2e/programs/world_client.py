@@ -1,4 +1,4 @@
-"""Asks the node that takes goals about the world, and prints a JSON object per answer. Run as a script."""
+"""Asks the node that takes goals about the world, and prints a JSON object per answer. Run as a module."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ Choose = Callable[[random.Random], str]
 
 
 @dataclass(frozen=True)
-class Setting:
+class ScenarioWorld:
     """A world, what robots there have for themselves, and what may be wanted and happen in it."""
 
     problem: Problem
@@ -103,28 +103,28 @@ def _delivery_change(rng: random.Random) -> Mapping[Fluent, Value]:
 
 
 @cache
-def all_settings() -> tuple[Setting, ...]:
+def scenario_worlds() -> tuple[ScenarioWorld, ...]:
     folder = ROOT / "problems" / "delivery"
     delivery = load(ROOT / "domains" / "delivery" / "domain.pddl", folder / "p01.pddl")
     robots = dict.fromkeys(delivery.domain.actions, ("{robot}",))
     robots["load"] = ("{robot}", "lift")
     return (
-        Setting(fleet(3), dict.fromkeys(("move", "pick", "drop"), ("{r}",)), _fleet_goal, _fleet_plan, _fleet_change),
-        Setting(fleet(3), {"move": ("{r}",), "pick": ("{r}", "lift"), "drop": ("lift",)}, _fleet_goal, _fleet_plan, _fleet_change),
-        Setting(rooms(), {"move": ("{r}", "floor"), "sweep": ("floor",)}, _rooms_goal, _rooms_plan, _rooms_change),
-        Setting(
+        ScenarioWorld(fleet(3), dict.fromkeys(("move", "pick", "drop"), ("{r}",)), _fleet_goal, _fleet_plan, _fleet_change),
+        ScenarioWorld(fleet(3), {"move": ("{r}",), "pick": ("{r}", "lift"), "drop": ("lift",)}, _fleet_goal, _fleet_plan, _fleet_change),
+        ScenarioWorld(rooms(), {"move": ("{r}", "floor"), "sweep": ("floor",)}, _rooms_goal, _rooms_plan, _rooms_change),
+        ScenarioWorld(
             matches(5),
             {"mend": ("hand",)},
             _matches_goal,
             lambda rng: f"0: (strike m{rng.randrange(5)}) [8]\n1: (mend f{rng.randrange(5)} m{rng.randrange(5)}) [5]",
             _matches_change,
         ),
-        Setting(
+        ScenarioWorld(
             tanks("8"),
             {"pour": ("{from}", "{to}")},
             _tanks_goal,
             lambda rng: "(unlock b)\n(pour a b)",
             _tanks_change,
         ),
-        Setting(delivery, robots, _delivery_goal, lambda rng: "(move r1 store hall)\n(move r1 hall store)", _delivery_change),
+        ScenarioWorld(delivery, robots, _delivery_goal, lambda rng: "(move r1 store hall)\n(move r1 hall store)", _delivery_change),
     )

@@ -1,4 +1,4 @@
-"""An executive as far as action servers see it: sends goals, and answers what they ask. Run as a script, it never answers."""
+"""The executor of a run as far as action servers see it: sends goals, and answers what they ask. Run as a module, it never answers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from pnm.ros.node.ros_thread import RosThread
 
 
 @dataclass
-class Executive:
+class FakeExecutor:
     """One run, whose local variables are `local`, and its goals."""
 
     ros: RosThread
@@ -43,7 +43,7 @@ class Executive:
         self.clients: dict[str, Ros2ActionClient] = {}
 
     def new_id(self) -> UUID:
-        """Return an id as the runs and goals of this executive have them."""
+        """Return an id as the runs and goals of this executor have them."""
         return UUID(bytes=self.mark + uuid5(uuid4(), "goal").bytes[4:])
 
     def find(self, goal: UUID) -> tuple[Layered, Asker] | None:
@@ -93,9 +93,11 @@ class Executive:
 
 
 @asynccontextmanager
-async def executive(ros: RosThread, shared: Sequence[Source] | None = None, person: Source | None = None) -> AsyncIterator[Executive]:
-    """Open an executive with global knowledge in memory, or these."""
-    one = Executive(ros, Sources([MemoryKnowledge()] if shared is None else shared, person))
+async def fake_executor(
+    ros: RosThread, shared: Sequence[Source] | None = None, person: Source | None = None
+) -> AsyncIterator[FakeExecutor]:
+    """Open an executor with global knowledge in memory, or these."""
+    one = FakeExecutor(ros, Sources([MemoryKnowledge()] if shared is None else shared, person))
     await one.services.open()
     try:
         yield one
@@ -113,7 +115,7 @@ class Never(MemoryKnowledge):
 
 
 async def main(server: str) -> None:
-    async with executive(RosThread("executive"), [Never()]) as one:
+    async with fake_executor(RosThread("fake_executor"), [Never()]) as one:
         sys.stdout.write("ready\n")
         sys.stdout.flush()
         await one.send(server, "query", "global", "spam", None, 3.0)

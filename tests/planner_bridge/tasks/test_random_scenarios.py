@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.tasks.task_scripts import play_script
+from tests.support.tasks.random_scenarios import run_scenario
 
 BROKEN = {
     75: "paused right after it was cancelled",
@@ -18,4 +18,4 @@ BROKEN = {
 
 @pytest.mark.parametrize("number", [*BROKEN, *range(60)])
 def test_a_random_script_is_played_to_its_end(number: int):
-    play_script(number)
+    run_scenario(number)

@@ -31,7 +31,7 @@ P = TypeVar("P", bound=Program)
 
 
 @dataclass(frozen=True)
-class Story:
+class Finished:
     """A run that has ended, and the world after it."""
 
     status: int
@@ -86,11 +86,11 @@ class Run(Program):
         return status, self.objects()[-1]
 
 
-class Place:
+class RosDomain:
     """A ROS domain of its own, and the processes in it.
 
     Args:
-        folder: for the files of the scene.
+        folder: for the files of the deployment.
         ros_domain: its number.
         quick: have processes look out for each other more often than every 3 s, which is the default.
     """
@@ -107,7 +107,7 @@ class Place:
         self._programs: list[Program] = []
 
     def start(self, program: P) -> P:
-        """Have a program end with the scene."""
+        """Have a program end with the deployment."""
         self._programs.append(program)
         return program
 
@@ -117,12 +117,12 @@ class Place:
             program.close()
 
 
-class Scene(Place):
-    """A problem that is played in a ROS domain of its own.
+class ProblemDeployment(RosDomain):
+    """A problem that is executed in a ROS domain of its own.
 
     Args:
         name: one of the project's own problems, such as ``delivery/p01``.
-        folder: for the files of the scene.
+        folder: for the files of the deployment.
         ros_domain: its number.
         faults: text of a faults file; by default nothing goes wrong.
         bindings: text of a bindings file; by default the domain's own.
@@ -168,19 +168,19 @@ class Scene(Place):
         options = ("--actions", "ros2", "--json", *self._bindings, *options)
         return self.start(Run(["-m", "planner_bridge", "run", *self.files, *options], self.environment, within))
 
-    def play(self, *options: str) -> Story:
-        """Start the robots and a run, wait for its end, and judge it."""
+    def execute(self, *options: str) -> Finished:
+        """Start the robots and a run, and wait for its end; the verdict must be true."""
         simulation = self.simulate().ready()
-        return self.judge(self.run(*options), simulation)
+        return self.finish(self.run(*options), simulation)
 
-    def judge(self, run: Run, simulation: Simulation, limit: float = LIMIT) -> Story:
+    def finish(self, run: Run, simulation: Simulation, limit: float = LIMIT) -> Finished:
         """Wait for the end of the run and stop the robots; the verdict must be what is true in their world."""
         status, result = run.result(limit)
         simulation.stop()
         truth = self.truth(simulation)
         assert result["goal_reached"] is (evaluate(self.problem.goal, truth) is True), f"{run}\n{simulation}"
         assert status == (0 if result["goal_reached"] else 1)
-        return Story(status, result, simulation.objects(), truth)
+        return Finished(status, result, simulation.objects(), truth)
 
     def truth(self, simulation: Simulation) -> KnowledgeBase:
         """Return the world that is left: the initial state and all changes in the log."""
@@ -193,11 +193,11 @@ class Scene(Place):
         return world
 
 
-def play_together(*scenes: Scene) -> list[Story]:
-    """Play several scenes at the same time."""
-    simulations = [scene.simulate() for scene in scenes]
-    runs = [scene.run() for scene, simulation in zip(scenes, simulations, strict=True) if simulation.ready()]
-    return [scene.judge(run, simulation) for scene, run, simulation in zip(scenes, runs, simulations, strict=True)]
+def execute_together(*scenes: ProblemDeployment) -> list[Finished]:
+    """Execute several problems at the same time."""
+    simulations = [deployment.simulate() for deployment in scenes]
+    runs = [deployment.run() for deployment, simulation in zip(scenes, simulations, strict=True) if simulation.ready()]
+    return [deployment.finish(run, simulation) for deployment, run, simulation in zip(scenes, runs, simulations, strict=True)]
 
 
 def written(path: Path, text: str) -> str:

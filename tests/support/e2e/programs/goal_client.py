@@ -1,4 +1,4 @@
-"""A client of `achieve_goal` and of the life cycle that knows only ROS 2; prints what it hears, a JSON object per line. Run as a script.
+"""A client of `achieve_goal` and of the life cycle that knows only ROS 2; prints what it hears, a JSON object per line. Run as a module.
 
 goal_client.py send GOAL...            sends the goals, all at once, and waits for their results
 goal_client.py change LABEL...         asks the node /pnm for transitions, one after the other

@@ -13,7 +13,7 @@ from tests.support.files import ROOT
 from tests.support.processes import LIMIT
 
 
-class Script:
+class ChildProcess:
     """One of the scripts, once it is ready; `said` is for tests to note what they have heard last."""
 
     def __init__(self, name: str, *arguments: str) -> None:

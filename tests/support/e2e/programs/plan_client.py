@@ -1,4 +1,4 @@
-"""A client of a plan's action server that knows nothing of this project but the type of its goals. Run as a script.
+"""A client of a plan's action server that knows nothing of this project but the type of its goals. Run as a module.
 
     plan_client.py PLAN CANCEL_ON PARAMETERS...    sends a goal for each of the parameters, all at once
     plan_client.py --cancel-all SERVER             cancels whatever goals an action server has

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, Final
 
-from tests.support.mall.scripts import Script
+from tests.support.e2e.mall.scripts import Script
 
 Line = Mapping[str, Any]
 
@@ -57,20 +57,20 @@ class Doing:
         return self.call.partition("(")[0]
 
 
-def judge(scripts: Sequence[Script], robot: Sequence[Line], visitor: Sequence[Line]) -> Verdict:
-    """Return what is to be said about scripts that were played one after the other."""
+def verdict_on(scripts: Sequence[Script], robot: Sequence[Line], visitor: Sequence[Line]) -> Verdict:
+    """Return the verdict on scripts that were run one after the other."""
     verdict = Verdict()
     doings = list(_doings(robot, verdict))
     verdict.wrong += _clashes(doings)
     for one in scripts:
         begin, end = _bounds(one["name"], visitor)
         if begin is None or end is None:
-            verdict.wrong.append(f"script {one['name']} was not played to its end")
+            verdict.wrong.append(f"script {one['name']} was not run to its end")
             continue
         verdict.scripts += 1
         lines = [line for line in visitor if begin <= line["time"] <= end]
         states = [line for line in visitor if line["event"] == "state"]  # they may come after the end
-        _Play(one, [doing for doing in doings if begin <= doing.start <= end], lines, states, verdict).judge()
+        _Check(one, [doing for doing in doings if begin <= doing.start <= end], lines, states, verdict).verdict_on()
     return verdict
 
 
@@ -102,14 +102,14 @@ def _bounds(name: str, visitor: Sequence[Line]) -> tuple[float | None, float | N
 
 
 @dataclass(frozen=True)
-class _Play:
+class _Check:
     script: Script
     doings: Sequence[Doing]
     lines: Sequence[Line]
     states: Sequence[Line]
     verdict: Verdict
 
-    def judge(self) -> None:
+    def verdict_on(self) -> None:
         for wish in self.script["requests"]:
             about = wish.get("shop") or wish["topic"]
             self.verdict.requests += 1

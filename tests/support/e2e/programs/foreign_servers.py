@@ -1,4 +1,4 @@
-"""Action servers that know nothing of this project, of types that are not ours. Run as a script.
+"""Action servers that know nothing of this project, of types that are not ours. Run as a module.
 
 ``count`` returns Fibonacci numbers, ``measure`` a number twice that of its goal. Each goal received is
 printed as a JSON object: what the servers say of it is the truth.

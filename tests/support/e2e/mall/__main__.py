@@ -1,4 +1,4 @@
-"""Plays random scripts and judges them: ``python -m tests.support.mall --seeds 200``."""
+"""Plays random scripts and judges them: ``python -m tests.support.e2e.mall --seeds 200``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import time
 from contextlib import closing
 from pathlib import Path
 
-from tests.support.mall.scene import Mall
+from tests.support.e2e.mall.deployment import Mall
 from tests.support.ros.domains import ros_domain
 
 
@@ -23,7 +23,7 @@ def main() -> int:
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as folder, ros_domain() as domain, closing(Mall(Path(folder), domain)) as mall:
         try:
-            verdict = mall.play(range(given.first, given.first + given.seeds))
+            verdict = mall.execute(range(given.first, given.first + given.seeds))
         finally:
             if given.keep:
                 mall.keep(given.keep)

@@ -36,7 +36,7 @@ _STEPS = (
 
 
 @dataclass
-class ScriptedTasks:
+class FakeTasks:
     """Does not more than it says; `wanted` has everything that was."""
 
     max_queue: int = 100
@@ -150,7 +150,7 @@ class ScriptedTasks:
             one.ended(task, ending)
 
 
-async def scripted_search(goal: str, planner: str, limit: float | None) -> MadePlan:
+async def fake_search(goal: str, planner: str, limit: float | None) -> MadePlan:
     """Find a plan at once for any goal but "no_plan", or never for "planning"."""
     if goal == "planning":
         await asyncio.get_running_loop().create_future()
@@ -162,7 +162,7 @@ async def scripted_search(goal: str, planner: str, limit: float | None) -> MadeP
 
 
 @dataclass
-class ScriptedWorld:
+class FakeWorld:
     """Facts without a problem around them."""
 
     knowledge: KnowledgeBase
@@ -193,9 +193,9 @@ class ScriptedWorld:
         return {"added": added, "fluents": [*numbers], "values": [*numbers.values()]}
 
 
-async def open_scripted(context: NodeContext) -> NodeApi:
+async def make_fake_tasks(context: NodeContext) -> NodeApi:
     """Stand in for `planner_bridge.node.serve.make_task_manager` where there are goals to be pursued."""
     if context.problem is None:
         return await make_task_manager(context)
-    tasks = ScriptedTasks(context.options.max_queue)
-    return NodeApi(tasks, scripted_search, ScriptedWorld(context.knowledge), lambda _: None, partial(asyncio.sleep, 0))
+    tasks = FakeTasks(context.options.max_queue)
+    return NodeApi(tasks, fake_search, FakeWorld(context.knowledge), lambda _: None, partial(asyncio.sleep, 0))

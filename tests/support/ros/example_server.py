@@ -1,4 +1,4 @@
-"""The example of `pnm.ros.action_server.python_server` as a process. Run as a script; prints "ready" once it serves."""
+"""The example of `pnm.ros.action_server.python_server` as a process. Run as a module; prints "ready" once it serves."""
 
 from __future__ import annotations
 

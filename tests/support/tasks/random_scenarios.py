@@ -1,7 +1,7 @@
-"""Random scripts of what people do to many tasks while things go wrong.
+"""Random scenarios: what people do to many tasks while things go wrong.
 
-A script is drawn from a number: how the stage is set at once, what people do while they do it. The judge looks after each
-pause and each cancellation, and at the end; the stage itself looks all the time.
+A scenario is drawn from a number: the world and the faults at once, what people do while they do it. The rules are checked after
+each pause and each cancellation, and at the end; the simulation itself checks its own all the time.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from pnm.knowledge.sources.source import Asker, SourceError
 from pnm.language.plan import HandWrittenPlan
 from pnm.language.runner import Program
 from pnm.tasks import Code, OnConflict, TaskRefused, TaskState
-from tests.support.tasks.task_settings import Setting, all_settings
-from tests.support.tasks.task_stage import Stage, play
+from tests.support.tasks.scenario_worlds import ScenarioWorld, scenario_worlds
+from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 
 Tell: TypeAlias = Callable[[str], None]
 
@@ -38,14 +38,14 @@ _OFTEN: Final = 12
 """Whoever makes way for others more often than that does nothing else."""
 
 
-def play_script(number: int, tell: Tell = lambda text: None) -> Counter[Code]:
-    """Play the script of this number to its end; return how many tasks have ended how."""
+def run_scenario(number: int, tell: Tell = lambda text: None) -> Counter[Code]:
+    """Run the scenario of this number to its end; return how many tasks have ended how."""
     rng = random.Random(number)
-    script = draw(rng)
+    scenario = draw(rng)
     codes: Counter[Code] = Counter()
 
-    async def scene(stage: Stage) -> None:
-        people = People(script, stage, rng, tell)
+    async def course(simulation: TaskSimulation) -> None:
+        people = People(scenario, simulation, rng, tell)
         people.begin()
         if rng.random() < 0.15:
             await people.interfere()
@@ -53,29 +53,29 @@ def play_script(number: int, tell: Tell = lambda text: None) -> Counter[Code]:
             return
         await asyncio.gather(people.interfere(), people.interfere())
         tell("resume all")
-        await stage.master.resume(None)
-        codes.update(await stage.ended_with(*people.tasks))
+        await simulation.master.resume(None)
+        codes.update(await simulation.ended_with(*people.tasks))
         for task in people.tasks:
-            ending = stage.endings[task]
-            tell(f"{ending.code.word}: {stage.goals[task]!r}: {ending.message}")
-            judge_end(stage, task)
+            ending = simulation.endings[task]
+            tell(f"{ending.code.word}: {simulation.goals[task]!r}: {ending.message}")
+            check_end(simulation, task)
 
-    play(
-        scene,
-        script.setting.problem,
-        faults=script.faults,
-        chosen=script.settings,
-        limits=script.limits,
-        programs=script.programs,
-        source=script.person,
+    simulate_tasks(
+        course,
+        scenario.world.problem,
+        faults=scenario.faults,
+        chosen=scenario.settings,
+        limits=scenario.limits,
+        programs=scenario.programs,
+        source=scenario.person,
     )
     return codes
 
 
-# --- how the stage is set -------------------------------------------------------------------------
+# --- a scenario -----------------------------------------------------------------------------------
 
 
-class Person:
+class RandomPerson:
     """Answers what it is asked after a while, or not at all."""
 
     def __init__(self, rng: random.Random) -> None:
@@ -98,57 +98,57 @@ class Person:
 
 
 @dataclass(frozen=True)
-class Script:
+class Scenario:
     """A world, who acts in it and how, and what goes wrong by itself."""
 
-    setting: Setting
+    world: ScenarioWorld
     settings: Settings
     programs: Mapping[str, Program]
     limits: TaskLimits
     faults: Faults
-    person: Person | None
+    person: RandomPerson | None
 
 
-def draw(rng: random.Random) -> Script:
+def draw(rng: random.Random) -> Scenario:
     """Draw all of a script but what people do."""
-    setting = rng.choice(all_settings())
+    world = rng.choice(scenario_worlds())
     asks = rng.random() < 0.3
     settings = Settings(
-        bindings=_bindings(rng, setting, asks=asks),
+        bindings=_bindings(rng, world, asks=asks),
         on_change=rng.choice([OnChange.EAGER, OnChange.EAGER, OnChange.LAZY]),
         on_failure=rng.choice([OnFailure.CONTINUE_OTHERS, OnFailure.CONTINUE_OTHERS, OnFailure.DRAIN, OnFailure.CANCEL]),
         limits=Limits(seconds=2000.0, forbid_after=rng.choice([1, 2])),
     )
-    return Script(
-        setting,
+    return Scenario(
+        world,
         settings,
-        programs=_programs(rng, setting, settings.bindings),
+        programs=_programs(rng, world, settings.bindings),
         limits=TaskLimits(active=rng.choice([20, 20, 2]), on_conflict=rng.choice([*OnConflict])),
-        faults=_faults(rng, setting),
-        person=Person(rng) if asks or rng.random() < 0.2 else None,
+        faults=_faults(rng, world),
+        person=RandomPerson(rng) if asks or rng.random() < 0.2 else None,
     )
 
 
-def _bindings(rng: random.Random, setting: Setting, *, asks: bool) -> Bindings:
+def _bindings(rng: random.Random, world: ScenarioWorld, *, asks: bool) -> Bindings:
     """Bind actions to what they need; one of them may have to ask for a word before it is sent."""
-    asking = rng.choice([*setting.problem.domain.actions])
+    asking = rng.choice([*world.problem.domain.actions])
     retries = rng.choice([0, 0, 1])
-    found = {name: Binding(resources=setting.resources.get(name, ()), retries=retries) for name in setting.problem.domain.actions}
+    found = {name: Binding(resources=world.resources.get(name, ()), retries=retries) for name in world.problem.domain.actions}
     if asks:
         found[asking] = replace(found[asking], ask={"word": "please?"}, goal={"action": asking, "word": "$word"})
     return Bindings(found, lag=0.1)
 
 
-def _programs(rng: random.Random, setting: Setting, bindings: Bindings) -> dict[str, Program]:
+def _programs(rng: random.Random, world: ScenarioWorld, bindings: Bindings) -> dict[str, Program]:
     found = {}
     for name in ("loaded0", "loaded1"):
-        graph = plan_graph(setting.problem, read_plan(setting.plan(rng), setting.problem))
+        graph = plan_graph(world.problem, read_plan(world.plan(rng), world.problem))
         found[name] = Program.of(HandWrittenPlan(name, graph, bindings, on_failure=rng.choice([*OnFailure])))
     return found
 
 
-def _faults(rng: random.Random, setting: Setting) -> Faults:
-    names = [*setting.problem.domain.actions]
+def _faults(rng: random.Random, world: ScenarioWorld) -> Faults:
+    names = [*world.problem.domain.actions]
     kinds = [FaultKind.ABORT, FaultKind.ABORT, FaultKind.REJECT, FaultKind.HANG, FaultKind.NO_EFFECT, FaultKind.SLOW, FaultKind.LOSE_SERVER]
     faults = [
         Fault(
@@ -156,7 +156,7 @@ def _faults(rng: random.Random, setting: Setting) -> Faults:
         )
         for _ in range(rng.choice([0, 0, 1, 3, 5]))
     ]
-    changes = [HiddenChange(setting.change(rng), at=rng.uniform(0.0, 30.0)) for _ in range(rng.choice([0, 0, 1, 3]))]
+    changes = [HiddenChange(world.change(rng), at=rng.uniform(0.0, 30.0)) for _ in range(rng.choice([0, 0, 1, 3]))]
     return Faults(tuple(faults), tuple(changes))
 
 
@@ -167,8 +167,8 @@ def _faults(rng: random.Random, setting: Setting) -> Faults:
 class People:
     """Want tasks done, and interfere with them. The mutable state is what has a default."""
 
-    script: Script
-    stage: Stage
+    scenario: Scenario
+    simulation: TaskSimulation
     rng: random.Random
     tell: Tell
     tasks: list[UUID] = field(default_factory=list)
@@ -192,7 +192,7 @@ class People:
     async def act(self) -> None:
         """Do something to all tasks, to one of them, or to the world."""
         kind = self.rng.random()
-        going_on = [one for one in self.tasks if one not in self.stage.endings]
+        going_on = [one for one in self.tasks if one not in self.simulation.endings]
         chosen = self.rng.choice([None, *going_on])
         self.deeds += 1
         if kind < 0.35:
@@ -207,7 +207,7 @@ class People:
             self.change()
 
     def want(self) -> None:
-        rng, setting, programs = self.rng, self.script.setting, self.script.programs
+        rng, world, programs = self.rng, self.scenario.world, self.scenario.programs
         kind = rng.random()
         how: dict[str, object] = {
             "priority": rng.choice([0, 0, 0, 1, 2]),
@@ -215,65 +215,65 @@ class People:
             "on_conflict": rng.choice([None, None, *OnConflict]),
         }
         if kind < 0.75:
-            text = setting.goal(rng)
+            text = world.goal(rng)
         elif kind < 0.9:
-            text, how["is_plan"] = setting.plan(rng), True
+            text, how["is_plan"] = world.plan(rng), True
         else:
             text, how["is_plan"] = rng.choice([*programs]), True
         self.tell(f"want {text!r} {how}")
-        self.tasks.append(self.stage.want(text, **how))
+        self.tasks.append(self.simulation.want(text, **how))
 
     async def pause(self, chosen: UUID | None, going_on: Sequence[UUID]) -> None:
         at_once = self.rng.random() < 0.5
         self.tell(f"pause {chosen} {at_once}")
         deeds = self.deeds
         async with asyncio.timeout(_PATIENCE):
-            await self.stage.master.pause(chosen, at_once=at_once)
+            await self.simulation.master.pause(chosen, at_once=at_once)
         if deeds == self.deeds:  # nobody has said anything else meanwhile
             for task in going_on if chosen is None else [chosen]:
-                judge_pause(self.stage, task)
+                check_pause(self.simulation, task)
 
     async def resume(self, chosen: UUID | None) -> None:
         self.tell(f"resume {chosen}")
-        await self.stage.master.resume(chosen)
+        await self.simulation.master.resume(chosen)
 
     async def cancel(self, chosen: UUID) -> None:
         self.tell(f"cancel {chosen}")
         async with asyncio.timeout(_PATIENCE):
-            await self.stage.master.cancel(chosen)
-        judge_cancellation(self.stage, chosen)
+            await self.simulation.master.cancel(chosen)
+        check_cancellation(self.simulation, chosen)
 
     def change(self) -> None:
-        change = self.script.setting.change(self.rng)
+        change = self.scenario.world.change(self.rng)
         self.tell(f"change {change}")
-        self.stage.site.robots.world.change(change)
+        self.simulation.backend.robots.world.change(change)
 
 
 # --- what is against the rules --------------------------------------------------------------------
 
 
-def judge_pause(stage: Stage, id: UUID) -> None:
+def check_pause(simulation: TaskSimulation, id: UUID) -> None:
     """Nothing of a task that is paused goes on."""
-    task = stage.master._tasks.get(id)
+    task = simulation.master._tasks.get(id)
     if task is None or not task.is_held:
         return
     if task.control.state is not TaskState.PAUSED:
-        stage.wrong.append(f"{task.name} is {task.control.state.name} after a pause")
+        simulation.wrong.append(f"{task.name} is {task.control.state.name} after a pause")
     run = task.control.run
     if run and run.open_requests and not run.over and not run.stopped:
-        stage.wrong.append(f"{task.name} is paused and {[*run.open_calls.values()]} go on")
+        simulation.wrong.append(f"{task.name} is paused and {[*run.open_calls.values()]} go on")
 
 
-def judge_cancellation(stage: Stage, task: UUID) -> None:
+def check_cancellation(simulation: TaskSimulation, task: UUID) -> None:
     """A task that has been cancelled is over."""
-    if task not in stage.endings:
-        stage.wrong.append("cancelled, and not over")
+    if task not in simulation.endings:
+        simulation.wrong.append("cancelled, and not over")
 
 
-def judge_end(stage: Stage, task: UUID) -> None:
+def check_end(simulation: TaskSimulation, task: UUID) -> None:
     """No task ends by an error, and none is driven to and fro."""
-    if stage.endings[task].code is Code.ERROR:
-        stage.wrong.append(str(stage.endings[task]))
-    made = stage.seen(task, "conflict")
+    if simulation.endings[task].code is Code.ERROR:
+        simulation.wrong.append(str(simulation.endings[task]))
+    made = simulation.seen(task, "conflict")
     if len(made) > _OFTEN:
-        stage.wrong.append(f"{len(made)} times: {made[0]}")
+        simulation.wrong.append(f"{len(made)} times: {made[0]}")

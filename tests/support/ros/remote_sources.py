@@ -1,4 +1,4 @@
-"""What lives in other processes: global knowledge, or a person. Run as a script; prints "ready" and then what it hears.
+"""What lives in other processes: global knowledge, or a person. Run as a module; prints "ready" and then what it hears.
 
 knowledge NAME      keeps variables; the one called "slow" is never answered, "broken" is no JSON, "no" is refused;
                     with "deaf", the first request of each service is never answered either
@@ -28,7 +28,7 @@ def say(*what: object) -> None:
     sys.stdout.flush()
 
 
-class Knowledge:
+class RemoteKnowledge:
     """Keeps the JSON texts it is sent."""
 
     def __init__(self, node: Any, name: str, way: str = "") -> None:
@@ -62,7 +62,7 @@ class Knowledge:
         return first
 
 
-class Person:
+class RemotePerson:
     """Answers in one of the ways."""
 
     def __init__(self, node: Any, name: str, way: str) -> None:
@@ -106,7 +106,7 @@ class Person:
 def main(kind: str, name: str, *rest: str) -> None:
     rclpy.init()
     node = rclpy.create_node(f"somewhere_{name}")
-    kept = Knowledge(node, name, *rest) if kind == "knowledge" else Person(node, name, *rest)
+    kept = RemoteKnowledge(node, name, *rest) if kind == "knowledge" else RemotePerson(node, name, *rest)
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     with suppress(KeyboardInterrupt, ExternalShutdownException):

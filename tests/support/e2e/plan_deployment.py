@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from tests.support.e2e.deployment import RosDomain, written
 from tests.support.e2e.processes import Program
-from tests.support.e2e.scene import Place, written
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
@@ -69,8 +69,8 @@ class Client(Program):
         return found
 
 
-class PlanScene(Place):
-    """Files with plans, who carries them out and who wants that; global knowledge is in a file of the scene."""
+class PlanDeployment(RosDomain):
+    """Files with plans, who carries them out and who wants that; global knowledge is in a file of the deployment."""
 
     def __init__(self, folder: Path, ros_domain: int) -> None:
         super().__init__(folder, ros_domain, quick=True)
@@ -86,15 +86,15 @@ class PlanScene(Place):
         files = ["--world", str(self.folder / world), "--knowledge", str(self.knowledge)]
         return self.start(Serving(["-m", "planner_bridge", "serve", *files, *options], self.environment))
 
-    def workers(self, *servers: str, script: str = "workers") -> Workers:
+    def workers(self, *servers: str, script: str = "plain_servers") -> Workers:
         """Start action servers."""
-        return self.start(Workers(["-m", f"tests.support.e2e.{script}", *servers], self.environment))
+        return self.start(Workers(["-m", f"tests.support.e2e.programs.{script}", *servers], self.environment))
 
     def client(self, plan: str, *parameters: Mapping[str, Any] | str, cancel_on: str = "") -> Client:
         """Start a client that sends a goal for each of the parameters."""
         texts = [one if isinstance(one, str) else json.dumps(one) for one in parameters or ("",)]
-        return self.start(Client(["-m", "tests.support.e2e.plan_client", plan, cancel_on, *texts], self.environment))
+        return self.start(Client(["-m", "tests.support.e2e.programs.plan_client", plan, cancel_on, *texts], self.environment))
 
     def cancel_all(self, server: str) -> None:
         """Have somebody cancel all goals of an action server."""
-        assert self.start(Program(["-m", "tests.support.e2e.plan_client", "--cancel-all", server], self.environment)).ended() == 0
+        assert self.start(Program(["-m", "tests.support.e2e.programs.plan_client", "--cancel-all", server], self.environment)).ended() == 0

@@ -1,4 +1,4 @@
-"""An action server that asks for knowledge as its goals tell it to. Run as a script.
+"""An action server that asks for knowledge as its goals tell it to. Run as a module.
 
 Of a GroundAction goal the action says what to do, and the arguments, each a JSON text, with what:
 

@@ -1,0 +1,1 @@
+"""Random scripts for visitors of the mall, and the verdict on what came of them."""
