@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def ground_action(schema: ActionSchema, arguments: tuple[str, ...], duration: float | None = None) -> GroundAction:
-    """Substitute the arguments, of which there must be as many, for the parameters; `duration` is the planned one, in seconds."""
+    """Substitute as many arguments for the parameters; `duration` is the planned one, in seconds."""
     if len(arguments) != len(schema.parameters):
         expected = " ".join(variable.name for variable in schema.parameters) or "none"
         raise InputError(f"{schema.name} takes {len(schema.parameters)} arguments ({expected}), found {len(arguments)}")

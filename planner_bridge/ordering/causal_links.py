@@ -78,7 +78,7 @@ class CausalLinks:
     """When the fluent changed by itself since."""
     readers: dict[Fluent, list[_FluentReader]] = field(default_factory=dict)
     open_conditions: list[tuple[int, frozenset[Fluent], float]] = field(default_factory=list)
-    """Parts of over-all conditions on several fluents: of which call, on which fluents, and until when."""
+    """Parts of over-all conditions on several fluents: the call, the fluents, and the time until which they must hold."""
     orderings: dict[tuple[PlanEvent, PlanEvent], list[Fluent]] = field(default_factory=dict)
     releases: dict[int, float] = field(default_factory=dict)
     deadlines: dict[int, float] = field(default_factory=dict)
@@ -188,7 +188,7 @@ class CausalLinks:
 
 @dataclass(frozen=True, slots=True)
 class _PartialState:
-    """A state of which only some values are known; a condition that is not false in it may still be true."""
+    """A state with only some values known; a condition that is not false in it may still be true."""
 
     whole: State
     known: Mapping[Fluent, Value]

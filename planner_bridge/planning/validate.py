@@ -209,7 +209,7 @@ class _ReadRecorder:
 
 
 def _check_interference(happening: _Happening, steps: Sequence[_Step], simulation: PlanSimulation, when: str) -> None:
-    """Refuse two steps at one happening of which one changes what the other reads, or both the same fluent in different ways."""
+    """Refuse two steps at one happening if one changes what the other reads, or both change the same fluent in different ways."""
     if len({event.call for event in happening.events}) + bool(happening.timed) < 2:
         return
     readers: dict[Fluent, list[int]] = {}

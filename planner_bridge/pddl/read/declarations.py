@@ -84,7 +84,7 @@ def objects(lists: Lists, symbols: SymbolTable) -> dict[str, Types]:
 
 
 def borrow(own: dict[str, Types], symbols: SymbolTable, whole: Node) -> dict[str, Types]:
-    """Return a problem's objects, spelled as its domain spells those that it borrows, each of which must be there."""
+    """Return a problem's objects, spelled as its domain spells those that it borrows; they must all be there."""
     borrowed = symbols.domain.borrowed
     spelled = {name.lower(): name for name in borrowed}
     objects = {spelled.get(name.lower(), name): types for name, types in own.items()}

@@ -13,7 +13,7 @@ from planner_bridge.pddl.syntax.words import new_name
 from pnm.errors import InputError, Position
 
 _REPEATABLE: Final = (":action", ":durative-action", ":derived", ":task", ":method")
-"""Sections of which a file may have any number."""
+"""Sections that a file may have several times."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class Definition:
 
 
 def define(text: str, file: str, kind: Literal["domain", "problem"], known: tuple[str, ...]) -> Definition:
-    """Read a definition, all sections of which must be known ones."""
+    """Read a definition; all its sections must be known ones."""
     form = f"(define ({kind} NAME) ...)"
     match parse(text, file):
         case ():

@@ -97,7 +97,7 @@ def show_types(types: Types) -> str:
 
 
 def operands(node: Group, count: int) -> tuple[Node, ...]:
-    """Return the parts behind the first word, of which there must be `count`."""
+    """Return the parts behind the first word; there must be `count`."""
     if len(node.rest) != count:
         raise wrong(node, f"'{node.head}' takes {counted(count, 'operand')}, found {len(node.rest)}")
     return node.rest

@@ -219,8 +219,9 @@ class Run(RunView):
 
     def _take(self, call: int, report: Report) -> bool:
         """Fire the transition of the call that the report opens, if there is one."""
+        missing, rules = self._engine.missing, self._index.rules
         for transition in self._index.reported[call]:
-            if self._engine.is_enabled(transition) and _admits(self._index.rules[transition], report):
+            if not missing[transition] and _admits(rules[transition], report):
                 self._fire(transition, None)
                 return True
         return False

@@ -66,6 +66,7 @@ _EARLY = {OutcomeKind.REJECTED: Cause.REJECTED, OutcomeKind.UNAVAILABLE: Cause.U
 _NOT_EARLY = _ANY - frozenset(_EARLY)
 _LATE = {OutcomeKind.ABORTED: Cause.ABORTED, OutcomeKind.CANCELED: Cause.CANCELED, OutcomeKind.LOST: Cause.LOST}
 _ODD = _UNSUCCESSFUL - frozenset(_LATE)
+_SEND, _CANCEL, _UNDO = TransitionAction.SEND, TransitionAction.CANCEL, TransitionAction.UNDO
 _RESTARTED = "restarted "
 """Prefix of the places and transitions of attempts after the start was announced."""
 _ANSWER = "an answer to the goal in time"
@@ -174,7 +175,7 @@ class CallBlock(Block[ActionCall]):
         add(check_rule(Cause.DATA_MISSING, DataMissing(call), call), ready, self._after(Cause.DATA_MISSING, failed))
         if isfinite(self.step.deadline):
             add(check_rule(Cause.TOO_LATE, Due(self.step.deadline), call), ready, failed)
-        add(Rule("start", ConditionTrue(may_start), call, action=TransitionAction.SEND, outcome=CallOutcome.RUNNING), ready, [requested])
+        add(Rule("start", ConditionTrue(may_start), call, action=_SEND, outcome=CallOutcome.RUNNING), ready, [requested])
         add(check_rule(Cause.PRECONDITION_FALSE, ConditionFalse(may_start), call), ready, self._after(Cause.PRECONDITION_FALSE, failed))
 
         add(Rule("accepted", Accepts(call), call, action=TransitionAction.BEGIN), requested, [self.name("running"), *announced])
@@ -183,8 +184,8 @@ class CallBlock(Block[ActionCall]):
             add(Rule(name, Ends(call, frozenset({kind})), call, cause=cause), requested, self._after(cause, [recover]))
         unavailable = self._after(Cause.UNAVAILABLE, [recover])
         add(Rule("ended_early", Ends(call, _NOT_EARLY), call, cause=Cause.UNAVAILABLE), requested, unavailable)
-        too_long, in_vain, cancel = After(self.binding.accept), After(self.binding.cancel), TransitionAction.CANCEL
-        unanswered = Rule("unanswered", too_long, call, cancel, cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none")
+        too_long, in_vain = After(self.binding.accept), After(self.binding.cancel)
+        unanswered = Rule("unanswered", too_long, call, _CANCEL, cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none")
         add(unanswered, requested, [withdrawing])
         add(Rule("withdrawn", Ends(call, _ANY), call), withdrawing, unavailable)
         unheard = Rule("unheard", in_vain, call, cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none", gives_up=True)
@@ -219,37 +220,37 @@ class CallBlock(Block[ActionCall]):
         for kind, cause in _LATE.items():
             self._outcome(kind.value, Ends(call, frozenset({kind})), "running", cause, recover)
         self._outcome("ended_oddly", Ends(call, _ODD), "running", Cause.ABORTED, recover)
-        self.fire(Rule("stop", CancelAsked(), call, action=TransitionAction.CANCEL), "running", "stopping")
-        self.fire(Rule("suspend", PauseAsked(), call, action=TransitionAction.CANCEL), "running", "suspending")
+        self.fire(Rule("stop", CancelAsked(), call, action=_CANCEL), "running", "stopping")
+        self.fire(Rule("suspend", PauseAsked(), call, action=_CANCEL), "running", "suspending")
         if self.step.action.invariant != TRUE:
-            broken = check_rule(Cause.INVARIANT_FALSE, ConditionFalse(self.step.action.invariant), call, TransitionAction.CANCEL)
+            broken = check_rule(Cause.INVARIANT_FALSE, ConditionFalse(self.step.action.invariant), call, _CANCEL)
             self.fire(broken, "running", "stopping", "failed")
         if isfinite(self.step.deadline):
-            missed = check_rule(Cause.DEADLINE_MISSED, Due(self.step.deadline), call, TransitionAction.CANCEL)
+            missed = check_rule(Cause.DEADLINE_MISSED, Due(self.step.deadline), call, _CANCEL)
             self.fire(missed, "running", "stopping", "failed")
-        self.fire(Rule("timed_out", After(self._timeout), call, action=TransitionAction.CANCEL), "running", "overdue")
+        self.fire(Rule("timed_out", After(self._timeout), call, action=_CANCEL), "running", "overdue")
 
-        in_vain, undo = After(self.binding.cancel), TransitionAction.UNDO
+        in_vain = After(self.binding.cancel)
         self.fire(Rule("late_success", Ends(call, _SUCCEEDED), call), "overdue", returned)
         late = Ends(call, _UNSUCCESSFUL)
         self._outcome("expired", late, "overdue", Cause.TIMED_OUT, recover, "an end in time", "none; then {message}")
         either = "an end, or a confirmed cancellation, in time"
-        unconfirmed = Rule("unconfirmed", in_vain, call, undo, None, Cause.TIMED_OUT, either, "neither", gives_up=True)
+        unconfirmed = Rule("unconfirmed", in_vain, call, _UNDO, None, Cause.TIMED_OUT, either, "neither", gives_up=True)
         self.fire(unconfirmed, "overdue", "done", "failed")
 
         self.fire(Rule("stop_suspending", CancelAsked(), call), "suspending", "stopping")
         self.fire(Rule("ended_before", Ends(call, _SUCCEEDED), call), "suspending", returned)
-        suspended = Rule("suspended", Ends(call, _UNSUCCESSFUL), call, undo, CallOutcome.SUSPENDED)
+        suspended = Rule("suspended", Ends(call, _UNSUCCESSFUL), call, _UNDO, CallOutcome.SUSPENDED)
         self.fire(suspended, "suspending", phase + "ready")
         confirmation = "a confirmed cancellation in time, for a pause"
-        unconfirmed = Rule("unconfirmed_pause", in_vain, call, undo, None, Cause.TIMED_OUT, confirmation, "none", gives_up=True)
+        unconfirmed = Rule("unconfirmed_pause", in_vain, call, _UNDO, None, Cause.TIMED_OUT, confirmation, "none", gives_up=True)
         self.fire(unconfirmed, "suspending", "done", "failed")
 
         completed = Rule("completed", Ends(call, _SUCCEEDED), call, action=TransitionAction.FINISH, outcome=CallOutcome.SUCCEEDED)
         self.fire(completed, "stopping", "done")
-        stopped = Rule("stopped", Ends(call, _UNSUCCESSFUL), call, undo, CallOutcome.CANCELED)
+        stopped = Rule("stopped", Ends(call, _UNSUCCESSFUL), call, _UNDO, CallOutcome.CANCELED)
         self.fire(stopped, "stopping", "done")
-        unconfirmed_stop = Rule("unconfirmed_stop", in_vain, call, undo, CallOutcome.UNCONFIRMED, gives_up=True)
+        unconfirmed_stop = Rule("unconfirmed_stop", in_vain, call, _UNDO, CallOutcome.UNCONFIRMED, gives_up=True)
         self.fire(unconfirmed_stop, "stopping", "done")
 
     def _finish(self, phase: str) -> None:
@@ -273,7 +274,7 @@ class CallBlock(Block[ActionCall]):
         self, name: str, guard: Guard, source: str, cause: Cause, otherwise: list[str], expected: str = "", observed: str = ""
     ) -> None:
         """Add an end without success; assumed start effects are taken back unless the plan goes on as if it were one."""
-        action = None if cause in self.recoveries.kept else TransitionAction.UNDO
+        action = None if cause in self.recoveries.kept else _UNDO
         rule = Rule(name, guard, self.step.index, action, None, cause, expected, observed)
         self.add(rule, [self.name(source)], self._after(cause, otherwise))
 

@@ -139,7 +139,7 @@ class PnmActionServer(_ServerWithKnowledge):
         """
         self._update(goal_handle, layer, name, value, meta, timeout)
 
-    async def query_kb_async(self, goal_handle: Any, layer: Layer, name: str, meta: object = None, *, timeout: float = LIMIT) -> object:  # noqa: ASYNC109 - this is no coroutine of asyncio
+    async def query_kb_async(self, goal_handle: Any, layer: Layer, name: str, meta: object = None, *, timeout: float = LIMIT) -> object:  # noqa: ASYNC109 - none of asyncio
         """Do what `query_kb` does, in a coroutine."""
         return _raised(await self._knowledge.query(goal_handle, layer, name, meta, timeout))
 
@@ -151,7 +151,7 @@ class PnmActionServer(_ServerWithKnowledge):
         value: object,
         meta: object = None,
         *,
-        timeout: float = LIMIT,  # noqa: ASYNC109 - the same
+        timeout: float = LIMIT,  # noqa: ASYNC109 - none of asyncio
     ) -> None:
         """Do what `update_kb` does, in a coroutine."""
         _raised(await self._knowledge.update(goal_handle, layer, name, value, meta, timeout))

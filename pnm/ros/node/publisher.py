@@ -72,12 +72,11 @@ class Publisher:
 
     def _advertise(self) -> None:
         durability = DurabilityPolicy.TRANSIENT_LOCAL if self._is_latched else DurabilityPolicy.VOLATILE
-        callbacks = PublisherEventCallbacks(matched=self._on_matched)
+        callbacks = PublisherEventCallbacks(
+            matched=lambda info: call_on_loop(self._loop, self._count, info.current_count, info.current_count_change)
+        )
         qos = QoSProfile(depth=self._depth, durability=durability)
         self._publisher = self._ros.node.create_publisher(self._type, self._name, qos, event_callbacks=callbacks)
-
-    def _on_matched(self, info: Any) -> None:
-        call_on_loop(self._loop, self._count, info.current_count, info.current_count_change)
 
     def _publish(self, fields: Mapping[str, object] | Callable[[], Mapping[str, object]]) -> None:
         if self._publisher is not None:
