@@ -1,11 +1,18 @@
-"""Other processes: how long to wait for them, and those that run on this machine, read from /proc."""
+"""Other processes: programs whose output is read as it comes, how long to wait for them, and what runs on this machine."""
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import IO, Any, Final, TypeVar
+
+from tests.support.files import ROOT
 
 LIMIT: Final = 120.0
 """Seconds that anything may take; a busy machine needs many, and only what hangs needs more."""
@@ -35,3 +42,105 @@ def until(happens: Callable[[], object], seconds: float = LIMIT) -> None:
 def parent(process: int) -> int:
     """The process that has started this one."""
     return int(Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[1])
+
+
+T = TypeVar("T")
+
+
+class Program:
+    """A Python program in a process of its own.
+
+    Args:
+        arguments: of Python.
+        environment: what is added to the environment.
+        within: what the command begins with, such as that which runs it on another host.
+    """
+
+    def __init__(self, arguments: Sequence[str], environment: Mapping[str, str], within: Sequence[str] = ()) -> None:
+        self.arguments = arguments
+        self.out: list[str] = []
+        self.err: list[str] = []
+        self._heard = threading.Condition()
+        self.process = subprocess.Popen(
+            [*within, sys.executable, *arguments],
+            cwd=ROOT,
+            env={**os.environ, **environment},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self._readers = [self._reader(self.process.stdout, self.out), self._reader(self.process.stderr, self.err)]
+
+    def _reader(self, stream: IO[str] | None, lines: list[str]) -> threading.Thread:
+        def read() -> None:
+            assert stream is not None
+            with stream:
+                for line in stream:
+                    with self._heard:
+                        lines.append(line.rstrip("\n"))
+                        self._heard.notify_all()
+            with self._heard:
+                self._heard.notify_all()
+
+        thread = threading.Thread(target=read, daemon=True)
+        thread.start()
+        return thread
+
+    def until(self, found: Callable[[], T], limit: float = LIMIT) -> T:
+        """Wait until the function returns something true; it is asked after every line of output."""
+        with self._heard:
+            self._heard.wait_for(lambda: found() or not any(reader.is_alive() for reader in self._readers), limit)
+            result = found()
+        assert result, f"it never happened: {self}"
+        return result
+
+    def ended(self, limit: float = LIMIT) -> int:
+        """Wait for the end and return the exit status; there must be no traceback in what was printed."""
+        try:
+            status = self.process.wait(limit)
+        except subprocess.TimeoutExpired as error:
+            raise AssertionError(f"it does not end within {limit:g} s: {self}") from error
+        self._heard_out()
+        return status
+
+    def close(self) -> None:
+        """Kill it unless it has ended; either way there must be no traceback in what was printed."""
+        self.process.kill()
+        self.process.wait(LIMIT)
+        self._heard_out()
+
+    def _heard_out(self) -> None:
+        for reader in self._readers:
+            reader.join(LIMIT)
+        assert "Traceback" not in "\n".join((*self.out, *self.err)), str(self)
+
+    def objects(self) -> list[dict[str, Any]]:
+        """Return the JSON objects printed so far."""
+        return [json.loads(line) for line in tuple(self.out) if line.startswith("{")]
+
+    def __str__(self) -> str:
+        return "\n".join((" ".join(self.arguments), "--- out", *self.out[-200:], "--- err", *self.err[-50:]))
+
+
+def overlaps(events: Sequence[Mapping[str, Any]]) -> set[tuple[str, str]]:
+    """Return the pairs of actions of which the second started while the first was going on."""
+    going_on: list[str] = []
+    found: set[tuple[str, str]] = set()
+    for event in events:
+        if event["event"] == "start":
+            found |= {(other, event["action"]) for other in going_on}
+            going_on.append(event["action"])
+        elif event["event"] == "end" and event["action"] in going_on:
+            going_on.remove(event["action"])
+    return found
+
+
+def pnm(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run([sys.executable, "-m", "planner_bridge", *arguments], capture_output=True, text=True, cwd=cwd, timeout=120)
+    assert "Traceback" not in done.stdout + done.stderr
+    return done
+
+
+def result(done: subprocess.CompletedProcess[str]) -> dict[str, object]:
+    return json.loads(done.stdout.splitlines()[-1])

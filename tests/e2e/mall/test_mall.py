@@ -13,7 +13,7 @@ from rich.console import Console
 
 from planner_bridge.cli import demo_mall as mall_demo
 from tests.support.e2e.mall.deployment import Mall
-from tests.support.e2e.processes import Program
+from tests.support.processes import Program
 from tests.support.ros.domains import ros_domain
 
 PATIENT: Final = 4.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.e2e.processes import ROOT
+from tests.support.files import ROOT
 
 IMPATIENT = """
 actions:

@@ -8,7 +8,7 @@ import pytest
 
 from pnm.ros.node.messages import import_type
 from pnm.ros.node.ros_thread import RosThread
-from tests.support.e2e.processes import LIMIT, Program
+from tests.support.processes import LIMIT, Program
 
 DOMAIN = """
 (define (domain foreign)

@@ -6,7 +6,7 @@ from time import monotonic
 
 import pytest
 
-from tests.support.e2e.processes import LIMIT
+from tests.support.processes import LIMIT
 
 ONCE = """
 actions:

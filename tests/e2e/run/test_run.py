@@ -7,7 +7,7 @@ import signal
 import pytest
 
 from tests.support.e2e.deployment import execute_together
-from tests.support.e2e.processes import overlaps
+from tests.support.processes import overlaps
 
 
 def at_first_attempt(*executed):

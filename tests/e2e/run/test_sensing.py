@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 
-from tests.support.e2e.processes import Program
 from tests.support.files import written
+from tests.support.processes import Program
 
 DOMAIN = """(define (domain workshop)
   (:requirements :typing :durative-actions :numeric-fluents)

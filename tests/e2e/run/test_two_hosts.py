@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests.support.e2e.hosts import lan, why_not
-from tests.support.e2e.processes import overlaps
 from tests.support.e2e.survey import Survey
+from tests.support.processes import overlaps
 
 PERSISTENT = """
 actions:

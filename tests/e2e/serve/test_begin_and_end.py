@@ -13,7 +13,7 @@ import pytest
 from tests.support.e2e.deployment import Run
 from tests.support.e2e.plan_deployment import ABORTED
 from tests.support.e2e.plan_files import DOMAIN, FILES, PLANS, shared
-from tests.support.e2e.processes import ROOT
+from tests.support.files import ROOT
 
 
 def refused(deployment, *options: str) -> tuple[int, str]:

@@ -10,7 +10,7 @@ import pytest
 from planner_bridge.pddl import write_domain, write_problem
 from tests.support.e2e.deployment import Simulation
 from tests.support.e2e.plan_deployment import ABORTED, SUCCEEDED, Client, PlanDeployment, Serving
-from tests.support.problems import fleet
+from tests.support.pddl.problems import fleet
 
 ROBOTS, PARCELS, ROOMS = 5, 50, 6
 BINDINGS = """

@@ -9,8 +9,8 @@ import pytest
 
 from tests.support.e2e.deployment import Simulation
 from tests.support.e2e.plan_deployment import ABORTED, CANCELED, SUCCEEDED, Client, PlanDeployment, Serving
-from tests.support.e2e.processes import Program
 from tests.support.e2e.task_node import DOMAIN, PAGE, PROBLEM, goals
+from tests.support.processes import Program
 
 
 @pytest.fixture(scope="module")

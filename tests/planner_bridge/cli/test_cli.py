@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from pnm.core.machine.verification.explore import Unsound
-from tests.support.command_line import pnm, result
 from tests.support.files import ROOT
+from tests.support.processes import pnm, result
 
 DELIVERY = (str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl"))
 FAULTS = str(ROOT / "problems/delivery/faults.yaml")

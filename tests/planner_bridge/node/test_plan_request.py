@@ -12,7 +12,7 @@ from planner_bridge.node.world_queries import SharedWorld
 from planner_bridge.tasks.settings import Settings
 from pnm.errors import InputError
 from pnm.tasks import Code, StepState
-from tests.support.problems import rooms
+from tests.support.pddl.problems import rooms
 
 PROBLEM = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc")
 

@@ -15,7 +15,7 @@ from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.planning.solve import solve
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.machine.plan_graph import PlanGraph
-from tests.support.problems import rooms, tanks
+from tests.support.pddl.problems import rooms, tanks
 
 
 def graph_of(problem: Problem) -> PlanGraph:

@@ -22,7 +22,7 @@ from planner_bridge.tasks.replanning import Progress, why_not
 from pnm.core.logic.conditions import All, Holds, Not
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.plan_graph import Moment, PlanEvent, PlanGraph
-from tests.support.problems import matches, rooms
+from tests.support.pddl.problems import matches, rooms
 
 
 def sequence(*steps: str) -> Plan:

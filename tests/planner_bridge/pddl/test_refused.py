@@ -9,8 +9,8 @@ import pytest
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain
 from planner_bridge.pddl.syntax.expressions import MAX_DEPTH
 from pnm.errors import InputError
+from tests.support.files import refused
 from tests.support.pddl.text import SMALL
-from tests.support.refusals import refused
 
 domain_with, problem_with = SMALL.domain_with, SMALL.problem_with
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from planner_bridge.pddl.syntax.expressions import MAX_DEPTH, Atom, Group, Node, parse, where
 from pnm.errors import InputError
-from tests.support.refusals import refused
+from tests.support.files import refused
 
 BAD_INPUT = Path(__file__).with_name("refused")
 

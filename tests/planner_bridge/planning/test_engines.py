@@ -24,7 +24,7 @@ from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.solve import check_planner, solve
 from pnm.core.logic.expressions import ValueOf
 from pnm.errors import InputError
-from tests.support.problems import hard, matches, rooms, tanks
+from tests.support.pddl.problems import hard, matches, rooms, tanks
 from tests.support.processes import until, working_in
 
 needs_java = pytest.mark.skipif(shutil.which("java") is None, reason="enhsp runs in a Java machine, and there is none")
@@ -192,7 +192,10 @@ def test_an_engine_that_runs_out_of_memory_says_so(monkeypatch: pytest.MonkeyPat
 
 
 def test_when_we_are_killed_the_engine_goes_with_us(folder: Path, root: Path) -> None:
-    code = "from planner_bridge import solve; from tests.support.problems import hard; solve(hard(), planner='fast-downward', timeout=600)"
+    code = (
+        "from planner_bridge import solve; "
+        "from tests.support.pddl.problems import hard; solve(hard(), planner='fast-downward', timeout=600)"
+    )
     us = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(folder)}, cwd=root)
     until(lambda: working_in(folder, WORKS["fast-downward"]))
     us.kill()

@@ -28,7 +28,7 @@ from planner_bridge.planning.portfolio import solve_with_portfolio, suitable_pla
 from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.settings import Settings
 from pnm.errors import InputError
-from tests.support.problems import hard, matches, rooms, tanks
+from tests.support.pddl.problems import hard, matches, rooms, tanks
 from tests.support.processes import parent, until, working_in
 
 MOVE = PlanStep("move", ("r1", "a", "b"))
@@ -126,7 +126,7 @@ def test_the_script_that_calls_is_not_run_again(tmp_path: Path, root: Path) -> N
     script.write_text(
         "print('once')\n"
         "from planner_bridge.planning.portfolio import solve_with_portfolio\n"
-        "from tests.support.problems import rooms\n"
+        "from tests.support.pddl.problems import rooms\n"
         "assert solve_with_portfolio(rooms(), planners=('kairos',)).plan is not None\n"
     )
     path = os.pathsep.join(filter(None, (str(root), os.environ.get("PYTHONPATH"))))
@@ -247,7 +247,7 @@ def test_a_process_that_dies_takes_nobody_with_it(folder: Path) -> None:
 
 def test_when_we_are_killed_everybody_goes_with_us(folder: Path, root: Path) -> None:
     code = (
-        "from planner_bridge.planning.portfolio import solve_with_portfolio; from tests.support.problems import hard; "
+        "from planner_bridge.planning.portfolio import solve_with_portfolio; from tests.support.pddl.problems import hard; "
         "solve_with_portfolio(hard(), planners=('kairos', 'aries'), timeout=600)"
     )
     us = subprocess.Popen([sys.executable, "-c", code], cwd=root)

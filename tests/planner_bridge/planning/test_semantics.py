@@ -45,7 +45,8 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import Moment, PlanGraph, PlanGraphError
 from pnm.core.machine.verification.verify import verify
 from pnm.executor import Executor
-from tests.support.pddl.random_problems import Features, apart, calls, conditions, fluents, goal_of, plans, problems, states, walks
+from tests.support.pddl.random_plans import apart, calls, goal_of, plans, walks
+from tests.support.pddl.random_problems import Features, conditions, fluents, problems, states
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # unified-planning calls pyparsing by its old names
 up.get_environment().credits_stream = None

@@ -11,7 +11,7 @@ from planner_bridge.model.problem import Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.planning.kairos import validate
 from planner_bridge.planning.validate import InvalidPlan, trace, why_invalid
-from tests.support.problems import rooms
+from tests.support.pddl.problems import rooms
 
 RULES: Final = parse_domain("""
 (define (domain rules)

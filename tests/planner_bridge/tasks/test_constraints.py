@@ -21,7 +21,7 @@ from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
 from tests.support.runs.simulated import LateBackend
-from tests.support.tasks.constraints import TO_C, always, changes, pursued, sometime, within
+from tests.support.tasks.constraints import TO_C, always, changes, monitored, sometime, within
 
 A, B, C, D = (Holds(("clean", room)) for room in "abcd")
 ROOM = Variable("?a", ("room",))
@@ -35,7 +35,7 @@ def constrained(*constraints: Constraint, problem: Problem = TO_C) -> Problem:
 
 
 def test_a_violated_constraint_stops_the_run_and_ends_the_task() -> None:
-    done = pursued(constrained(always(Not(B))), changes((0.3, "b")))
+    done = monitored(constrained(always(Not(B))), changes((0.3, "b")))
     assert not done.result.goal_reached
     assert done.result.reason == "(always (not (clean b))) is violated after 0.30 s: (clean b) is true"
     assert done.outcomes() == ["canceled", "skipped"]
@@ -47,13 +47,13 @@ def test_a_violated_constraint_stops_the_run_and_ends_the_task() -> None:
 
 
 def test_a_violation_that_is_made_good_before_all_reports_are_in_does_not_count() -> None:
-    done = pursued(constrained(always(Not(B))), changes((0.3, "b"), (0.305, "not b")))
+    done = monitored(constrained(always(Not(B))), changes((0.3, "b"), (0.305, "not b")))
     assert done.result.goal_reached
     assert done.statuses() == ["fulfilled"]
 
 
 def test_a_violation_at_the_very_end_counts() -> None:
-    done = pursued(constrained(always(Not(B))), changes((1.995, "b")))
+    done = monitored(constrained(always(Not(B))), changes((1.995, "b")))
     assert done.outcomes() == ["succeeded", "succeeded"]
     assert done.result.reason == "(always (not (clean b))) is violated after 2.00 s: (clean b) is true"
     assert not done.result.goal_reached
@@ -62,7 +62,7 @@ def test_a_violation_at_the_very_end_counts() -> None:
 
 def test_a_violation_that_is_reported_after_the_end_counts() -> None:
     problem = constrained(always(Not(B)))
-    done = pursued(problem, backend=LateBackend(problem, changes((2.65, "b")), delay=0.3, lag=1.0))
+    done = monitored(problem, backend=LateBackend(problem, changes((2.65, "b")), delay=0.3, lag=1.0))
     assert done.outcomes() == ["succeeded", "succeeded"]
     assert done.result.reason == "(always (not (clean b))) is violated after 2.95 s: (clean b) is true"
     assert done.result.as_json()["decisions"] == []
@@ -77,13 +77,13 @@ class SlowBackend(SimulatedBackend):
 
 def test_nothing_is_started_when_a_constraint_is_violated_before() -> None:
     problem = constrained(always(Not(B)))
-    done = pursued(problem, backend=SlowBackend(robots_of(problem, Bindings(), changes((2.0, "b")))))
+    done = monitored(problem, backend=SlowBackend(robots_of(problem, Bindings(), changes((2.0, "b")))))
     assert [call.attempts for call in done.result.calls] == [0, 0]
     assert done.result.reason.startswith("(always (not (clean b))) is violated after 2.00 s")
 
 
 def test_a_constraint_that_the_initial_state_violates_leaves_nothing_to_plan() -> None:
-    done = pursued(constrained(always(Not(Holds(("at", "r1", "a"))))))
+    done = monitored(constrained(always(Not(Holds(("at", "r1", "a"))))))
     assert done.result.reason == "(always (not (at r1 a))) is violated after 0.00 s: (at r1 a) is true"
     assert (done.log.asked, done.result.calls) == (0, ())
 
@@ -91,7 +91,7 @@ def test_a_constraint_that_the_initial_state_violates_leaves_nothing_to_plan() -
 def test_constraints_of_the_domain_count_for_every_object() -> None:
     nowhere = always(Not(Holds(("clean", "?a"))), ROOM)
     problem = replace(TO_C, domain=replace(TO_C.domain, constraints=(nowhere,)))
-    done = pursued(problem, changes((0.5, "d"), (0.5, "c")))
+    done = monitored(problem, changes((0.5, "d"), (0.5, "c")))
     assert done.statuses() == ["violated"]
     assert [str(one.constraint) for one in done.result.constraints[0].violations] == [f"(always (not (clean {room})))" for room in "cd"]
     assert done.result.reason.startswith("(always (not (clean c))) is violated after 0.50 s")
@@ -100,7 +100,7 @@ def test_constraints_of_the_domain_count_for_every_object() -> None:
 @pytest.mark.parametrize("assumed", [frozenset[str](), frozenset({"at", "clean"})])
 def test_a_deadline_that_passes_ends_the_task(assumed: frozenset[str]) -> None:
     slow = Faults((Fault("move", FaultKind.SLOW, after=1),))
-    done = pursued(constrained(within(3.5, Holds(("at", "r1", "c")))), slow, bindings=Bindings(assumed=assumed))
+    done = monitored(constrained(within(3.5, Holds(("at", "r1", "c")))), slow, bindings=Bindings(assumed=assumed))
     assert done.result.reason == "(within 3.5 (at r1 c)) is violated after 3.50 s: (at r1 c) is false"
     assert done.outcomes() == ["succeeded", "canceled"]
     assert [round(now, 6) for now, _ in done.log.told] == [3.51]
@@ -108,7 +108,7 @@ def test_a_deadline_that_passes_ends_the_task(assumed: frozenset[str]) -> None:
 
 @pytest.mark.parametrize("assumed", [frozenset[str](), frozenset({"at"})])
 def test_a_deadline_may_be_met_at_the_last_moment(assumed: frozenset[str]) -> None:
-    done = pursued(constrained(within(1.0, Holds(("at", "r1", "b")))), bindings=Bindings(assumed=assumed))
+    done = monitored(constrained(within(1.0, Holds(("at", "r1", "b")))), bindings=Bindings(assumed=assumed))
     assert done.result.goal_reached, done.result.reason
     assert done.statuses() == ["fulfilled"]
 
@@ -125,14 +125,14 @@ def test_what_is_too_early_or_comes_twice_is_violated() -> None:
         (Constraint("hold-during", (Not(B),), (0.5, 0.9)), changes((0.3, "b"), (0.4, "not b"), (0.9, "b")), None),
         (Constraint("hold-after", (Not(B),), (0.5,)), changes((0.3, "b"), (0.4, "not b"), (0.9, "b")), 0.9),
     ):
-        done = pursued(constrained(constraint), faults)
+        done = monitored(constrained(constraint), faults)
         assert [round(violation.time, 6) for _, violation in done.log.told] == ([] if time is None else [time]), constraint
         assert done.result.goal_reached is (time is None), constraint
 
 
 def test_a_violation_while_waiting_to_try_again_ends_the_task_at_once() -> None:
     aborts = Faults((Fault("move", FaultKind.ABORT),), changes((20.0, "b")).changes)
-    done = pursued(constrained(always(Not(B))), aborts, limits=Limits(backoff=1000.0, longest_backoff=1000.0, forbid_after=100))
+    done = monitored(constrained(always(Not(B))), aborts, limits=Limits(backoff=1000.0, longest_backoff=1000.0, forbid_after=100))
     assert done.result.reason.startswith("(always (not (clean b))) is violated after 20.00 s")
     assert done.ended < 21.0
     assert done.log.asked == done.result.plans == 1
@@ -140,7 +140,7 @@ def test_a_violation_while_waiting_to_try_again_ends_the_task_at_once() -> None:
 
 def test_the_constraints_are_watched_in_every_episode() -> None:
     aborts = Faults((Fault("move(r1, b, c)", FaultKind.ABORT, times=2),), changes((0.5, "a"), (2.5, "b")).changes)
-    done = pursued(constrained(Constraint("at-most-once", (A,)), always(Not(B))), aborts)
+    done = monitored(constrained(Constraint("at-most-once", (A,)), always(Not(B))), aborts)
     assert done.result.replans == 1
     assert done.statuses() == ["fulfilled", "violated"]
     assert done.result.reason.startswith("(always (not (clean b))) is violated after 2.50 s")
@@ -151,14 +151,14 @@ def test_the_constraints_are_watched_in_every_episode() -> None:
 
 def test_what_was_so_for_one_moment_was_so_sometime() -> None:
     visits = sometime(Holds(("at", "r1", "b")))
-    done = pursued(constrained(visits, sometime(A)), changes((0.5, "a"), (0.5, "not a")))
+    done = monitored(constrained(visits, sometime(A)), changes((0.5, "a"), (0.5, "not a")))
     assert done.result.goal_reached
     assert done.statuses() == ["fulfilled", "fulfilled"]
 
 
 def test_a_goal_that_holds_is_not_reached_while_something_is_missing() -> None:
     in_vain = Faults((Fault("sweep", FaultKind.NO_EFFECT),))
-    done = pursued(constrained(sometime(B)), in_vain, limits=Limits(replans=0))
+    done = monitored(constrained(sometime(B)), in_vain, limits=Limits(replans=0))
     assert not done.result.goal_reached
     assert done.result.reason.startswith("the limit of 0 replans is reached")
     assert done.result.reason.endswith("; not fulfilled: (sometime (clean b))")
@@ -166,7 +166,7 @@ def test_a_goal_that_holds_is_not_reached_while_something_is_missing() -> None:
 
 
 def test_a_cancelled_task_tells_what_was_not_fulfilled() -> None:
-    done = pursued(constrained(sometime(B), always(Not(D))), limits=Limits(seconds=0.5))
+    done = monitored(constrained(sometime(B), always(Not(D))), limits=Limits(seconds=0.5))
     assert done.result.reason == "the limit of 0.5 s is reached"
     assert done.statuses() == ["violated", "fulfilled"]
 

@@ -25,7 +25,7 @@ from pnm.language.plan import read_plans
 from pnm.language.runner import Program
 from pnm.tasks import Code, TaskState
 from tests.support.files import ROOT
-from tests.support.problems import fleet
+from tests.support.pddl.problems import fleet
 from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 
 NO_RETRY = Bindings({name: Binding(retries=0) for name in ("move", "pick", "drop")})

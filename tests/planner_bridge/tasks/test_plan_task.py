@@ -13,7 +13,7 @@ from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.language.plan import HandWrittenPlan, parse_plans
 from pnm.language.runner import Program
 from pnm.tasks import Code
-from tests.support.problems import fleet
+from tests.support.pddl.problems import fleet
 from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 
 TRIP = """

@@ -18,7 +18,7 @@ from pnm.core.logic.domain import ActionSchema, Preference
 from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint
 from pnm.core.machine.bindings import Bindings
-from tests.support.tasks.constraints import TO_C, always, changes, monitor, pursued, sometime, within
+from tests.support.tasks.constraints import TO_C, always, changes, monitor, monitored, sometime, within
 
 A, B, C, D = (Holds(("clean", room)) for room in "abcd")
 ROOM = Variable("?a", ("room",))
@@ -42,7 +42,7 @@ def test_preferences_are_counted_and_never_enforced() -> None:
         Preference("", (sometime(Holds(("at", "r1", "b"))),)),
         Preference("still", (Constraint("hold-during", (Not(D),), (0.5, 0.9)),)),
     )
-    done = pursued(problem, changes((0.5, "a"), (1.0, "b"), (0.3, "d"), (0.95, "not d")))
+    done = monitored(problem, changes((0.5, "a"), (1.0, "b"), (0.3, "d"), (0.95, "not d")))
     assert done.result.goal_reached
     assert done.result.constraints == ()
     assert [(one.name, one.status, one.violated) for one in done.result.preferences] == [
@@ -60,7 +60,7 @@ def test_preferences_are_counted_and_never_enforced() -> None:
 def test_preferences_of_actions_are_said_not_to_be_monitored() -> None:
     move: ActionSchema = replace(TO_C.domain.actions["move"], preferences=(Preference("lit", Exists((ROOM,), Holds(("clean", "?a")))),))
     problem = replace(TO_C, domain=replace(TO_C.domain, actions={**TO_C.domain.actions, "move": move}))
-    assert [(one.name, one.status, one.violated) for one in pursued(problem).result.preferences] == [("lit", "not monitored", None)]
+    assert [(one.name, one.status, one.violated) for one in monitored(problem).result.preferences] == [("lit", "not monitored", None)]
 
 
 # --- what is left for a planner ---
@@ -120,7 +120,7 @@ def test_a_problem_without_constraints_is_left_alone() -> None:
 
 def test_the_result_as_json_tells_constraints_and_preferences() -> None:
     problem = replace(wished(Preference("p", B)), constraints=(always(Not(B)), sometime(Holds(("at", "r1", "a")))))
-    told = pursued(problem, changes((0.3, "b"))).result.as_json()
+    told = monitored(problem, changes((0.3, "b"))).result.as_json()
     assert told["constraints"] == [
         {
             "constraint": "(always (not (clean b)))",
@@ -130,7 +130,7 @@ def test_the_result_as_json_tells_constraints_and_preferences() -> None:
         {"constraint": "(sometime (at r1 a))", "status": "fulfilled", "violations": []},
     ]
     assert told["preferences"] == [{"name": "p", "status": "fulfilled", "violated": 0}]
-    plain = pursued(TO_C).result.as_json()
+    plain = monitored(TO_C).result.as_json()
     assert (plain["constraints"], plain["preferences"]) == ([], [])
 
 
@@ -153,5 +153,5 @@ def test_a_person_reads_what_is_violated_as_it_happens_and_at_the_end() -> None:
 
 def _read(problem: Problem) -> list[str]:
     text = io.StringIO()
-    print_result(Console(file=text), pursued(problem).result)
+    print_result(Console(file=text), monitored(problem).result)
     return text.getvalue().splitlines()

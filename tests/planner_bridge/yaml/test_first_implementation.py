@@ -18,7 +18,7 @@ from planner_bridge.yaml.first_implementation import write_original
 from pnm.core.logic.effects import changes
 from pnm.errors import InputError
 from pnm.language.plan import read_plans
-from tests.support.problems import matches, rooms, tanks
+from tests.support.pddl.problems import matches, rooms, tanks
 
 # --- the rules by which the first implementation loads and evaluates -------------------------
 

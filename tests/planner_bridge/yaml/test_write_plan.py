@@ -16,7 +16,7 @@ from planner_bridge.yaml.write_domain import write_problem, written
 from planner_bridge.yaml.write_plan import plan_entries
 from pnm.core.machine.plan_graph import ActionCall, Junction, Moment, Ordering, PlanEvent, PlanGraph
 from pnm.language.plan import read_plans
-from tests.support.problems import matches, rooms
+from tests.support.pddl.problems import matches, rooms
 
 EDGES = st.integers(1, 9).flatmap(
     lambda size: st.tuples(

@@ -13,8 +13,7 @@ from planner_bridge.yaml.convert import exported, imported
 from planner_bridge.yaml.reader import parse
 from planner_bridge.yaml.write_domain import write_domain as domain_as_yaml
 from pnm.errors import InputError
-from tests.support.files import ROOT
-from tests.support.refusals import refused
+from tests.support.files import ROOT, refused
 
 GOLDEN = ROOT / "tests" / "planner_bridge" / "yaml" / "golden" / "patrol.yaml"
 PATROL = (ROOT / "domains/patrol/domain.pddl", ROOT / "problems/patrol/p01.pddl")

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pnm.core.knowledge_base import KnowledgeBase, Layered, parse_fluent, parse_statement, statement_text
+from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.conditions import All, Exists, Holds, Not
 from pnm.core.logic.evaluation import evaluate
@@ -17,7 +17,6 @@ from pnm.core.logic.rules import NO_RULES, DerivationRule, Rules
 from pnm.errors import InputError
 
 Facts = Mapping[Fluent, Value | Unknown]
-
 P, Q, N = ("p",), ("q", "a"), ("n",)
 VALUES = st.sampled_from((True, False, UNKNOWN, 0.0, 1.0, "a"))
 FACTS = st.dictionaries(st.sampled_from((P, Q, N)), VALUES)
@@ -30,7 +29,7 @@ def heard(knowledge: KnowledgeBase) -> list[Facts]:
     return batches
 
 
-# --- batches and events -----------------------------------------------------------------------
+# --- batches and events ---
 
 
 @pytest.mark.parametrize("malformed", ["p", (), ("p", 1), 7, None])
@@ -118,7 +117,7 @@ def test_what_was_given_and_what_is_returned_are_copies() -> None:
     assert (knowledge.variable("x"), knowledge.objects(("room",))) == (MISSING, ())
 
 
-# --- complete reports -------------------------------------------------------------------------
+# --- complete reports ---
 
 
 def test_a_report_replaces_the_facts_of_the_names_it_is_about() -> None:
@@ -161,7 +160,7 @@ def test_what_is_reported_stays_in_another_world_and_is_not_what_that_begins_wit
     assert heard == [{("free", "dock"): False, ("n",): 4.0}]
 
 
-# --- objects, layers, variables, sensing ------------------------------------------------------
+# --- objects, layers, variables, sensing ---
 
 
 def test_objects_of_several_types_come_once_and_in_order() -> None:
@@ -206,8 +205,6 @@ def test_repr_says_how_much_there_is() -> None:
     assert repr(knowledge) == "<KnowledgeBase 1 facts, 2 variables, 1 sensed names>"
 
 
-# --- derived facts ------------------------------------------------------------------------------
-
 X = Variable("?x", ("room",))
 LIT = DerivationRule("lit", (X,), All((Holds(("lamp", "?x")), Holds(("power",)))))
 DARK = DerivationRule("dark", (), Exists((X,), Not(Holds(("lit", "?x")))))
@@ -215,6 +212,9 @@ DARK = DerivationRule("dark", (), Exists((X,), Not(Holds(("lit", "?x")))))
 
 def rooms(facts: Facts | None = None) -> KnowledgeBase:
     return KnowledgeBase(facts, objects={"room": ("hall", "lab")}, rules=Rules((LIT, DARK)))
+
+
+# --- derived facts ---
 
 
 def test_derived_facts_follow_from_what_is_recorded_and_are_not_listed() -> None:
@@ -266,77 +266,3 @@ def test_a_derived_fact_is_sensed_if_all_below_it_is_and_as_late_as_that() -> No
     knowledge.sense(("power",), lag=3.0)
     assert [knowledge.is_sensed(one) for one in (("dark",), ("lit", "lab"), ("lamp", "lab"), ("at", "r1"))] == [True, True, True, False]
     assert (knowledge.lag({"dark"}), knowledge.lag({"lamp"}), knowledge.longest_lag) == (3.0, 2.0, 3.0)
-
-
-# --- reading facts ----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("text", "statement"),
-    [
-        ("(at r1 kitchen)", (("at", "r1", "kitchen"), True)),
-        ("  ( at\tr1\n kitchen ) ", (("at", "r1", "kitchen"), True)),
-        ("(ready)", (("ready",), True)),
-        ("(not (at r1 kitchen))", (("at", "r1", "kitchen"), False)),
-        ("( not ( ready ) )", (("ready",), False)),
-        ("(= (battery r1) 80)", (("battery", "r1"), 80.0)),
-        ("(= (offset) -1.5e1)", (("offset",), -15.0)),
-        ("(= (place-of r1) hall)", (("place-of", "r1"), "hall")),
-        ("(= (battery r1) 0)", (("battery", "r1"), 0.0)),
-        ("(= (battery r1) .5)", (("battery", "r1"), 0.5)),
-        ("(= (place-of r1) nan)", (("place-of", "r1"), "nan")),
-        ("(= (place-of r1) infinity)", (("place-of", "r1"), "infinity")),
-    ],
-)
-def test_statements(text: str, statement: tuple[Fluent, Value]) -> None:
-    assert parse_statement(text) == statement
-    assert type(parse_statement(text)[1]) is type(statement[1])
-
-
-@pytest.mark.parametrize(
-    ("text", "refused"),
-    [
-        ("", ""),
-        ("at r1", "at r1"),
-        ("()", "()"),
-        ("(at r1", "(at r1"),
-        ("(at r1))", "(at r1))"),
-        ("(at (r1))", "(at (r1))"),
-        ("(p) (q)", "(p) (q)"),
-        ("(not (not (p)))", "(not (p))"),
-        ("(not (p) (q))", "(p) (q)"),
-        ("(= (at (r1)) 1)", "(at (r1))"),
-        ("(= (n) 1 2)", "(= (n) 1 2)"),
-        ("(and (p) (q))", "(and (p) (q))"),
-    ],
-)
-def test_what_is_no_statement_is_refused(text: str, refused: str) -> None:
-    with pytest.raises(InputError) as caught:
-        parse_statement(text)
-    assert str(caught.value) == f"not a fact: {refused!r}; expected something like (at r1 kitchen)"
-
-
-FLUENTS: st.SearchStrategy[Fluent] = st.lists(st.text("ab-1_?", min_size=1, max_size=4), min_size=1, max_size=4).map(tuple)
-
-
-@given(FLUENTS)
-def test_a_fluent_that_is_written_is_read(fluent: Fluent) -> None:
-    text = f"({' '.join(fluent)})"
-    assert parse_fluent(text) == fluent
-    assert parse_statement(f"(not {text})") == (fluent, False)
-    assert parse_statement(f"(= {text} 2)") == (fluent, 2.0)
-
-
-@given(FLUENTS, st.one_of(st.booleans(), st.floats(-1e6, 1e6).map(lambda value: round(value, 3)), st.just("hall")))
-def test_a_statement_that_is_written_is_read(fluent: Fluent, value: Value) -> None:
-    assert parse_statement(statement_text(fluent, value)) == (fluent, value)
-
-
-@given(st.text("()=not 1ab", max_size=30))
-def test_any_text_is_a_statement_or_refused(text: str) -> None:
-    try:
-        fluent, _ = parse_statement(text)
-    except InputError:
-        return
-    assert fluent
-    assert all(fluent)

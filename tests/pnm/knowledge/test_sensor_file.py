@@ -17,9 +17,8 @@ from pnm.knowledge.message_fields import Comparison, Every, Field, FieldValue, F
 from pnm.knowledge.sensor_file import read_sensing
 from pnm.knowledge.sensor_model import ByService, ByTopic, instances, read, unknown
 from pnm.ros.backend import Ros2Backend
-from tests.support.files import written
+from tests.support.files import refused, written
 from tests.support.pddl.sensed_world import EVERYTHING, KNOWN, SENSING, look, objects
-from tests.support.refusals import refused
 from tests.support.yaml.damage import damaged
 
 BAD_INPUT = Path(__file__).with_name("refused")

@@ -15,8 +15,9 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import EMPTY, Choice, Junction, Loop, Moment
 from pnm.core.machine.verification.verify import verify
 from pnm.errors import InputError
-from tests.support.refusals import refused
-from tests.support.yaml.plan_reading import ACTIONS, Read, call, orderings, q
+from tests.support.files import refused
+from tests.support.yaml.formulas import q
+from tests.support.yaml.plan_reading import ACTIONS, Read, call, orderings
 
 BAD_INPUT = Path(__file__).with_name("refused")
 

@@ -16,7 +16,7 @@ from pnm.core.logic.rules import DerivationRule
 from pnm.errors import InputError
 from pnm.language import LanguageDomain, read_domain
 from pnm.language.actions import ActionKind
-from tests.support.refusals import refused
+from tests.support.files import refused
 from tests.support.yaml.examples import ORIGINAL, PDDL
 
 BAD_INPUT = Path(__file__).with_name("refused")

@@ -14,9 +14,10 @@ from pnm.core.machine.plan_graph import EMPTY, ActionCall, Cause, Loop, Recovery
 from pnm.errors import InputError
 from pnm.language import read_plans
 from pnm.language.to_plan_graph import MAX_NESTING, MAX_STEPS
-from tests.support.refusals import refused
+from tests.support.files import refused
 from tests.support.yaml.examples import PAPER_DOMAIN, PAPER_PLAN, RECIPES, RECOVERING
-from tests.support.yaml.plan_reading import ACTIONS, Read, ReadAll, orderings, q
+from tests.support.yaml.formulas import q
+from tests.support.yaml.plan_reading import ACTIONS, Read, ReadAll, orderings
 
 BAD_INPUT = Path(__file__).with_name("refused")
 

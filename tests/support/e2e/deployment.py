@@ -14,8 +14,8 @@ from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from pnm.core.knowledge_base import KnowledgeBase, parse_statement
 from pnm.core.logic.evaluation import evaluate
-from tests.support.e2e.processes import LIMIT, ROOT, Program
-from tests.support.files import written
+from tests.support.files import ROOT, written
+from tests.support.processes import LIMIT, Program
 
 QUICK = """<?xml version="1.0" encoding="UTF-8"?>
 <profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">

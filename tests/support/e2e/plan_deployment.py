@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from tests.support.e2e.deployment import RosDomain
-from tests.support.e2e.processes import Program
 from tests.support.files import written
+from tests.support.processes import Program
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 

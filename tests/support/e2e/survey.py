@@ -8,8 +8,8 @@ from pathlib import Path
 from tests.support.e2e.deployment import P, Run, Simulation
 from tests.support.e2e.hosts import DDS, Lan
 from tests.support.e2e.plan_deployment import Serving
-from tests.support.e2e.processes import Program
 from tests.support.files import written
+from tests.support.processes import Program
 
 DOMAIN = """
 (define (domain survey)

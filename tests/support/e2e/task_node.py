@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tests.support.e2e.plan_deployment import Client, PlanDeployment, Serving
-from tests.support.e2e.processes import ROOT
+from tests.support.files import ROOT
 
 DOMAIN, PROBLEM = str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl")
 

@@ -21,7 +21,7 @@ from pnm.core.logic.conditions import Condition
 from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import Bindings
-from tests.support.problems import rooms
+from tests.support.pddl.problems import rooms
 
 TO_C = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc")
 """Two moves of a second each, from a over b to c."""
@@ -59,7 +59,7 @@ class Log(TaskObserver):
 
 
 @dataclass
-class Pursued:
+class MonitoredTask:
     """A task that is over."""
 
     result: TaskResult
@@ -74,14 +74,14 @@ class Pursued:
         return [one.status for one in self.result.constraints]
 
 
-def pursued(
+def monitored(
     problem: Problem,
     faults: Faults = NO_FAULTS,
     *,
     limits: Limits = Limits(),
     bindings: Bindings = Bindings(),
     backend: SimulatedBackend | None = None,
-) -> Pursued:
+) -> MonitoredTask:
     backend, log = backend or simulated_backend(problem, bindings, faults), Log()
 
     async def main() -> tuple[TaskResult, float]:
@@ -89,7 +89,7 @@ def pursued(
         return result, asyncio.get_running_loop().time()
 
     result, ended = run_async(main(), virtual=True)
-    return Pursued(result, log, backend.robots.world.truth, ended)
+    return MonitoredTask(result, log, backend.robots.world.truth, ended)
 
 
 def monitor(problem: Problem, *seen: tuple[float, dict[str, bool]]) -> tuple[ConstraintMonitor, Problem]:

@@ -12,7 +12,7 @@ from planner_bridge.loading import load
 from planner_bridge.model.problem import Problem
 from pnm.core.logic.expressions import Fluent, Value
 from tests.support.files import ROOT
-from tests.support.problems import fleet, matches, rooms, tanks
+from tests.support.pddl.problems import fleet, matches, rooms, tanks
 
 Choose = Callable[[random.Random], str]
 

@@ -24,7 +24,7 @@ from pnm.errors import InputError
 from pnm.knowledge.sources.source import Source
 from pnm.language.runner import Performer, Program
 from pnm.tasks import Code, TaskEnding, TaskListener, TaskState, TraceEvent, Wanted
-from tests.support.problems import fleet
+from tests.support.pddl.problems import fleet
 
 LIMIT = 20000.0
 """Virtual seconds within which everything must be over."""

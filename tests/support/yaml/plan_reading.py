@@ -5,16 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeAlias
 
-from pnm.core.logic.computed_values import Layer, Literal, Query
 from pnm.core.machine.plan_graph import ActionCall
 from pnm.language import HandWrittenPlan
 
 ReadAll: TypeAlias = Callable[[str], dict[str, HandWrittenPlan]]
 Read: TypeAlias = Callable[[str], HandWrittenPlan]
-
-
-def q(name: str, layer: Layer = Layer.LOCAL) -> Query:
-    return Query(Literal.of(name), layer)
 
 
 def orderings(plan: HandWrittenPlan) -> set[tuple[int, int]]:

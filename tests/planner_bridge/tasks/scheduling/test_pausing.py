@@ -12,7 +12,7 @@ from planner_bridge.tasks.replanning import Limits
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.machine.bindings import Binding
 from pnm.tasks import Code, OnConflict, TaskState
-from tests.support.problems import fleet
+from tests.support.pddl.problems import fleet
 from tests.support.tasks.node import USUAL, carry, needing, robots_of, simulated
 from tests.support.tasks.simulation import TaskSimulation
 

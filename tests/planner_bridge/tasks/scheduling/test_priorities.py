@@ -8,7 +8,7 @@ from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.core.machine.bindings import Binding
 from pnm.knowledge.sources.source import Asker
 from pnm.tasks import TaskState
-from tests.support.problems import fleet
+from tests.support.pddl.problems import fleet
 from tests.support.tasks.node import needing, simulated
 from tests.support.tasks.simulation import TaskSimulation
 

@@ -19,7 +19,7 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import OnFailure
 from pnm.tasks import Code, OnConflict, TaskState
 from tests.support.files import ROOT
-from tests.support.problems import fleet
+from tests.support.pddl.problems import fleet
 from tests.support.tasks.node import CALLS, EAGER, USUAL, carry, robots_of, simulated
 from tests.support.tasks.simulation import TaskSimulation
 

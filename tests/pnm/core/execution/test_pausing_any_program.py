@@ -25,7 +25,8 @@ from pnm.core.machine.verification.verify import explore, verify
 from pnm.executor import Executor
 from tests.support.runs.plan_graphs import plan, plan_of
 from tests.support.runs.simulated import Log, move
-from tests.support.yaml.programs import Chaos, in_use, programs, read
+from tests.support.yaml.chaos import Chaos, in_use
+from tests.support.yaml.programs import programs, read
 
 RUN = UUID(int=1)
 

@@ -38,7 +38,7 @@ from pnm.core.logic.expressions import (
     same_value,
     value_of,
 )
-from tests.support.runs.conditions import Picture
+from tests.support.logic.conditions import Picture
 
 U = UNKNOWN
 T, F = True, False

@@ -41,7 +41,7 @@ from pnm.core.logic.expressions import (
     Variable,
     choices,
 )
-from tests.support.runs.conditions import OBJECTS, Picture
+from tests.support.logic.conditions import OBJECTS, Picture
 
 TERMS = st.sampled_from(("a", "b", "?x", "?y"))
 FACTS = st.one_of(st.just(("p",)), st.tuples(st.just("q"), TERMS), st.tuples(st.just("r"), TERMS, TERMS))

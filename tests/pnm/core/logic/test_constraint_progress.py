@@ -15,7 +15,7 @@ from pnm.core.logic.trajectory import (
     Constraint,
     ConstraintProgress,
 )
-from tests.support.runs.trajectories import (
+from tests.support.logic.trajectories import (
     AFTER,
     BEFORE,
     LIKE_KAIROS,

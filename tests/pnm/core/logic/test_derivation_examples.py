@@ -14,7 +14,7 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import All, Any, Compare, Exists, ForAll, Holds, Not
 from pnm.core.logic.expressions import UNKNOWN, Constant, ValueOf, Variable
 from pnm.core.logic.rules import NO_RULES, DerivationRule, Rules
-from tests.support.runs.rules import Facts, least
+from tests.support.logic.rules import Facts, least
 
 X, Y, Z = (Variable(name, ("node",)) for name in ("?x", "?y", "?z"))
 EDGE, REACH = Holds(("edge", "?x", "?y")), Holds(("reach", "?x", "?y"))

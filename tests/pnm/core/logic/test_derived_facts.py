@@ -14,7 +14,7 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import All, Any, Compare, Condition, Exists, ForAll, Holds, Implies, Not, free_variables, ground
 from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, ValueOf, Variable
 from pnm.core.logic.rules import DerivationRule, Rules, UnstratifiedError
-from tests.support.runs.rules import OBJECTS, Facts, least
+from tests.support.logic.rules import OBJECTS, Facts, least
 
 ARITY = {"p": 0, "q": 1, "e": 2, "d": 1, "f": 2, "g": 1, "h": 0}
 BASE, LOWER, UPPER = ("p", "q", "e"), ("d", "f"), ("g", "h")

@@ -42,7 +42,7 @@ from pnm.core.logic.expressions import (
     Variable,
     bind,
 )
-from tests.support.runs.effects import (
+from tests.support.logic.effects import (
     ALL_FACTS,
     ALL_NUMBERS,
     EFFECTS,

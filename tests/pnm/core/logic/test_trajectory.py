@@ -25,7 +25,7 @@ from pnm.core.logic.trajectory import (
     progressed,
     shifted,
 )
-from tests.support.runs.trajectories import (
+from tests.support.logic.trajectories import (
     AFTER,
     BEFORE,
     LIKE_KAIROS,

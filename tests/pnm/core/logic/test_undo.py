@@ -41,7 +41,7 @@ from pnm.core.logic.expressions import (
     Variable,
     value_of,
 )
-from tests.support.runs.effects import (
+from tests.support.logic.effects import (
     ALL_FACTS,
     ALL_NUMBERS,
     EFFECTS,

@@ -17,7 +17,8 @@ from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.verification.verify import verify
 from pnm.core.net.net import Marking
 from tests.support.runs.direct import RUN, drive
-from tests.support.yaml.programs import DOMAIN, Chaos, Json, as_yaml, in_use, programs, read
+from tests.support.yaml.chaos import Chaos, in_use
+from tests.support.yaml.programs import DOMAIN, Json, as_yaml, programs, read
 
 
 def check_marking(machine: PetriNetMachine, marking: Marking, budgets: Mapping[tuple[str, str], int]) -> None:

@@ -8,8 +8,8 @@ import pytest
 
 from planner_bridge.loading import load
 from pnm.ros.node.service_client import ServiceClient
-from tests.support.e2e.processes import ROOT, Program
-from tests.support.processes import LIMIT
+from tests.support.files import ROOT
+from tests.support.processes import LIMIT, Program
 from tests.support.ros.child_process import run
 from tests.support.ros.task_client import ABORTED, CANCELED, SERVICES, TaskClient, uuid_data
 

@@ -10,8 +10,8 @@ from tests.support.e2e.deployment import RosDomain
 from tests.support.e2e.mall.scripts import file_of, script
 from tests.support.e2e.mall.verdict import Verdict, verdict_on
 from tests.support.e2e.plan_deployment import Serving, Workers
-from tests.support.e2e.processes import ROOT, Program
-from tests.support.files import written
+from tests.support.files import ROOT, written
+from tests.support.processes import Program
 
 DOMAIN: Final = ROOT / "domains" / "mall"
 SPEED: Final = "80"

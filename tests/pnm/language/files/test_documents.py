@@ -10,7 +10,7 @@ from pnm.errors import InputError
 from pnm.files.yaml_loader import MAX_DOCUMENTS, MAX_NODES
 from pnm.files.yaml_nodes import Mapped, load_yaml, parse_yaml
 from pnm.language.files import parse_documents, read_documents
-from tests.support.refusals import refused
+from tests.support.files import refused
 
 BAD_INPUT = Path(__file__).with_name("refused")
 

@@ -1,0 +1,160 @@
+"""When the rest of a plan is used again, and when late reports are waited for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.problem import Problem
+from planner_bridge.ordering.plan_to_graph import plan_graph
+from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.pipeline import achieve, achieve_at
+from planner_bridge.tasks.replanning import Decision, History, Limits, PlanAgain, Progress, ResumePlan, decide
+from planner_bridge.tasks.settings import Settings, TaskObserver
+from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
+from pnm.clock import run_async
+from pnm.core.execution.call_results import CallResult
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import Holds, Not
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.expressions import Variable
+from pnm.core.logic.trajectory import Constraint
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.machine import CallOutcome
+from tests.support.pddl.problems import ROOMS, matches, rooms
+from tests.support.runs.simulated import LateBackend
+from tests.support.tasks.replanning import aborts, decisions, pursued
+
+
+def test_the_rest_of_the_plan_is_used_before_a_planner_is_asked() -> None:
+    result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc"), aborts("move(r1, b, c)", times=2))
+    assert result.goal_reached
+    assert result.plans == 1
+    assert decisions(result) == [ResumePlan]
+
+
+OVER_B = [("move", "r1", "a", "b"), ("move", "r1", "b", "c")]
+
+
+def decided(problem: Problem, steps: list[tuple[str, ...]], done: int = 0) -> Decision:
+    """What follows a run of these steps, the first of which are done, if the world now is as the problem says."""
+    graph = plan_graph(problem, Plan(tuple(PlanStep(step[0], step[1:], float(number)) for number, step in enumerate(steps))))
+    calls = tuple(CallResult(call, CallOutcome.SUCCEEDED if call.index < done else CallOutcome.WAITING) for call in graph.calls)
+    return decide(problem, Progress(graph, calls), KnowledgeBase(problem.init, objects=problem.objects_by_type), History(), Limits())
+
+
+def clean(room: str) -> Holds:
+    return Holds(("clean", room))
+
+
+IN_B = Holds(("at", "r1", "b"))
+KEPT = [
+    Constraint("always", (Not(clean("?x")),), (), (Variable("?x", ("room",)),)),
+    Constraint("sometime", (IN_B,)),
+    Constraint("sometime-after", (IN_B, Holds(("at", "r1", "c")))),
+    Constraint("sometime-before", (Holds(("at", "r1", "c")), IN_B)),
+    Constraint("at-most-once", (Holds(("at", "r1", "a")),)),
+    Constraint("at end", (Not(IN_B),)),
+]
+BROKEN = [
+    (Constraint("always", (Not(IN_B),)), "the end of move(r1, a, b) would violate (always (not (at r1 b)))"),
+    (Constraint("sometime-before", (IN_B, clean("a"))), "the end of move(r1, a, b) would violate (sometime-before (at r1 b) (clean a))"),
+    (Constraint("sometime", (clean("d"),)), "the rest of the plan would leave (sometime (clean d)) unfulfilled"),
+    (Constraint("sometime-after", (IN_B, clean("d"))), "the rest of the plan would leave (sometime-after (at r1 b) (clean d)) unfulfilled"),
+    (Constraint("at end", (IN_B,)), "the rest of the plan would leave (at end (at r1 b)) unfulfilled"),
+    (Constraint("within", (IN_B,), (90.0,)), "the times of the plan matter to (within 90 (at r1 b))"),
+]
+
+
+@pytest.mark.parametrize("constraint", KEPT, ids=str)
+def test_the_rest_of_a_plan_that_keeps_the_constraints_is_used(constraint: Constraint) -> None:
+    problem = replace(rooms(init="(at r1 a)", goal="(at r1 c)"), constraints=(constraint,))
+    assert isinstance(decided(problem, OVER_B), ResumePlan)
+
+
+@pytest.mark.parametrize(("constraint", "why"), BROKEN, ids=lambda value: str(value) if isinstance(value, Constraint) else "")
+def test_the_rest_of_a_plan_that_breaks_a_constraint_is_not_used(constraint: Constraint, why: str) -> None:
+    problem = rooms(init="(at r1 a)", goal="(at r1 c)")
+    assert decided(replace(problem, constraints=(constraint,)), OVER_B) == PlanAgain(frozenset(), why)
+    problem = replace(problem, domain=replace(problem.domain, constraints=(constraint,)))
+    assert decided(problem, OVER_B) == PlanAgain(frozenset(), why)
+
+
+def test_a_goal_that_holds_is_planned_for_again_as_long_as_something_is_missing() -> None:
+    problem = replace(rooms(init="(at r1 c)", goal="(at r1 c)"), constraints=(Constraint("sometime", (clean("d"),)),))
+    assert decided(problem, OVER_B, done=2) == PlanAgain(frozenset(), "the rest of the plan would leave (sometime (clean d)) unfulfilled")
+
+
+def test_the_rest_of_a_network_of_tasks_is_used_and_otherwise_the_whole_network_is_planned_for() -> None:
+    network = replace(rooms(init="(at r1 b)", goal="(at r1 c)"), network="(:htn)")
+    rest = decided(network, OVER_B, done=1)
+    assert isinstance(rest, ResumePlan)
+    assert [str(call) for call in rest.rest.calls] == ["move(r1, b, c)#0"]
+    elsewhere = replace(rooms(init="(at r1 d)", goal="(at r1 c)"), network="(:htn)")
+    assert decided(elsewhere, OVER_B, done=1) == PlanAgain(
+        frozenset(), "move(r1, b, c) would start although (at r1 b) is false; the whole network of tasks is planned for once more"
+    )
+
+
+@pytest.mark.parametrize("what", ["strike(m0)", "mend(f0, m0)"])
+def test_late_reports_are_waited_for_before_anything_is_decided(what: str) -> None:
+    problem = matches(1)
+    faults = Faults((Fault(what, FaultKind.ABORT, times=1),))
+    backend = LateBackend(problem, faults, delay=0.3, lag=1.0)
+    settings = Settings(bindings=Bindings({"strike": Binding(retries=0), "mend": Binding(retries=0)}))
+    result = run_async(achieve_at(backend, problem, settings, TaskObserver()), virtual=True)
+    truth = evaluate(problem.goal, backend.robots.world.truth)
+    assert result.goal_reached is truth
+    assert what != "strike(m0)" or result.goal_reached
+
+
+def test_a_report_about_things_unheard_of_does_not_disturb_planning() -> None:
+    strange = HiddenChange({("at", "zz", "b"): True, ("flies", "r1"): True}, at=0.5)
+    faults = Faults(aborts("move(r1, b, c)").faults, (strange,))
+    result, _ = pursued(rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc ba ad dc"), faults)
+    assert result.goal_reached
+
+
+def timed_rooms(time: float) -> Problem:
+    """Room b opens at a time."""
+    text = ROOMS.replace("(clean ?a - room))", "(clean ?a - room) (open ?a - room))", 1)
+    domain = parse_domain(text.replace("(way ?a ?b))\n    :effect", "(way ?a ?b) (open ?b))\n    :effect"))
+    things = f"(:objects r1 - robot a b - room) (:init (at r1 a) (way a b) (at {time} (open b)))"
+    return parse_problem(f"(define (problem p) (:domain rooms) {things} (:goal (at r1 b)))", domain)
+
+
+@pytest.mark.parametrize("assumed", [frozenset[str](), frozenset({"open"})])
+def test_a_fact_that_comes_true_by_itself_is_waited_for_whether_or_not_it_is_sensed(assumed: frozenset[str]) -> None:
+    result, _ = pursued(timed_rooms(4.0), bindings=Bindings(assumed=assumed))
+    assert result.goal_reached, result.reason
+    assert result.calls[0].started is not None
+    assert result.calls[0].started >= 4.0
+
+
+def test_nothing_happens_in_a_world_after_its_task() -> None:
+    for _ in range(5):
+        _, truth = pursued(
+            rooms(init="(at r1 a)", goal="(at r1 b)"), Faults(changes=(HiddenChange({("at", "r1", "b"): False}, at=100_000.0),))
+        )
+        assert truth.value(("at", "r1", "b")) is True
+
+
+@pytest.mark.parametrize("kind", FaultKind)
+@pytest.mark.parametrize("times", [1, 2, 3, None])
+@pytest.mark.parametrize("what", ["move(r1, a, b)", "move(r2, a, d)", "move", "sweep(r1, c)"])
+def test_any_fault_ends_in_the_goal_or_in_a_named_failure(kind: FaultKind, times: int | None, what: str) -> None:
+    problem = rooms(goal="(and (at r1 c) (at r2 c) (clean c))")
+    bindings = Bindings({"move": Binding(timeout=3.0), "sweep": Binding(timeout=3.0)})
+    result, _ = pursued(problem, Faults((Fault(what, kind, times=times),)), bindings=bindings)
+    assert result.goal_reached or "; no plan without " in result.reason or result.reason.startswith("the limit")
+    assert result.goal_reached or result.failures
+
+
+def test_a_task_may_take_as_long_as_its_plan() -> None:
+    domain = parse_domain("""(define (domain d) (:requirements :durative-actions) (:predicates (done))
+      (:durative-action grow :parameters () :duration (= ?duration 5000) :condition () :effect (at end (done))))""")
+    problem = parse_problem("(define (problem p) (:domain d) (:init) (:goal (done)))", domain)
+    assert achieve(None, problem).goal_reached
+    assert not achieve(None, problem, settings=Settings(limits=Limits(seconds=3600.0))).goal_reached

@@ -1,0 +1,132 @@
+"""Files of bindings: what is refused, with which words and where, and what is read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from pnm.actions.bindings_file import read_bindings
+from pnm.core.execution.questions import EvaluationContext
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.logic.declared_names import Vocabulary
+from pnm.core.logic.expressions import UNKNOWN
+from pnm.core.machine.bindings import Binding, Bindings, goal_data
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.errors import InputError
+from tests.support.files import refused, written
+from tests.support.runs.files import MOVE, WORDS, error
+
+BAD_INPUT = Path(__file__).with_name("refused")
+
+
+# --- bindings ---
+
+
+@pytest.mark.parametrize(("content", "message"), refused(BAD_INPUT / "bindings.yaml"))
+def test_bad_bindings_are_refused(tmp_path: Path, content: str, message: str) -> None:
+    assert error(read_bindings, written(tmp_path, content)) == message
+
+
+def test_bindings_are_read(tmp_path: Path) -> None:
+    content = """
+assumed: [holding, tidy]
+lag: 2
+actions:
+  wait:
+  move:
+    server: /{robot}/navigate
+    type: nav2_msgs/action/NavigateToPose
+    goal: {pose: {x: '(x ?to)', frame: map}, on: true}
+    store: {total_distance: distance}
+    timeout: 30
+    accept: 1.5
+    cancel: 0
+    retries: 3
+    resources: ["{robot}/base", arm]
+"""
+    move = Binding(
+        server="/{robot}/navigate",
+        type="nav2_msgs/action/NavigateToPose",
+        goal={"pose": {"x": "(x ?to)", "frame": "map"}, "on": True},
+        store={"total_distance": "distance"},
+        timeout=30.0,
+        accept=1.5,
+        cancel=0.0,
+        retries=3,
+        resources=("{robot}/base", "arm"),
+    )
+    assert read_bindings(written(tmp_path, content)) == Bindings({"wait": Binding(), "move": move}, frozenset({"holding", "tidy"}), 2.0)
+    assert read_bindings(written(tmp_path, "{}")) == Bindings()
+    assert Bindings().of("move") == Binding(server=None, type=None, goal=None, store={}, timeout=None, accept=15.0, cancel=5.0, retries=1)
+
+
+@pytest.mark.parametrize(("content", "message"), refused(BAD_INPUT / "bindings_with_unknown_names.yaml"))
+def test_bindings_of_what_the_domain_does_not_have_are_refused(tmp_path: Path, content: str, message: str) -> None:
+    path = written(tmp_path, content)
+    assert error(lambda path: read_bindings(path, WORDS), path) == message
+    assert read_bindings(path) != Bindings()
+
+
+def test_bindings_of_what_the_domain_has_are_read(tmp_path: Path) -> None:
+    content = "actions: {move: {server: '{robot}', goal: {a: '?to', b: 'to', c: 1, d: $x}}}"
+    assert read_bindings(written(tmp_path, content), Vocabulary({"move": MOVE.parameters})).of("move").server == "{robot}"
+
+
+@pytest.mark.parametrize(
+    ("pattern", "server"),
+    [(None, "move"), ("drive", "drive"), ("/{robot}/move", "/r1/move"), ("{to}/{robot}/{to}", "lab/r1/lab"), ("/{{x}}", "/{x}")],
+)
+def test_the_server_is_named_after_arguments(pattern: str | None, server: str) -> None:
+    assert Bindings({"move": Binding(server=pattern)}).server(MOVE) == server
+
+
+def test_a_server_named_after_no_parameter_is_refused() -> None:
+    with pytest.raises(InputError) as caught:
+        Bindings({"move": Binding(server="/{robto}/move")}).server(MOVE)
+    assert str(caught.value) == "the server '/{robto}/move' of move names {robto}, which is not a parameter (robot, from, to)"
+
+
+@pytest.mark.parametrize(("given", "duration", "timeout"), [(None, 12.0, 24.0), (None, 1.0, 10.0), (None, None, 60.0), (3.0, 12.0, 3.0)])
+def test_the_time_limit_follows_from_the_duration(given: float | None, duration: float | None, timeout: float) -> None:
+    assert Bindings({"wait": Binding(timeout=given)}).timeout(GroundAction("wait", duration=duration)) == timeout
+
+
+EVERYTHING = {"action": "move", "arguments": ["r1", "hall", "lab"], "duration": 12.0, "robot": "r1", "from": "hall", "to": "lab"}
+KNOWN = Layered(
+    KnowledgeBase(
+        {("x", "lab"): 4.5, ("at", "r1"): True, ("unsure",): UNKNOWN, ("ready", "move"): False},
+        variables={"pose": "global", "speed": "global", "robot": "global", "nothing": None},
+    ),
+    KnowledgeBase(variables={"pose": "local", "to": "local"}),
+)
+Goal = Mapping[str, object] | None
+Names = tuple[str, ...]
+
+
+# --- goals ---
+
+
+@pytest.mark.parametrize(
+    ("goal", "fields", "filled", "missing"),
+    [
+        (None, ("robot", "to"), {"robot": "r1", "to": "lab"}, ()),
+        (None, ("action", "arguments"), {"action": "move", "arguments": ["r1", "hall", "lab"]}, ()),
+        (None, ("pose", "speed", "nothing"), {"pose": "local", "speed": "global", "nothing": None}, ()),
+        (None, ("robot", "frame", "colour"), {"robot": "r1"}, ("frame", "colour")),
+        (None, (), {}, ()),
+        (None, None, EVERYTHING, ()),
+        ({}, ("robot", "frame"), {"robot": "r1"}, ()),
+        ({"to": "?from"}, ("to", "robot"), {"to": "hall", "robot": "r1"}, ()),
+        ({"a": "?to", "b": "$to", "c": "$pose", "d": "$speed"}, (), {"a": "lab", "b": "lab", "c": "local", "d": "global"}, ()),
+        ({"a": "map", "b": 3, "c": True, "d": None, "e": ""}, (), {"a": "map", "b": 3, "c": True, "d": None, "e": ""}, ()),
+        ({"x": "(x ?to)", "here": "(at ?robot)", "ready": "(ready ?action)"}, (), {"x": 4.5, "here": True, "ready": False}, ()),
+        ({"x": "(x ?from)", "y": "(unsure)", "z": "(x ?nobody)"}, (), {}, ("x", "y", "z")),
+        ({"a": "?nobody", "b": "$nobody", "c": "?pose"}, (), {}, ("a", "b", "c")),
+        ({"pose": {"p": {"x": "(x ?to)"}, "of": ["?robot", 1]}}, (), {"pose": {"p": {"x": 4.5}, "of": ["r1", 1]}}, ()),
+        ({"pose": {"x": "$nobody", "y": 1}, "list": [1, "?nobody"], "ok": [None]}, (), {"ok": [None]}, ("pose", "list")),
+    ],
+)
+def test_goal_fields_are_filled_by_name(goal: Goal, fields: Names | None, filled: Mapping[str, object], missing: Names) -> None:
+    assert goal_data(MOVE, Binding(goal=goal), fields, EvaluationContext(KNOWN)) == (filled, missing)

@@ -1,0 +1,171 @@
+"""Action servers that come late, shut down, are killed or blocked, and clients that end."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+from time import monotonic
+
+import pytest
+
+from pnm.core.machine.bindings import Binding
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import OutcomeKind
+from pnm.ros.node.ros_thread import RosThread
+from tests.support.processes import LIMIT
+
+
+def test_the_type_of_a_server_that_comes_later_is_learned(with_client, start, names):
+    name = names()
+
+    async def scenario(client):
+        action = GroundAction(name)
+        assert await client.ros2.prepare([action], 0.0) == (f"/{name}",)
+        await asyncio.to_thread(start, "--fibonacci", name)
+        await client.ros2.prepare([action], LIMIT)
+        assert client.ros2.goal_fields(action) == ("order",)
+
+    with_client(scenario)
+
+
+def test_a_server_that_comes_late_is_waited_for(with_client, start, names):
+    name = names()
+
+    async def scenario(client):
+        sent = client.send("act", action="succeed")
+        await asyncio.to_thread(start, name)
+        assert (await sent.ended()).kind is OutcomeKind.SUCCEEDED
+
+    with_client(scenario, act=Binding(server=name))
+
+
+def test_30_goals_at_once_on_a_server_with_default_qos_that_end_together(with_client, shared):
+    async def scenario(client):
+        sent = [client.send("act", action="together", arguments=["30"]) for _ in range(30)]
+        outcomes = await asyncio.gather(*(one.ended() for one in sent))
+        assert {outcome.kind for outcome in outcomes} == {OutcomeKind.SUCCEEDED}
+
+    with_client(scenario, act=Binding(server=shared))
+
+
+def test_30_cancellations_at_once(with_client, shared):
+    async def scenario(client):
+        sent = [client.send("act", action="hang") for _ in range(30)]
+        await asyncio.gather(*(one.accepted() for one in sent))
+        for one in sent:
+            client.cancel(one)
+        outcomes = await asyncio.gather(*(one.ended() for one in sent))
+        assert {outcome.kind for outcome in outcomes} == {OutcomeKind.CANCELED}
+
+    with_client(scenario, act=Binding(server=shared))
+
+
+def test_an_unanswered_goal_ends_and_is_cancelled_when_accepted_after_all(with_client, start, names):
+    name = names()
+    start(name, "--threads", "2")
+
+    async def scenario(client):
+        late = client.send("act", action="hesitate", arguments=["2"])
+        outcome = await late.ended()
+        assert (outcome.kind, outcome.message) == (OutcomeKind.UNAVAILABLE, f"/{name} did not answer within 1 s")
+        # Both threads are kept busy by goals nobody waits for, unless these are cancelled.
+        await client.send("act", action="hesitate", arguments=["2"]).ended()
+        assert (await client.send("patient", action="succeed").ended()).kind is OutcomeKind.SUCCEEDED
+        assert late.reports.empty()
+
+    with_client(scenario, act=Binding(server=name, accept=1.0), patient=Binding(server=name))
+
+
+def test_a_server_that_shuts_down_is_lost(with_client, start, names):
+    name = names()
+    server = start(name)
+
+    async def scenario(client):
+        sent = client.send("act", action="hang")
+        await sent.accepted()
+        await asyncio.to_thread(server.stop)
+        assert (await sent.ended()).kind is OutcomeKind.LOST
+
+    with_client(scenario, act=Binding(server=name))
+
+
+def test_a_restarted_server_is_noticed_quickly_and_used_again(with_client, start, names):
+    name = names()
+    server = start(name)
+
+    async def scenario(client):
+        sent = client.send("act", action="hang")
+        await sent.accepted()
+        server.kill()
+        await asyncio.to_thread(start, name)
+        outcome = await sent.ended()  # the lease of the old process lasts 20 s
+        assert (outcome.kind, outcome.message) == (OutcomeKind.LOST, f"/{name} no longer knows the goal; it was restarted")
+        assert (await client.send("act", action="succeed").ended()).kind is OutcomeKind.SUCCEEDED
+
+    with_client(scenario, act=Binding(server=name))
+
+
+def test_a_killed_server_is_lost_and_a_blocked_one_is_not(with_client, start, names):
+    killed, blocked = names(), names()
+    victim = start(killed)
+    start(blocked, "--threads", "1")
+
+    async def scenario(client):
+        busy = client.send("busy", action="block", arguments=["28"])
+        sent = client.send("act", action="hang")
+        await asyncio.gather(sent.accepted(), busy.accepted())
+        victim.kill()
+        since = monotonic()
+        outcome = await sent.ended()
+        assert (outcome.kind, outcome.message) == (OutcomeKind.LOST, f"/{killed} went away")
+        assert 2.0 < monotonic() - since < 60.0  # its lease lasts 20 s
+        assert (await busy.ended()).kind is OutcomeKind.SUCCEEDED
+
+    with_client(scenario, act=Binding(server=killed), busy=Binding(server=blocked))
+
+
+def test_goals_end_when_the_ros_thread_is_closed_under_the_client(with_client, shared):
+    async def scenario(another):
+        ros = RosThread("closed_early")
+        client = type(another)(ros, act=Binding(server=shared))
+        sent = client.send("act", action="hang")
+        await sent.accepted()
+        assert await asyncio.to_thread(ros.close)
+        outcome = await sent.ended()
+        assert (outcome.kind, outcome.message) == (OutcomeKind.LOST, "the ROS 2 node was closed")
+        assert (await client.send("act", action="succeed").ended()).kind is OutcomeKind.UNAVAILABLE
+
+    with_client(scenario)
+
+
+CLOSING = """
+import asyncio, sys
+from uuid import uuid4
+from pnm.core.machine.requests import Request
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.ros.action_client.client import Ros2ActionClient
+from pnm.ros.node.ros_thread import RosThread
+
+ros = RosThread("closing")
+
+async def main():
+    client = Ros2ActionClient(ros, Bindings(), asyncio.get_running_loop())
+    accepted = asyncio.Event()
+    action = GroundAction(sys.argv[1])
+    client.send(Request(uuid4(), action, {"action": "hang"}), lambda report: accepted.set())
+    await asyncio.wait_for(accepted.wait(), 100)
+    if sys.argv[2] == "close":
+        client.close()
+        assert ros.close()
+
+asyncio.run(main())
+"""
+
+
+@pytest.mark.parametrize("how", ["close", "just end"])
+def test_a_process_with_an_open_goal_ends_cleanly(shared, how):
+    command = [sys.executable, "-c", CLOSING, shared, how]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")

@@ -1,0 +1,138 @@
+"""Fields and types of messages: what a sensor may not ask for is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import pytest
+
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.rules import Rules
+from pnm.errors import InputError
+from pnm.knowledge.message_fields import parse_field
+from pnm.knowledge.sensor_model import Instance, read
+from pnm.ros.node.messages import import_type, to_message
+from pnm.ros.node.service_client import until_true
+from pnm.ros.sensors.fields import find_field, fitted, value_at
+from pnm.ros.sensors.sensors import Sensors
+from tests.support.pddl.sensed_world import DOMAIN, PROBLEM
+from tests.support.ros.child_process import run
+from tests.support.ros.listening import becomes, listening
+
+BASIC = "test_msgs/msg/BasicTypes"
+
+
+@pytest.mark.parametrize(
+    ("facts", "said"),
+    [
+        ("{number: (battery r1), field: percentage}", "BasicTypes has no field 'percentage'; it has bool_value, byte_value"),
+        (
+            "{number: (battery r1), field: flaot64_value}",
+            "has no field 'flaot64_value'; did you mean 'float64_value'? it has bool_value",
+        ),
+        ("{number: (battery r1), field: bool_value}", "bool_value is a boolean; expected a number, or a table"),
+        ("{object: (location r1), field: int8_value}", "int8_value is a int8; expected a text, or a table"),
+        ("{fact: (dark), field: int8_value}", "int8_value is a int8; expected a boolean, or 'when' and how it compares"),
+        ("{fact: (dark), when: {field: int8_value, eq: low}}", "int8_value is a int8, which cannot be compared with 'low'"),
+        ("{fact: (dark), when: {not: {field: bool_value, eq: 1}}}", "bool_value is a boolean, which cannot be compared with 1"),
+        ("{fact: (dark), when: {field: bool_value, contains: 1}}", "bool_value is a boolean, which contains nothing"),
+        ("{number: (battery r1), field: 'float64_value[0]'}", "float64_value is a double; only a list has an item 0"),
+        ("{number: (battery r1), field: float64_value.x}", "double has no field 'x'; it has none"),
+    ],
+    ids=lambda value: value[:50],
+)
+def test_a_field_that_the_type_does_not_have_is_refused(ros, sensing, facts, said):
+    file = sensing(f"sensors:\n  - topic: nobody\n    type: {BASIC}\n    facts: [{facts}]")
+
+    async def main():
+        with pytest.raises(InputError) as caught:
+            Sensors(ros, file, KnowledgeBase(objects=PROBLEM.objects_by_type), 1.0)
+        assert said in str(caught.value)
+        assert caught.value.position.line == 4
+
+    run(main())
+
+
+def test_types_found_in_the_graph_are_checked_as_well(ros, names, sensing, sensors):
+    topic, service = names(), names()
+    sensors(
+        {"topic": topic, "type": BASIC, "fields": {}},
+        {"service": service, "type": "test_msgs/srv/BasicTypes", "fields": {}},
+    )
+
+    async def main(text, said):
+        await until_true(ros, lambda: ros.node.count_services(service))
+        with pytest.raises(InputError, match=said):
+            async with listening(ros, sensing(text)):
+                pass
+
+    run(main(f"sensors: [{{topic: {topic}, facts: [{{fact: (dark), field: open}}]}}]", "BasicTypes has no field 'open'"))
+    run(main(f"sensors: [{{service: {service}, facts: [{{fact: (dark), field: open}}]}}]", "BasicTypes_Response has no field 'open'"))
+    refused = f"sensors: [{{service: {service}, request: {{level: 1}}, facts: [{{fact: (dark), field: bool_value}}]}}]"
+    run(main(refused, "a field that BasicTypes_Request does not have"))
+
+
+def test_what_cannot_be_listened_to_is_refused(ros, sensing):
+    async def main():
+        for text, said in {
+            "topic: t, type: spam_msgs/msg/Eggs, facts: [{fact: (dark)}]": "1:11: the ROS type spam_msgs/msg/Eggs is not installed",
+            "topic: 1t, facts: [{fact: (dark)}]": "1:11: not a name for a topic: '1t'",
+            "service: 1t, facts: [{fact: (dark)}]": "1:11: not a name for a service: '1t'",
+        }.items():
+            with pytest.raises(InputError, match=said):
+                async with listening(ros, sensing(f"sensors: [{{{text}}}]")):
+                    pass
+        rules = Rules(tuple(replace(rule, name="dark", variables=()) for rule in DOMAIN.rules))
+        with pytest.raises(InputError, match="facts of dark follow from rules"):
+            Sensors(ros, sensing("sensors: [{topic: t, facts: [{fact: (dark)}]}]"), KnowledgeBase(rules=rules), 1.0)
+
+    run(main())
+
+
+def test_publishers_of_another_type_are_ignored(ros, names, sensing, sensors, caplog):
+    name = names()
+    sensors({"topic": name, "type": "test_msgs/msg/Strings", "fields": {"string_value": "hall"}})
+    sensors({"topic": name, "type": BASIC, "fields": {"bool_value": True}})
+    file = sensing(f"sensors: [{{topic: {name}, type: {BASIC}, facts: [{{fact: (dark), field: bool_value}}]}}]")
+
+    async def main():
+        async with listening(ros, file) as world:
+            await becomes(world, ("dark",), True)
+            await until_true(ros, lambda: "is ignored where" in caplog.text)
+
+    run(main())
+    assert f"{name} is ignored where it has the type test_msgs/msg/Strings; expected {BASIC}" in caplog.text
+
+
+def test_fields_of_messages():
+    message = to_message(import_type("test_msgs/msg/Arrays"), {"byte_values": [1, 2, 255], "float32_values": [0.5, 1.5, 2.5]})
+    wanted = {"byte_values[-1]": 255, "float32_values[1]": 1.5, "bool_values_default": [False, True, False], "alignment_check": 0}
+    assert {path: value_at(message, parse_field(path)) for path in wanted} == wanted
+    assert value_at(message, parse_field("basic_types_values[2].int64_value")) == 0
+    assert find_field(type(message), parse_field("basic_types_values[2].int64_value")).kind == "int64"
+    assert find_field(type(message), parse_field("string_values")).kind == "string[3]"
+
+
+def test_constants_of_messages_have_names(sensing):
+    state = import_type("lifecycle_msgs/srv/GetState").Response
+    text = """sensors: [{{service: s, facts: [
+        {{number: (battery r1), field: current_state.id, table: {{PRIMARY_STATE_ACTIVE: 1, {key}: 0.5}}}},
+        {{fact: (dark), when: {{not: {{any: [{{all: [{{field: current_state.id, ne: {name}}}]}}]}}}}}}]}}]"""
+    (sensor,) = sensing(text.format(key=4, name="PRIMARY_STATE_ACTIVE")).sensors
+    look = partial(value_at, to_message(state, {"current_state": {"id": 3}}))
+    reading = read(Instance(fitted(sensor, state), {}), look, KnowledgeBase().objects)
+    assert reading.facts == {("battery", "r1"): 1.0, ("dark",): True}
+    for key, name, said in [
+        (4, "PRIMARY_STATE_ACTVE", "3:9: current_state.id is a uint8, which cannot be compared with 'PRIMARY_STATE_ACTVE'; did you mean"),
+        (
+            "active",
+            "PRIMARY_STATE_ACTIVE",
+            "2:9: current_state.id is a uint8, which cannot be compared with 'active'; expected a number, or one",
+        ),
+    ]:
+        (sensor,) = sensing(text.format(key=key, name=name)).sensors
+        with pytest.raises(InputError) as caught:
+            fitted(sensor, state)
+        assert said.split(": ", 1)[1] in str(caught.value)
+        assert f"sensing.yaml:{said[0]}:" in str(caught.value)

@@ -1,0 +1,35 @@
+"""Sensors that listen, and what is known from them."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import asynccontextmanager
+
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.ros.sensors.sensors import Sensors
+from tests.support.pddl.sensed_world import PROBLEM
+from tests.support.processes import LIMIT
+
+
+@asynccontextmanager
+async def listening(ros, sensing):
+    world = KnowledgeBase(objects=PROBLEM.objects_by_type)
+    listener = Sensors(ros, sensing, world, 1.0)
+    try:
+        await listener.open()
+        yield world
+    finally:
+        await listener.close()
+
+
+async def becomes(world: KnowledgeBase, fluent, value) -> None:
+    """Wait until it is so."""
+    changed = asyncio.Event()
+    stop = world.listen(lambda _: changed.set())
+    try:
+        async with asyncio.timeout(LIMIT):
+            while world.value(fluent) != value:
+                changed.clear()
+                await changed.wait()
+    finally:
+        stop()
