@@ -174,7 +174,14 @@ def _expression(node: Node) -> Expression | None:
             return None
         return ValueOf(read_fluent(found.items(1)[0])) if found.word == "value" else _arithmetic(found)
     if node.text is not None:
-        return _named(node.text)
+        fluent = fluent_in(node.text)
+        if fluent is not None:
+            return ValueOf(fluent)
+        if node.text == DURATION[0]:
+            return ValueOf(DURATION)
+        if _NUMBER.match(node.text):  # YAML 1.1 takes 1e5 for a text
+            return Constant(float(node.text)) if abs(float(node.text)) <= sys.float_info.max else None
+        return Constant(node.text) if _NAME.match(node.text) else None
     value = None if node.items is not None else node.plain()
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
@@ -183,28 +190,17 @@ def _expression(node: Node) -> Expression | None:
     return Constant(float(value))
 
 
-def _named(text: str) -> Expression | None:
-    fluent = fluent_in(text)
-    if fluent is not None:
-        return ValueOf(fluent)
-    if text == DURATION[0]:
-        return ValueOf(DURATION)
-    if _NUMBER.match(text):  # YAML 1.1 takes 1e5 for a text
-        return Constant(float(text)) if abs(float(text)) <= sys.float_info.max else None
-    return Constant(text) if _NAME.match(text) else None
-
-
 def _arithmetic(found: Form) -> Expression | None:
     operator, operands = operation_parts(found)
     symbol = ARITHMETIC.get(read_operator(operator))
     parts = [_expression(operand) for operand in operands]
-    known = [part for part in parts if part is not None and not _is_name(part)]
+    known = [
+        part
+        for part in parts
+        if part is not None and not (isinstance(part, Constant) and isinstance(part.value, str) and not is_variable(part.value))
+    ]
     if symbol is None or len(known) < len(parts):
         return None
     if len(known) not in _OPERANDS.get(symbol, range(2, sys.maxsize)):
         raise found.argument.wrong(f"{symbol} does not take {len(known)} operands")
     return Arithmetic(symbol, tuple(known))
-
-
-def _is_name(expression: Expression) -> bool:
-    return isinstance(expression, Constant) and isinstance(expression.value, str) and not is_variable(expression.value)
