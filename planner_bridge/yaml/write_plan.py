@@ -40,7 +40,7 @@ class _StepWriter:
         own = [(places[PlanEvent(call.index, Moment.START)], places[PlanEvent(call.index, Moment.END)]) for call in self.graph.calls]
         edges = [(places[ordering.before], places[ordering.after]) for ordering in self.graph.orderings]
         before = reduced(len(order), [*own, *edges])
-        # those that do not follow from others
+        # only those that do not follow from others
         orderings = [ordering for ordering, (i, j) in zip(self.graph.orderings, edges, strict=True) if ordering.delay or i in before[j]]
         simple = all(
             ordering.before.moment is Moment.END and ordering.after.moment is Moment.START and not ordering.delay for ordering in orderings

@@ -136,11 +136,7 @@ def read_domain(path: Path) -> LanguageDomain:
 
 
 def plan_heads(path: Path, domain: LanguageDomain | None = None) -> list[PlanHead]:
-    """Read the heads of all plans of a file.
-
-    Raises:
-        InputError: there is none, or something is malformed.
-    """
+    """Read the heads of all plans of a file."""
     return plan_heads_in(*read_documents(path), domain)
 
 

@@ -63,8 +63,7 @@ async def check_values(plan: HandWrittenPlan, knowledge: Layered, source: Source
         InputError: one has none.
     """
     nameless = [name for name in plan.parameters or () if knowledge.variable(name) is MISSING]
-    askable: set[str] = set()
-    """The variables in whose place a person may be asked."""
+    askable: set[str] = set()  # variables in whose place a person may be asked
     for call in plan.graph.calls if nameless else ():
         given = dict(call.action.given)
         for asked in plan.bindings.of(call.action.name).ask:
@@ -248,11 +247,7 @@ class Performer:
         return Performance(program, Executor(run, client, self.source, name), client)
 
     async def check(self, performance: Performance) -> None:
-        """See to it that every parameter of the plan has a value, before it is carried out; see `check_values`.
-
-        Raises:
-            InputError: one has none.
-        """
+        """See to it that every parameter of the plan has a value, before it is carried out; see `check_values`."""
         run, plan = performance.executor.run, performance.program.plan
         await check_values(plan, run.knowledge, self.source, Asker(run.id, plan.name))
 

@@ -250,11 +250,7 @@ class _After:
 
 
 def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[_After, ...]]:
-    """Return for every step of a list what it waits for.
-
-    Raises:
-        InputError: steps wait for each other, or for the start of what is no call.
-    """
+    """Return for every step of a list what it waits for."""
     numbers = {step.place.id: number for number, step in enumerate(steps) if step.place.id is not None}
     found: list[tuple[_After, ...]] = []
     for number, step in enumerate(steps):
