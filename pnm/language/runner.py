@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from math import inf
@@ -63,22 +63,17 @@ async def check_values(plan: HandWrittenPlan, knowledge: Layered, source: Source
         InputError: one has none.
     """
     nameless = [name for name in plan.parameters or () if knowledge.variable(name) is MISSING]
-    askable = _askable(plan) if nameless else frozenset()
+    askable: set[str] = set()
+    """The variables in whose place a person may be asked."""
+    for call in plan.graph.calls if nameless else ():
+        given = dict(call.action.given)
+        for asked in plan.bindings.of(call.action.name).ask:
+            read = parts(given[asked]) if asked in given else ()
+            askable |= {asked, *(str(part.name.value) for part in read if isinstance(part, Query) and isinstance(part.name, Literal))}
     for name in nameless:
         if name not in askable and not await _is_known(name, source, asker):
             where = f"such as {{{name}: …}} among the parameters, under initial_knowledge, or in the global knowledge"
             raise InputError(f"{plan.name} needs a value for its parameter {name!r}; expected one {where}")
-
-
-def _askable(plan: HandWrittenPlan) -> frozenset[str]:
-    """Return the variables in whose place a person may be asked."""
-    found: set[str] = set()
-    for call in plan.graph.calls:
-        given = dict(call.action.given)
-        for asked in plan.bindings.of(call.action.name).ask:
-            read = parts(given[asked]) if asked in given else ()
-            found |= {asked, *(str(one.name.value) for one in read if isinstance(one, Query) and isinstance(one.name, Literal))}
-    return frozenset(found)
 
 
 async def _is_known(name: str, source: Source | None, asker: Asker) -> bool:
@@ -189,7 +184,11 @@ class Performer:
     going_on: list[Performance] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.resources = Resources(_capacities(program.plan for program in self.programs.values()))
+        capacities: dict[str, int] = {}
+        for program in self.programs.values():  # the most careful of the plans counts
+            for name, capacity in program.plan.graph.capacities.items():
+                capacities[name] = min(capacity, capacities.get(name, capacity))
+        self.resources = Resources(capacities)
         self.programs = {name: program.sharing(self.resources) for name, program in self.programs.items()}
 
     async def prepare(self) -> tuple[str, ...]:
@@ -275,15 +274,6 @@ class Performer:
             if request in run.open_requests:
                 return run.knowledge, Asker(run.id, performance.program.plan.name)
         return None
-
-
-def _capacities(plans: Iterable[HandWrittenPlan]) -> dict[str, int]:
-    """Return how many calls may have each resource at the same time: what the most careful of the plans says."""
-    found: dict[str, int] = {}
-    for plan in plans:
-        for name, capacity in plan.graph.capacities.items():
-            found[name] = min(capacity, found.get(name, capacity))
-    return found
 
 
 class PlansClient:
