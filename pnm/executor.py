@@ -17,7 +17,6 @@ from pnm.core.execution.events import (
     Ask,
     Begin,
     Cancel,
-    Command,
     Event,
     KnowledgeChanged,
     Pause,
@@ -173,26 +172,23 @@ class Executor:
         if isinstance(event, KnowledgeChanged | ResourcesChanged):
             self._waiting.discard(event)
         for command in self.run.handle(event, asyncio.get_running_loop().time()):
-            self._do(command)
+            match command:
+                case Send(request):
+                    self._client.send(request, self._hear)
+                case Cancel(request):
+                    self._client.cancel(request)
+                case Wake(at):
+                    self._wake_at(at)
+                case Ask(identity, question):
+                    self._talk(identity, self._ask(identity, question))
+                case Withdraw(identity):
+                    if identity in self._talks:
+                        self._talks[identity].cancel()
+                case Store(identity, question, value):
+                    self._talk(identity, self._tell(identity, question, value))
+                case _:
+                    assert_never(command)
         self._announce()
-
-    def _do(self, command: Command) -> None:
-        match command:
-            case Send(request):
-                self._client.send(request, self._hear)
-            case Cancel(request):
-                self._client.cancel(request)
-            case Wake(at):
-                self._wake_at(at)
-            case Ask(identity, question):
-                self._talk(identity, self._ask(identity, question))
-            case Withdraw(identity):
-                if identity in self._talks:
-                    self._talks[identity].cancel()
-            case Store(identity, question, value):
-                self._talk(identity, self._tell(identity, question, value))
-            case _:
-                assert_never(command)
 
     def _talk(self, identity: UUID, talk: Coroutine[None, None, None]) -> None:
         task = self._talks[identity] = asyncio.get_running_loop().create_task(talk)

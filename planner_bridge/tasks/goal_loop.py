@@ -145,20 +145,16 @@ class GoalLoop:
 
     def _check_end(self, execution: PlanExecution) -> None:
         """Raise `TaskEnded` if the task ends with this run."""
-        if ended := self._end_with(execution):
+        result, stopped, problem = execution.result, self._control.stopped, self._context.problem
+        ended, is_violated = stopped, stopped is not None and stopped.code is Code.CONSTRAINT_VIOLATED
+        is_complete = result.goal or not (problem.network or self._given)  # a network of tasks, or a plan, is more than its goal
+        if not is_violated and is_complete and self._goal_holds() and not self._monitor.missing:
+            ended = TaskEnded(Code.GOAL_REACHED, "the goal holds")
+        elif stopped is None and self._given and (result.failures or not execution.is_blocked):
+            ended = TaskEnded(code_of_failures(result.failures), result.reason)
+        if ended:
             self._log.end(execution.run.machine, execution.result)
             raise ended
-
-    def _end_with(self, execution: PlanExecution) -> TaskEnded | None:
-        result, stopped, problem = execution.result, self._control.stopped, self._context.problem
-        if stopped and stopped.code is Code.CONSTRAINT_VIOLATED:
-            return stopped
-        is_complete = result.goal or not (problem.network or self._given)  # a network of tasks, or a plan, is more than its goal
-        if is_complete and self._goal_holds() and not self._monitor.missing:
-            return TaskEnded(Code.GOAL_REACHED, "the goal holds")
-        if stopped is None and self._given and (result.failures or not execution.is_blocked):
-            return TaskEnded(code_of_failures(result.failures), result.reason)
-        return stopped
 
     def _goal_holds(self) -> bool:
         return evaluate(self._context.problem.goal, self._context.knowledge) is True

@@ -239,7 +239,12 @@ class TaskManager:
             self._end(task, TaskEnding(Code.QUEUE_FULL, f"{waiting} tasks are waiting already"))
             return
         try:
-            task.start = self._plan_start(task) if task.wanted.is_plan else self._goal_start(task)
+            if task.wanted.is_plan:
+                task.start = self._plan_start(task)
+            else:
+                goal = self._read_goal(task.wanted.text)
+                task.goal = str(goal)
+                task.start = lambda: GoalLoop(self._context(task, goal)).pursue()
         except InputError as error:
             task.error = error
             self._end(task, TaskEnding(Code.INVALID_GOAL, str(error)))
@@ -251,16 +256,6 @@ class TaskManager:
         task.is_held = self._is_held
         task.entered(TaskState.QUEUED, "")
         self._admit()
-
-    def _goal_start(self, task: Task) -> StartTask:
-        """Return what pursues the goal of a task.
-
-        Raises:
-            InputError: it is no goal.
-        """
-        goal = self._read_goal(task.wanted.text)
-        task.goal = str(goal)
-        return lambda: GoalLoop(self._context(task, goal)).pursue()
 
     def _plan_start(self, task: Task) -> StartTask:
         """Return what carries out the plan of a task: one that is loaded, or a text of calls.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 
-from tests.support.e2e.deployment import written
 from tests.support.e2e.processes import Program
+from tests.support.files import written
 
 DOMAIN = """(define (domain workshop)
   (:requirements :typing :durative-actions :numeric-fluents)
@@ -37,7 +37,7 @@ def test_what_is_unknown_because_its_sensor_was_killed_fails_a_call_and_is_plann
     sensor = deployment.start(Program(["-m", "tests.support.ros.sensors", json.dumps(battery)], deployment.environment))
     sensor.until(lambda: "ready" in sensor.out)
     simulation = deployment.simulate().ready()
-    run = deployment.run("--sensing", written(deployment.folder / "sensing.yaml", SENSING))
+    run = deployment.run("--sensing", str(written(deployment.folder / "sensing.yaml", SENSING)))
     simulation.happens("start", "warm_up")
     sensor.process.kill()
     finished = deployment.finish(run, simulation)
@@ -56,12 +56,12 @@ def test_sensors_that_are_wrong_are_refused_before_anything_starts(deploy):
         SENSING.replace("charged", "chraged"): "sensing.yaml:6:15: there is no predicate 'chraged' in the domain; did you mean 'charged'?",
         SENSING.replace("battery\n", "battery\n    type: test_msgs/msg/Empty\n"): "sensing.yaml:7:15: Empty has no field 'float32_value'",
     }.items():
-        run = deployment.run("--sensing", written(deployment.folder / "sensing.yaml", text))
+        run = deployment.run("--sensing", str(written(deployment.folder / "sensing.yaml", text)))
         assert run.ended() == 2
         assert said in run.err[-1]
     battery = {"topic": "/r1/battery", "type": "test_msgs/msg/Strings", "fields": {}}
     sensor = deployment.start(Program(["-m", "tests.support.ros.sensors", json.dumps(battery)], deployment.environment))
     sensor.until(lambda: "ready" in sensor.out)
-    run = deployment.run("--sensing", written(deployment.folder / "sensing.yaml", SENSING))
+    run = deployment.run("--sensing", str(written(deployment.folder / "sensing.yaml", SENSING)))
     assert run.ended() == 2
     assert "sensing.yaml:6:15: Strings has no field 'float32_value'; it has string_value" in run.err[-1]

@@ -1,56 +1,27 @@
-"""The world that all tasks share, in texts: answers, changes, goals, and problems that are saved."""
+"""The world that all tasks share, in texts: questions, changes, goals."""
 
 from __future__ import annotations
 
-import os
-import resource
-from contextlib import contextmanager
-from math import inf, nan
 from pathlib import Path
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
 
-from planner_bridge.loading import load
-from planner_bridge.model.grounding import initial_knowledge, problem_now
-from planner_bridge.node.problem_service import LoadedProblem, ServedProblem, load_texts, write_inside
+from planner_bridge.model.grounding import initial_knowledge
+from planner_bridge.node.problem_service import LoadedProblem, ServedProblem
 from planner_bridge.node.world_queries import MAX_LENGTH, MAX_TEXTS, SharedWorld, read_goals
-from planner_bridge.pddl import parse_domain, parse_problem, read_problem
 from planner_bridge.tasks.settings import Settings
 from pnm.clock import run_async
-from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.conditions import TRUE
-from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, fluent_text
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN
 from pnm.errors import InputError
-from tests.support.files import ROOT
-
-DOMAIN = parse_domain(
-    """(define (domain d) (:requirements :adl :fluents :derived-predicates)
-    (:types robot place - object arm - robot)
-    (:constants dock - place)
-    (:predicates (charged ?r - robot) (at ?r - robot ?p - place) (ready ?r - robot) (dark))
-    (:functions (battery ?r - robot) - number (location ?r - robot) - place)
-    (:derived (ready ?r - robot) (and (charged ?r) (not (dark))))
-    (:action wait :parameters (?r - robot) :effect (dark)))"""
-)
-PROBLEM = parse_problem(
-    """(define (problem p) (:domain d) (:objects r1 R2 - robot a1 - arm kitchen hall - place)
-    (:init (at r1 kitchen) (charged r1) (= (battery r1) 0.5) (= (location a1) hall) (at 5 (dark))) (:goal (at r1 hall)))""",
-    DOMAIN,
-)
-GOALS = {"home": "(forall (?r - robot) (at ?r dock))", "dark": "(dark)"}
-
-
-def world() -> SharedWorld:
-    return SharedWorld(PROBLEM, initial_knowledge(PROBLEM), GOALS)
+from tests.support.tasks.world import PROBLEM, world
 
 
 def answers(shared: SharedWorld, *questions: str) -> list[str]:
     return [answer for _, answer in shared.query(questions)]
 
 
-# --- questions -----------------------------------------------------------------------------
+# --- questions ---
 
 
 @pytest.mark.parametrize(
@@ -132,7 +103,7 @@ def test_too_much_at_once_is_refused():
         world().update(["(dark)"] * (MAX_TEXTS + 1), ["(dark)"])
 
 
-# --- changes -------------------------------------------------------------------------------
+# --- changes ---
 
 
 def test_changes_are_recorded_and_counted():
@@ -239,7 +210,7 @@ def test_the_object_that_a_function_no_longer_has_is_told_whatever_happened_befo
     run_async(scene(), virtual=True)
 
 
-# --- goals ---------------------------------------------------------------------------------
+# --- goals ---
 
 
 def test_goals_are_conditions_or_names():
@@ -289,130 +260,3 @@ def test_goals_are_read_from_a_file(tmp_path):
         with pytest.raises(InputError) as caught:
             read_goals(file)
         assert str(caught.value).startswith(f"{file}:{said}")
-
-
-# --- files ---------------------------------------------------------------------------------
-
-
-def test_a_problem_is_saved_as_it_is_now(tmp_path):
-    knowledge = initial_knowledge(PROBLEM)
-    shared = SharedWorld(PROBLEM, knowledge, elapsed=lambda: 2.0)
-    shared.update(["(= (battery r2) 0.1)"], ["(at r1 kitchen)"], ["(charged r1)"])
-    path = write_inside(tmp_path, "today/p.pddl", shared.problem_text())
-    assert path == (tmp_path / "today" / "p.pddl").resolve()
-    saved = read_problem(path, DOMAIN)
-    assert saved == problem_now(PROBLEM, knowledge, 2.0)
-    assert [change.time for change in saved.timed] == [3.0]
-    assert saved.init == {("battery", "r1"): 0.5, ("battery", "R2"): 0.1, ("location", "a1"): "hall"}
-    assert load_texts("", "today/p.pddl", tmp_path, DOMAIN) == saved
-    assert load_texts(shared.domain_text(), shared.problem_text(), tmp_path, read_nothing()) == saved
-    (tmp_path / "d.pddl").write_text(shared.domain_text())
-    assert load_texts("d.pddl", f"; saved\n{shared.problem_text()}", tmp_path, read_nothing()) == saved
-
-
-def read_nothing():
-    return parse_domain("(define (domain nothing))")
-
-
-@pytest.mark.parametrize("name", ["../p.pddl", "/etc/p.pddl", "a/../../p.pddl", "", " ", ".", "out/p.pddl", "a\0b", "x" * 5000])
-def test_nothing_is_written_or_read_outside_of_the_folder(tmp_path, name):
-    folder = tmp_path / "problems"
-    folder.mkdir()
-    (folder / "out").symlink_to(tmp_path)
-    with pytest.raises(InputError):
-        write_inside(folder, name, world().problem_text())
-    with pytest.raises(InputError):
-        load_texts("", name, folder, DOMAIN)
-    assert [*tmp_path.rglob("*.pddl")] == []
-
-
-@contextmanager
-def no_file_larger_than(size: int):
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
-def test_what_cannot_be_written_whole_is_not_written_at_all(tmp_path):
-    path = write_inside(tmp_path, "p.pddl", "before")
-    with no_file_larger_than(100), pytest.raises(InputError, match=r"p\.pddl: cannot be written: File too large"):
-        write_inside(tmp_path, "p.pddl", "x" * 1000)
-    assert (path.read_text(), os.listdir(tmp_path)) == ("before", ["p.pddl"])
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(InputError, match="cannot be written: it is a folder"):
-        write_inside(tmp_path, "folder", "x")
-    with pytest.raises(InputError, match="cannot be written: "):
-        write_inside(tmp_path, "p.pddl/q.pddl", "x")
-
-
-# --- laws ----------------------------------------------------------------------------------
-
-ROBOTS, PLACES = ("r1", "R2", "a1"), ("kitchen", "hall", "dock")
-robots, places = st.sampled_from(ROBOTS), st.sampled_from(PLACES)
-facts = st.one_of(st.tuples(st.just("at"), robots, places), st.tuples(st.just("charged"), robots), st.just(("dark",)))
-numbers = st.floats(allow_nan=False, allow_infinity=False)
-states = st.dictionaries(
-    st.one_of(facts, st.tuples(st.sampled_from(["at", "battery", "location", "spam", "dark"]), st.sampled_from([*ROBOTS, *PLACES, "x"]))),
-    st.one_of(st.booleans(), st.floats(), st.sampled_from([*PLACES, "r1", "spam", UNDEFINED, UNKNOWN])),
-    max_size=12,
-)
-
-
-@given(states, st.floats(0, 10))
-@example({("battery", "r1"): inf, ("battery", "R2"): nan, ("location", "r1"): "r1"}, 0.0)
-def test_the_problem_that_is_written_reads_back_equal_whatever_was_reported(reported, elapsed):
-    knowledge = initial_knowledge(PROBLEM)
-    knowledge.update(reported)
-    shared = SharedWorld(PROBLEM, knowledge, elapsed=lambda: elapsed)
-    domain = parse_domain(shared.domain_text())
-    assert domain == DOMAIN
-    assert parse_problem(shared.problem_text(), domain) == problem_now(PROBLEM, knowledge, elapsed)
-
-
-@pytest.mark.parametrize("name", ["delivery/p01", "mall_guide/p01", "patrol/p01"])
-def test_the_problems_of_the_project_read_back_equal(name):
-    domain, number = name.split("/")
-    problem = load(ROOT / "domains" / domain / "domain.pddl", ROOT / "problems" / domain / f"{number}.pddl")
-    shared = SharedWorld(problem, initial_knowledge(problem))
-    assert parse_problem(shared.problem_text(), parse_domain(shared.domain_text())) == problem
-    assert all(answer != "unknown" for _, answer in shared.query([]))
-
-
-@given(
-    st.dictionaries(facts, st.sampled_from([True, False, UNKNOWN])),
-    st.dictionaries(st.tuples(st.just("battery"), robots), st.one_of(numbers, st.just(UNKNOWN))),
-    st.dictionaries(st.tuples(st.just("location"), robots), st.one_of(places, st.just(UNKNOWN))),
-)
-def test_what_is_told_is_what_is_answered(truths, battery, location):
-    shared = world()
-    told = {**truths, **battery, **location}
-    shared.update(
-        [written(fluent, value) for fluent, value in told.items() if value is not UNKNOWN and value is not False],
-        [fluent_text(fluent) for fluent, value in told.items() if value is False],
-        [fluent_text(fluent) for fluent, value in told.items() if value is UNKNOWN],
-    )
-    for fluent, (_, answer) in zip(told, shared.query([*map(fluent_text, told)]) if told else (), strict=True):
-        value = told[fluent]
-        if isinstance(value, float):
-            assert float(answer) == value
-        else:
-            assert answer == ("unknown" if value is UNKNOWN else str(value).lower() if isinstance(value, bool) else value)
-
-
-def written(fluent, value):
-    return f"(= {fluent_text(fluent)} {value!r})" if isinstance(value, float) else statement_text(fluent, value)
-
-
-@given(st.lists(st.one_of(st.text(max_size=30), st.text("()= atr1dkhl?0.", max_size=20)), max_size=3))
-def test_no_text_does_more_than_be_refused(texts):
-    knowledge = initial_knowledge(PROBLEM)
-    shared = SharedWorld(PROBLEM, knowledge)
-    for use in (lambda: shared.query(texts or ["x"]), lambda: shared.update(texts), lambda: shared.update([], texts, texts)):
-        before = knowledge.facts()
-        try:
-            use()
-        except InputError:
-            assert knowledge.facts() == before

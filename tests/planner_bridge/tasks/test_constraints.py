@@ -1,113 +1,37 @@
-"""Tasks with constraints and preferences, on simulated robots: what is violated ends a task, what is missing does not."""
+"""Constraints of tasks, on simulated robots: what is violated ends a task, what is missing does not."""
 
 from __future__ import annotations
 
 import asyncio
-import io
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import pytest
-from rich.console import Console
 
-from planner_bridge.cli.console import ConsoleObserver, print_result
-from planner_bridge.model.grounding import problem_now
 from planner_bridge.model.problem import Problem
-from planner_bridge.pipeline import achieve_at
-from planner_bridge.simulation import robots_of, simulated_backend
+from planner_bridge.simulation import robots_of
 from planner_bridge.tasks.constraint_monitor import ConstraintMonitor
 from planner_bridge.tasks.replanning import Limits
-from planner_bridge.tasks.result import TaskResult, Violation
-from planner_bridge.tasks.settings import Settings, TaskObserver
 from pnm.actions.backend import SimulatedBackend
-from pnm.actions.faults import NO_FAULTS, Fault, FaultKind, Faults, HiddenChange
-from pnm.clock import run_async
+from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.knowledge_base import KnowledgeBase, Layered
-from pnm.core.logic.conditions import Condition, Exists, Holds, Not
-from pnm.core.logic.domain import ActionSchema, Preference
+from pnm.core.logic.conditions import Holds, Not
 from pnm.core.logic.expressions import Variable
-from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint
+from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
-from tests.support.problems import rooms
 from tests.support.runs.simulated import LateBackend
+from tests.support.tasks.constraints import TO_C, always, changes, pursued, sometime, within
 
-TO_C = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc")
-"""Two moves of a second each, from a over b to c."""
 A, B, C, D = (Holds(("clean", room)) for room in "abcd")
 ROOM = Variable("?a", ("room",))
-
-
-def always(condition: Condition, *variables: Variable) -> Constraint:
-    return Constraint("always", (condition,), (), variables)
-
-
-def sometime(condition: Condition) -> Constraint:
-    return Constraint("sometime", (condition,))
-
-
-def within(seconds: float, condition: Condition) -> Constraint:
-    return Constraint("within", (condition,), (seconds,))
 
 
 def constrained(*constraints: Constraint, problem: Problem = TO_C) -> Problem:
     return replace(problem, constraints=constraints)
 
 
-def changes(*times: tuple[float, str], value: bool = True) -> Faults:
-    """Rooms that become clean behind the robots' backs; or, with ``not``, dirty."""
-    return Faults(changes=tuple(HiddenChange({("clean", room[-1]): "not" not in room}, at=time) for time, room in times))
-
-
-@dataclass
-class Log(TaskObserver):
-    """Writes down which constraints are violated, when that is told, and how often a planner is asked."""
-
-    told: list[tuple[float, Violation]] = field(default_factory=list)
-    asked: int = 0
-
-    def planning(self, planner: str) -> None:
-        self.asked += 1
-
-    def violated(self, violation: Violation, now: float) -> None:
-        self.told.append((now, violation))
-
-
-@dataclass
-class Pursued:
-    """A task that is over."""
-
-    result: TaskResult
-    log: Log
-    truth: KnowledgeBase
-    ended: float
-
-    def outcomes(self) -> list[str]:
-        return [call.outcome for call in self.result.calls]
-
-    def statuses(self) -> list[str]:
-        return [one.status for one in self.result.constraints]
-
-
-def pursued(
-    problem: Problem,
-    faults: Faults = NO_FAULTS,
-    *,
-    limits: Limits = Limits(),
-    bindings: Bindings = Bindings(),
-    backend: SimulatedBackend | None = None,
-) -> Pursued:
-    backend, log = backend or simulated_backend(problem, bindings, faults), Log()
-
-    async def main() -> tuple[TaskResult, float]:
-        result = await achieve_at(backend, problem, Settings(limits=limits, bindings=bindings), log)
-        return result, asyncio.get_running_loop().time()
-
-    result, ended = run_async(main(), virtual=True)
-    return Pursued(result, log, backend.robots.world.truth, ended)
-
-
-# --- violated ----------------------------------------------------------------------------------------
+# --- violated ---
 
 
 def test_a_violated_constraint_stops_the_run_and_ends_the_task() -> None:
@@ -222,7 +146,7 @@ def test_the_constraints_are_watched_in_every_episode() -> None:
     assert done.result.reason.startswith("(always (not (clean b))) is violated after 2.50 s")
 
 
-# --- fulfilled ---------------------------------------------------------------------------------------
+# --- fulfilled ---
 
 
 def test_what_was_so_for_one_moment_was_so_sometime() -> None:
@@ -258,148 +182,3 @@ def test_a_violation_is_told_once() -> None:
 def test_a_task_that_never_began_has_monitored_nothing() -> None:
     monitor = ConstraintMonitor(constrained(always(B)), Layered(KnowledgeBase()))
     assert [one.status for one in monitor.constraint_results(0.0)] == ["not monitored"]
-
-
-# --- preferences -------------------------------------------------------------------------------------
-
-
-def wished(*preferences: Preference, problem: Problem = TO_C) -> Problem:
-    return replace(problem, preferences=preferences)
-
-
-def test_preferences_are_counted_and_never_enforced() -> None:
-    problem = wished(
-        Preference("tidy", Holds(("clean", "?a")), (ROOM,)),
-        Preference("there", Holds(("at", "r1", "c"))),
-        Preference("quiet", (always(Not(Holds(("clean", "?a")))),), (ROOM,)),
-        Preference("all-quiet", (always(Not(Holds(("clean", "?a"))), ROOM),)),
-        Preference("soon", (within(0.5, C), within(0.7, C))),
-        Preference("soon", (within(1.5, B),)),
-        Preference("", (sometime(Holds(("at", "r1", "b"))),)),
-        Preference("still", (Constraint("hold-during", (Not(D),), (0.5, 0.9)),)),
-    )
-    done = pursued(problem, changes((0.5, "a"), (1.0, "b"), (0.3, "d"), (0.95, "not d")))
-    assert done.result.goal_reached
-    assert done.result.constraints == ()
-    assert [(one.name, one.status, one.violated) for one in done.result.preferences] == [
-        ("tidy", "violated", 2),
-        ("there", "fulfilled", 0),
-        ("quiet", "violated", 3),
-        ("all-quiet", "violated", 1),
-        ("soon", "violated", 1),
-        ("", "fulfilled", 0),
-        ("still", "violated", 1),
-    ]
-    assert done.log.told == []
-
-
-def test_preferences_of_actions_are_said_not_to_be_monitored() -> None:
-    move: ActionSchema = replace(TO_C.domain.actions["move"], preferences=(Preference("lit", Exists((ROOM,), Holds(("clean", "?a")))),))
-    problem = replace(TO_C, domain=replace(TO_C.domain, actions={**TO_C.domain.actions, "move": move}))
-    assert [(one.name, one.status, one.violated) for one in pursued(problem).result.preferences] == [("lit", "not monitored", None)]
-
-
-# --- what is left for a planner ----------------------------------------------------------------------
-
-
-def monitor(problem: Problem, *seen: tuple[float, dict[str, bool]]) -> tuple[ConstraintMonitor, Problem]:
-    """Look at which rooms are clean at some times; return also the problem that is left then."""
-    world = KnowledgeBase(problem.init, objects=problem.objects_by_type)
-    watching = ConstraintMonitor(problem, Layered(world))
-    for time, clean in seen:
-        world.update({("clean", room): value for room, value in clean.items()})
-        watching.look(time)
-        watching.look(time + 0.02)
-    last = seen[-1][0]
-    return watching, watching.rest_of(problem_now(problem, world, last), last)
-
-
-def test_as_long_as_nothing_has_happened_everything_is_left_as_it_was_written() -> None:
-    lifted = Constraint("at-most-once", (Holds(("clean", "?a")),), (), (ROOM,))
-    problem = replace(wished(Preference("p", (sometime(A),), (ROOM,)), Preference("q", B)), constraints=(lifted, within(9.0, B)))
-    _, left = monitor(problem, (0.0, {"d": True}))
-    assert left.constraints == problem.constraints
-    assert left.preferences == problem.preferences
-    _, left = monitor(problem, (0.0, {"d": True}), (1.0, {"d": False}))
-    assert [str(one) for one in left.constraints[2:]] == ["(at-most-once (clean c))", "(always (not (clean d)))", "(within 8 (clean b))"]
-
-
-def test_what_is_left_is_handed_to_the_planner_with_times_from_now_on() -> None:
-    domain = replace(TO_C.domain, constraints=(sometime(A), sometime(D)), preferences=(Preference("p", B),))
-    problem = replace(
-        TO_C, domain=domain, constraints=(within(9.0, C), Constraint("sometime-after", (A, D)), Constraint("at-most-once", (A,)))
-    )
-    _, left = monitor(problem, (0.0, {}), (3.0, {"a": True}), (4.0, {"a": False}))
-    assert [str(one) for one in left.constraints] == [
-        "(sometime (clean d))",
-        "(within 5 (clean c))",
-        "(sometime-after (clean a) (clean d))",
-        "(sometime (clean d))",
-        "(always (not (clean a)))",
-    ]
-    assert (left.domain.constraints, left.domain.preferences, left.preferences) == ((), (), (Preference("p", B),))
-
-
-def test_of_preferences_every_instance_is_left_as_the_metric_names_them() -> None:
-    problem = wished(
-        Preference("p", (sometime(Holds(("clean", "?a"))),), (ROOM,)),
-        Preference("q", (always(Not(A)), sometime(D))),
-        Preference("r", (Constraint("sometime-after", (A, D)), within(9.0, B))),
-        Preference("s", (sometime(B),)),
-    )
-    _, left = monitor(problem, (0.0, {}), (3.0, {"a": True}))
-    assert left.preferences == (
-        Preference("p", ()),
-        *(Preference("p", (sometime(room),)) for room in (B, C, D)),
-        Preference("q", (IMPOSSIBLE, sometime(D))),
-        Preference("r", (Constraint("sometime-after", (A, D)), sometime(D), within(6.0, B))),
-        Preference("s", (sometime(B),)),
-    )
-
-
-def test_a_problem_without_constraints_is_left_alone() -> None:
-    watching, left = monitor(TO_C, (0.0, {}))
-    assert watching.idle
-    assert left.domain is TO_C.domain
-
-
-# --- told --------------------------------------------------------------------------------------------
-
-
-def test_the_result_as_json_tells_constraints_and_preferences() -> None:
-    problem = replace(wished(Preference("p", B)), constraints=(always(Not(B)), sometime(Holds(("at", "r1", "a")))))
-    told = pursued(problem, changes((0.3, "b"))).result.as_json()
-    assert told["constraints"] == [
-        {
-            "constraint": "(always (not (clean b)))",
-            "status": "violated",
-            "violations": [{"constraint": "(always (not (clean b)))", "time": 0.3, "observed": "(clean b) is true"}],
-        },
-        {"constraint": "(sometime (at r1 a))", "status": "fulfilled", "violations": []},
-    ]
-    assert told["preferences"] == [{"name": "p", "status": "fulfilled", "violated": 0}]
-    plain = pursued(TO_C).result.as_json()
-    assert (plain["constraints"], plain["preferences"]) == ([], [])
-
-
-def test_a_person_reads_what_is_violated_as_it_happens_and_at_the_end() -> None:
-    problem = replace(wished(Preference("p", A), Preference("q", B)), constraints=(always(Not(Holds(("clean", "?a"))), ROOM),))
-    text = io.StringIO()
-    console = Console(file=text)
-    backend = simulated_backend(problem, Bindings(), changes((0.3, "b"), (0.3, "c")))
-    print_result(console, run_async(achieve_at(backend, problem, Settings(), ConsoleObserver(console)), virtual=True))
-    lines = text.getvalue().splitlines()
-    assert "      0.31 s  broken (always (not (clean b))); observed (clean b) is true" in lines
-    assert "goal     not reached: (always (not (clean b))) is violated after 0.30 s: (clean b) is true" in lines
-    assert lines[-3:] == [
-        "         constraint (always (not (clean b))) is violated after 0.30 s: (clean b) is true, and for 1 more choices of objects",
-        "         preference p is violated 1 time",
-        "         preference q is fulfilled",
-    ]
-    assert not any("constraint" in line or "preference" in line for line in _read(TO_C))
-
-
-def _read(problem: Problem) -> list[str]:
-    text = io.StringIO()
-    print_result(Console(file=text), pursued(problem).result)
-    return text.getvalue().splitlines()

@@ -1,8 +1,7 @@
-"""PDDL ↔ YAML: nothing is lost on the way there and back, comments included, and what is wrong is said where it is."""
+"""PDDL ↔ YAML: nothing is lost on the way there and back."""
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.pddl import parse_domain, parse_problem, write_domain
-from planner_bridge.pddl.comments.table import Note, Table
+from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.pddl.comments.table import Table
 from planner_bridge.pddl.read.attach_comments import comments
-from planner_bridge.pddl.syntax.expressions import tokens
 from planner_bridge.yaml.convert import exported, imported
 from planner_bridge.yaml.emitter import Entry, Mapping, Sequence, document, scalar
 from planner_bridge.yaml.reader import parse
@@ -27,12 +25,11 @@ from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Constant, Fluent, ValueOf
 from pnm.core.logic.rules import DerivationRule
 from pnm.core.logic.trajectory import Constraint
-from pnm.errors import InputError
 from tests.support.files import ROOT, SHARED
 from tests.support.pddl import models as pddl
 from tests.support.pddl import random_problems as generated
 from tests.support.pddl.files import REFUSED
-from tests.support.refusals import refused
+from tests.support.yaml.conversion import comments_in, told
 
 PAIRS = SHARED / "pddl"
 GOLDEN = ROOT / "tests" / "planner_bridge" / "yaml" / "golden" / "patrol.yaml"
@@ -45,14 +42,6 @@ OTHERS = [
 ]
 
 
-def told(table: Table) -> list[str]:
-    return sorted(one for note in table.values() for one in (*note.before, *note.beside, *note.below) if one)
-
-
-def comments_in(text: str) -> list[str]:
-    return sorted(token.rstrip() for token, _ in tokens(text) if token[0] == ";")
-
-
 def there_and_back(problem: Problem, table: Table) -> None:
     text = problem_as_yaml(problem, table)
     found = parse(text, "x.yaml")
@@ -63,7 +52,7 @@ def there_and_back(problem: Problem, table: Table) -> None:
     yaml.safe_load(text)
 
 
-# --- files ---------------------------------------------------------------------------------
+# --- files ---
 
 
 @pytest.mark.parametrize("pair", [*OWN, *OTHERS], ids=lambda pair: f"{pair[0].parent.name}-{pair[1].stem}")
@@ -103,13 +92,13 @@ def test_a_domain_alone() -> None:
     assert parse(text, "x.yaml").domain == parse_domain(PATROL[0].read_text(encoding="utf-8"))
 
 
-# --- laws ----------------------------------------------------------------------------------
-
-
 def whole(domain: Domain) -> Domain:
     found = parse(domain_as_yaml(domain), "x.yaml")
     assert found.problem is None
     return found.domain
+
+
+# --- laws ---
 
 
 @settings(max_examples=8, suppress_health_check=[HealthCheck.too_slow], deadline=None)
@@ -212,227 +201,3 @@ def test_names_that_yaml_takes_for_something_else_are_quoted(name: str) -> None:
     plain = yaml.safe_load(problem_as_yaml(problem))
     assert (plain["name"], list(plain["actions"]), plain["requirements"]) == (name, [name], ["typing", name.lower()])
     assert plain["problem"]["init"] == [f"({name} {name})"]
-
-
-# --- comments ------------------------------------------------------------------------------
-
-COMMENTED = """; about the file
-(define (domain d) ; beside the name
-  ; about the types
-  (:types robot ; a robot
-    ; above the place
-    place) ; a place
-  (:predicates
-    (at ?r - robot ?p - place) ; where
-                               ; it is
-    (idle)
-    ; (forgotten)
-  )
-  ; about the action
-
-  (:action go ; beside the action
-    ; about the parameters
-    :parameters (?r - robot ?p - place)
-    :precondition (and ; beside the precondition
-      (idle) ; idle
-      (or (idle) ; either
-        ; or
-        (not (at ?r ?p))))
-    ; about the effect
-    :effect (and (at ?r ?p)
-      ; (not (idle))
-    ))) ; no more
-; the end
-"""
-COMMENTED_YAML = """# about the file
-name: d  # beside the name
-
-# about the types
-types:
-  - robot - object  # a robot
-  # above the place
-  - place - object  # a place
-
-predicates:
-  - (at ?r - robot ?p - place)  # where
-                                # it is
-  - (idle)
-  # (forgotten)
-
-actions:
-  # about the action
-
-  go:  # beside the action
-    # about the parameters
-    params: ?r - robot ?p - place
-    preconditions:  # beside the precondition
-      - (idle)  # idle
-      - or:
-          - (idle)  # either
-          # or
-          - not: (at ?r ?p)
-    # about the effect
-    effects:
-      - (at ?r ?p)
-      # (not (idle))
-  # no more
-  # the end
-"""
-
-
-def test_comments_stay_where_they_are() -> None:
-    table = comments(COMMENTED, "domain")
-    text = domain_as_yaml(parse_domain(COMMENTED), table)
-    assert text == COMMENTED_YAML
-    found = parse(text, "x.yaml")
-    assert domain_as_yaml(found.domain, found.comments) == text
-    assert comments_in(write_domain(found.domain, found.comments)) == comments_in(COMMENTED)
-    assert write_domain(found.domain, found.comments) == write_domain(
-        found.domain, comments(write_domain(found.domain, found.comments), "domain")
-    )
-
-
-def test_comments_about_nothing_that_is_written_stay_nearby() -> None:
-    text = "(define (domain d) (:types ; none\n) (:action a :parameters () ; no parameters\n :precondition ()\n ; nothing\n))"
-    written = domain_as_yaml(parse_domain(text), comments(text, "domain"))
-    assert written == "name: d\n\ntypes: []  # none\n\nactions:\n  # no parameters\n  # nothing\n  a: {}\n"
-
-
-def test_characters_that_yaml_does_not_allow_are_left_out_of_comments() -> None:
-    text = "; a\x0cb\u2028c\x85d\n(define (domain d))"
-    assert domain_as_yaml(parse_domain(text), comments(text, "domain")) == "# a b c d\nname: d\n"
-
-
-def test_what_a_file_says_to_editors_is_no_comment() -> None:
-    assert parse("# yaml-language-server: $schema=x.json\n# mine\nname: d\ntypes: []\n", "x.yaml").comments == {
-        ("domain",): Note(before=("; mine",))
-    }
-
-
-def test_comments_inside_texts_are_no_comments() -> None:
-    text = "(define (domain d) (:requirements :hierarchy) (:task t ; why\n :parameters ()) ; own\n)"
-    domain = parse_domain(text)
-    table = comments(text, "domain")
-    assert told(table) == ["; own"]
-    found = parse(domain_as_yaml(domain, table), "x.yaml")
-    assert found.domain == domain
-    assert told(found.comments) == ["; own"]
-
-
-# --- what people write ---------------------------------------------------------------------
-
-WRITTEN = (
-    """
-name: d
-types: robot place - object   # one text will do
-constants: [r1 - robot, hall kitchen - place]
-predicates: ["(at ?r - robot ?p - place)"]
-functions: ["(battery ?r - robot)"]
-actions:
-  go:
-    type: ros_action
-    server: navigate
-    params: [r - robot, from - place, to - place]
-    preconditions:
-      and:
-        - Holds: (at ?r ?from)
-        - LogicalNot: [(at ?r ?to)]
-        - Comparison: ["ne", ["?from", "?to"]]
-        - Comparison: [ge, [{Value: (battery ?r)}, Operation: [add, [1, 2]]]]
-    effects:
-      and:
-        - (at ?r ?to)
-        - not: {Holds: (at ?r ?from)}
-        - decrease: [(battery ?r), 1]
-plan:
-  - go: {r: r1, from: hall, to: kitchen}
-""".replace("[(at ?r ?to)]", '["(at ?r ?to)"]')
-    .replace("{Value: (battery ?r)}", '{Value: "(battery ?r)"}')
-    .replace("{Holds: (at ?r ?from)}", '{Holds: "(at ?r ?from)"}')
-    .replace("[(battery ?r), 1]", '["(battery ?r)", 1]')
-)
-
-
-def test_other_ways_to_write_it_are_read() -> None:
-    found = parse(WRITTEN, "x.yaml").domain
-    expected = parse_domain(
-        "(define (domain d) (:requirements :typing) (:types robot place) (:constants r1 - robot hall kitchen - place)"
-        " (:predicates (at ?r - robot ?p - place)) (:functions (battery ?r - robot))"
-        " (:action go :parameters (?r - robot ?from ?to - place)"
-        " :precondition (and (at ?r ?from) (not (at ?r ?to)) (not (= ?from ?to)) (>= (battery ?r) (+ 1 2)))"
-        " :effect (and (at ?r ?to) (not (at ?r ?from)) (decrease (battery ?r) 1))))"
-    )
-    assert found == replace(expected, requirements=())
-    assert [str(one) for one in found.warnings] == [
-        "x.yaml:9:5: warning: 'type' of go is left out: PDDL has nothing like it",
-        "x.yaml:10:5: warning: 'server' of go is left out: PDDL has nothing like it",
-    ]
-
-
-def test_requirements_that_are_missing_are_told_of_the_pddl_that_is_written(tmp_path: Path) -> None:
-    file = tmp_path / "x.yaml"
-    file.write_text(WRITTEN, encoding="utf-8")
-    found = imported(file)
-    missing = [warning for warning in found.warnings if warning.message == ":typing is needed here but not among the :requirements"]
-    assert [warning.position.file for warning in missing] == ["domain.pddl"]
-    file.write_text(f"requirements: [typing, adl, fluents]\n{WRITTEN}", encoding="utf-8")
-    assert not any("needed" in str(warning) for warning in imported(file).warnings)
-
-
-def test_every_text_of_a_list_says_its_own_types() -> None:
-    text = "types: [t]\nfunctions: [(f), (g) - t, (h)]\nconstants: [a, b - t, c]\nactions: {go: {params: [x, y - t, z]}}\n"
-    found = parse(text, "x.yaml").domain
-    assert [one.values for one in found.functions.values()] == [(), ("t",), ()]
-    assert dict(found.constants) == {"a": ("object",), "b": ("t",), "c": ("object",)}
-    assert [one.types for one in found.actions["go"].parameters] == [("object",), ("t",), ("object",)]
-
-
-HEAD = "name: d\npredicates: [(p), (q)]\n"
-
-
-@pytest.mark.parametrize(("text", "message"), refused(Path(__file__).parent / "refused" / "converted.yaml"))
-def test_what_is_wrong_is_said_where_it_is(text: str, message: str) -> None:
-    with pytest.raises(InputError) as refusal:
-        parse(text, "x.yaml")
-    assert str(refusal.value).startswith(message)
-
-
-TYPED = """name: d
-types: robot place
-constants: [r1 - robot, hall - place]
-predicates: ["(at ?r - robot ?p - place)", "(clean ?p - place)", (tidy)]
-functions: ["(charge ?r - robot)", "(home ?r - robot) - place"]
-derived: [{fact: (tidy), condition: {forall: {variables: "?p - place", condition: "(clean ?p)"}}}]
-"""
-
-
-@pytest.mark.parametrize(("text", "message"), refused(Path(__file__).parent / "refused" / "checked_by_types.yaml"))
-def test_names_are_checked_as_planners_do(text: str, message: str) -> None:
-    with pytest.raises(InputError) as refusal:
-        parse(f"{TYPED}{text}\n", "x.yaml")
-    assert str(refusal.value).startswith(f"x.yaml:{message}")
-
-
-def test_types_are_no_kinds_of_themselves() -> None:
-    with pytest.raises(InputError, match=r"x.yaml:1:9: the type 'a' is a kind of itself"):
-        parse("types: [a - b, b - a]\nactions: {}\n", "x.yaml")
-
-
-def test_a_damaged_file_is_read_or_refused_with_a_position() -> None:
-    text = exported(*OWN[0]).text
-    for start in range(0, len(text), 97):
-        try:
-            parse(text[:start] + text[start + 13 :], "x.yaml")
-        except InputError as error:
-            assert error.position is not None  # noqa: PT017
-
-
-def test_what_is_nested_too_deeply_is_refused() -> None:
-    nested = "(or (p) " * 40 + "(p)" + ")" * 40
-    domain = parse_domain(f"(define (domain d) (:predicates (p)) (:action a :parameters () :precondition {nested}))")
-    with pytest.raises(InputError, match="nested too deeply"):
-        domain_as_yaml(domain)
-
-
-if __name__ == "__main__" and "--write" in sys.argv:
-    GOLDEN.write_text(exported(*PATROL).text, encoding="utf-8")

@@ -48,7 +48,7 @@ def planned(domain: Path, problem: Path) -> Told:
     return result.goal_reached, told(result.calls), backend.robots.world.truth.facts()
 
 
-def written(plan: HandWrittenPlan) -> Told:
+def run_exported(plan: HandWrittenPlan) -> Told:
     backend = simulated_backend(plan, merge_bindings([plan]))
 
     async def performed() -> Told:
@@ -68,4 +68,4 @@ def test_the_exported_plan_does_the_same(pair: tuple[Path, Path], tmp_path: Path
     (plan,) = read_plans(file).values()
     expected = planned(*pair)
     assert expected[0]
-    assert written(plan) == expected
+    assert run_exported(plan) == expected

@@ -21,6 +21,7 @@ from pnm.errors import InputError, Position
 from pnm.files.text import read_text
 from pnm.files.yaml_loader import MAX_DEPTH, MAX_NODES
 from pnm.files.yaml_nodes import MAX_BYTES, Mapped, load_yaml
+from tests.support.files import written
 from tests.support.refusals import refused
 
 BAD_INPUT = Path(__file__).with_name("refused")
@@ -32,12 +33,6 @@ def error(read: Callable[[Path], object], path: Path) -> str:
         read(path)
     assert caught.value.position is not None
     return str(caught.value).replace(str(path), "FILE")
-
-
-def written(folder: Path, content: str | bytes) -> Path:
-    path = folder / "some.yaml"
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return path
 
 
 # --- no YAML, or not plain data ---------------------------------------------------------------

@@ -91,16 +91,16 @@ def holders(tree: Tree) -> list[Tree]:
 # --- trees as files, and as graphs ---------------------------------------------------------
 
 
-def written(tree: Tree) -> object:
+def as_steps(tree: Tree) -> object:
     match tree:
         case Call(name):
             return {name: {}}
         case Repeat(body):
-            return {"while": {"condition": {"Query": "x"}, "actions": [written(body)]}}
+            return {"while": {"condition": {"Query": "x"}, "actions": [as_steps(body)]}}
         case Either(then, otherwise):
-            return {"if": {"Query": "x"}, "then": [written(then)], "else": [written(otherwise)]}
+            return {"if": {"Query": "x"}, "then": [as_steps(then)], "else": [as_steps(otherwise)]}
         case Block(kind, parts, waits):
-            steps = [written(part) for part in parts]
+            steps = [as_steps(part) for part in parts]
             if waits is not None:
                 steps = [{**step, "id": f"n{number}"} for number, step in enumerate(steps)]  # type: ignore[dict-item]
                 for step, befores in zip(steps, waits, strict=True):
@@ -124,7 +124,7 @@ def calls(tree: Tree) -> Iterator[str]:
 
 def plan_of(tree: Tree) -> HandWrittenPlan:
     actions = dict.fromkeys(calls(tree))
-    return parse_plans(yaml.safe_dump({"actions": actions, "plan": [written(tree)]}, sort_keys=False))["plan"]
+    return parse_plans(yaml.safe_dump({"actions": actions, "plan": [as_steps(tree)]}, sort_keys=False))["plan"]
 
 
 def in_flow(flow: Flow) -> set[tuple[int, int]]:

@@ -15,6 +15,7 @@ from planner_bridge.model.problem import Problem
 from pnm.core.knowledge_base import KnowledgeBase, parse_statement
 from pnm.core.logic.evaluation import evaluate
 from tests.support.e2e.processes import LIMIT, ROOT, Program
+from tests.support.files import written
 
 QUICK = """<?xml version="1.0" encoding="UTF-8"?>
 <profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
@@ -103,7 +104,7 @@ class RosDomain:
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",  # killed processes would leave shared memory behind
         }
         if quick:
-            self.environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = written(folder / "dds.xml", QUICK)
+            self.environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(written(folder / "dds.xml", QUICK))
         self._programs: list[Program] = []
 
     def start(self, program: P) -> P:
@@ -145,12 +146,12 @@ class ProblemDeployment(RosDomain):
     ) -> None:
         super().__init__(folder, ros_domain, quick=quick)
         if texts:
-            self.files = [written(folder / "domain.pddl", texts[0]), written(folder / "problem.pddl", texts[1])]
+            self.files = [str(written(folder / "domain.pddl", texts[0])), str(written(folder / "problem.pddl", texts[1]))]
         else:
             domain, number = name.split("/")
             self.files = [str(ROOT / "domains" / domain / "domain.pddl"), str(ROOT / "problems" / domain / f"{number}.pddl")]
-        self._faults = ["--faults", written(folder / "faults.yaml", faults)] if faults else []
-        self._bindings = ["--bindings", written(folder / "bindings.yaml", bindings)] if bindings else []
+        self._faults = ["--faults", str(written(folder / "faults.yaml", faults))] if faults else []
+        self._bindings = ["--bindings", str(written(folder / "bindings.yaml", bindings))] if bindings else []
         self._speed = ["--speed", speed]
 
     @cached_property
@@ -198,8 +199,3 @@ def execute_together(*scenes: ProblemDeployment) -> list[Finished]:
     simulations = [deployment.simulate() for deployment in scenes]
     runs = [deployment.run() for deployment, simulation in zip(scenes, simulations, strict=True) if simulation.ready()]
     return [deployment.finish(run, simulation) for deployment, run, simulation in zip(scenes, runs, simulations, strict=True)]
-
-
-def written(path: Path, text: str) -> str:
-    path.write_text(text, encoding="utf-8")
-    return str(path)

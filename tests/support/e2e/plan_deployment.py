@@ -8,8 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tests.support.e2e.deployment import RosDomain, written
+from tests.support.e2e.deployment import RosDomain
 from tests.support.e2e.processes import Program
+from tests.support.files import written
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
@@ -79,7 +80,7 @@ class PlanDeployment(RosDomain):
     def write(self, files: Mapping[str, str]) -> None:
         """Write files with domains, plans and worlds."""
         for name, text in files.items():
-            written(self.folder / name, text)
+            str(written(self.folder / name, text))
 
     def serve(self, *options: str, world: str = "world.yaml") -> Serving:
         """Start to serve a world."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from tests.support.e2e.deployment import P, Run, Simulation, written
+from tests.support.e2e.deployment import P, Run, Simulation
 from tests.support.e2e.hosts import DDS, Lan
 from tests.support.e2e.plan_deployment import Serving
 from tests.support.e2e.processes import Program
+from tests.support.files import written
 
 DOMAIN = """
 (define (domain survey)
@@ -70,12 +71,12 @@ class Survey:
         self.lan = lan
         self._folder = folder
         self._speed = speed
-        self._domain = written(folder / "domain.pddl", DOMAIN)
+        self._domain = str(written(folder / "domain.pddl", DOMAIN))
         self._environment = {
             "ROS_DOMAIN_ID": "0",  # the network is nobody else's
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
-            "FASTRTPS_DEFAULT_PROFILES_FILE": written(folder / "dds.xml", DDS),
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(written(folder / "dds.xml", DDS)),
         }
         self._programs: list[Program] = []
 
@@ -86,32 +87,32 @@ class Survey:
 
     def _problem(self, name: str, kinds: Sequence[str], goal: str) -> str:
         robots, init = (" ".join(ROBOTS[kind][part] for kind in kinds) for part in (0, 1))
-        return written(self._folder / f"{name}.pddl", PROBLEM.format(robots=robots, init=init, goal=goal))
+        return str(written(self._folder / f"{name}.pddl", PROBLEM.format(robots=robots, init=init, goal=goal)))
 
     def robot(self, kind: str, faults: str = "faults: []") -> Simulation:
         """Start the robot of this kind on its host; its world has no other, and its sensors see only where it is."""
         unseen = [name for other, name in SENSED.items() if other != kind]
         files = [self._domain, self._problem(kind, [kind], "(and)")]
-        bindings = written(self._folder / f"{kind}.yaml", BINDINGS.format(assumed=", ".join((*unseen, "surveyed"))))
-        options = ["--bindings", bindings, "--faults", written(self._folder / f"{kind}_faults.yaml", faults)]
+        bindings = str(written(self._folder / f"{kind}.yaml", BINDINGS.format(assumed=", ".join((*unseen, "surveyed")))))
+        options = ["--bindings", bindings, "--faults", str(written(self._folder / f"{kind}_faults.yaml", faults))]
         arguments = ("planner_bridge", "simulate", *files, *options, "--speed", self._speed, "--log", "/dev/stdout")
         return self._started(Simulation, kind, *arguments)
 
     def run(self, goal: str, *, kinds: Sequence[str] = ("rover", "drone")) -> Run:
         """Start a run on the rover's host."""
         files = [self._domain, self._problem("run", kinds, goal)]
-        bindings = written(self._folder / "run.yaml", BINDINGS.format(assumed="surveyed"))
+        bindings = str(written(self._folder / "run.yaml", BINDINGS.format(assumed="surveyed")))
         return self._started(Run, "rover", "planner_bridge", "run", *files, "--bindings", bindings, "--actions", "ros2", "--json")
 
     def run_plan(self, text: str) -> Program:
         """Start a plan that was written by hand on the rover's host."""
-        plan = written(self._folder / "plan.yaml", text)
+        plan = str(written(self._folder / "plan.yaml", text))
         return self._started(Program, "rover", "planner_bridge", "run", "--plan", plan, "--actions", "ros2")
 
     def serve(self, text: str) -> Serving:
         """Serve a plan on the rover's host."""
-        written(self._folder / "served.yaml", text)
-        world = written(self._folder / "world.yaml", "{domain: served.yaml, plans: [served.yaml]}")
+        str(written(self._folder / "served.yaml", text))
+        world = str(written(self._folder / "world.yaml", "{domain: served.yaml, plans: [served.yaml]}"))
         return self._started(Serving, "rover", "planner_bridge", "serve", "--world", world)
 
     def client(self, plan: str, parameters: str = "{}") -> Program:

@@ -36,6 +36,11 @@ def plan(calls: int, *orderings: str, invariants: bool = False, goal: Condition 
     return PlanGraph(tuple(call(index, invariant=invariants) for index in range(calls)), tuple(map(ordering, orderings)), goal)
 
 
+def plan_of(*actions: GroundAction, orders: tuple[str, ...] = ()) -> PlanGraph:
+    """A plan of these actions, with orderings by their numbers."""
+    return PlanGraph(tuple(ActionCall(index, action) for index, action in enumerate(actions)), tuple(map(ordering, orders)))
+
+
 @st.composite
 def plans(draw: st.DrawFn, most: int = 4) -> PlanGraph:
     """Any partial order of events: each ordering leads forward in a random order that keeps starts before ends."""

@@ -196,10 +196,10 @@ def programs(draw: st.DrawFn, depth: int = 3) -> str:
         "goal": draw(st.one_of(st.just(True), CONDITIONS)),
         "plan": draw(_list(depth)),
     }
-    return f"{DOMAIN}---\n{written(plan)}"
+    return f"{DOMAIN}---\n{as_yaml(plan)}"
 
 
-def written(data: Json) -> str:
+def as_yaml(data: Json) -> str:
     """Return the data as YAML."""
     return yaml.dump(data, sort_keys=False, default_flow_style=False, Dumper=_Plain)
 

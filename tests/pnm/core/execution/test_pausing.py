@@ -2,42 +2,25 @@
 
 from __future__ import annotations
 
-import asyncio
-from dataclasses import replace
-from random import Random
 from uuid import UUID
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
-from pnm.actions.simulated_robots import SimulatedRobots
-from pnm.actions.simulated_world import SimulatedWorld, report_changes
-from pnm.clock import run_async
-from pnm.core.execution.call_results import RunResult
-from pnm.core.execution.events import Answered, Ask, Begin, Cancel, Command, Event, KnowledgeChanged, Pause, Resume, Send, Stop, Tick
+from pnm.core.execution.events import Answered, Ask, Begin, Cancel, Command, KnowledgeChanged, Pause, Resume, Send, Stop, Tick
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
-from pnm.core.machine.machine import Always, CancelAsked, PauseAsked
 from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
-from pnm.core.machine.verification.explore import Unsound
-from pnm.core.machine.verification.verify import explore, verify
-from pnm.executor import Executor
-from tests.support.runs.plan_graphs import ordering, plan
-from tests.support.runs.simulated import Log, move
-from tests.support.yaml.programs import Chaos, in_use, programs, read
+from pnm.core.machine.verification.verify import verify
+from tests.support.runs.plan_graphs import plan, plan_of
+from tests.support.runs.simulated import move
 
 RUN = UUID(int=1)
 CANCELED, SUCCEEDED = Outcome(OutcomeKind.CANCELED), Outcome(OutcomeKind.SUCCEEDED)
-
-
-def calls(*actions: GroundAction, orders: tuple[str, ...] = ()) -> PlanGraph:
-    return PlanGraph(tuple(ActionCall(index, action) for index, action in enumerate(actions)), tuple(map(ordering, orders)))
 
 
 def begun(graph: PlanGraph, bindings: Bindings | None = None, **options: object) -> tuple[Run, list[Command]]:
@@ -197,7 +180,7 @@ def test_a_failure_while_a_call_is_being_suspended_ends_the_run() -> None:
 
 def test_assumed_start_effects_are_taken_back_and_all_checks_are_made_anew() -> None:
     world = KnowledgeBase({("at", "r1", "hall"): True})
-    run = going(calls(move("r1", "hall", "lab")), world=world)
+    run = going(plan_of(move("r1", "hall", "lab")), world=world)
     assert world.value(("at", "r1", "hall")) is False
     run.handle(Pause(at_once=True), 1.0)
     run.handle(Ended(run.open_requests[0], CANCELED), 2.0)
@@ -212,7 +195,7 @@ def test_assumed_start_effects_are_taken_back_and_all_checks_are_made_anew() -> 
 def test_what_became_true_during_the_pause_is_not_done() -> None:
     world = KnowledgeBase()
     run, _ = begun(
-        calls(GroundAction("first"), GroundAction("act", end_effects=(Set(("done",), Constant(True)),)), orders=("0e<1s",)), world=world
+        plan_of(GroundAction("first"), GroundAction("act", end_effects=(Set(("done",), Constant(True)),)), orders=("0e<1s",)), world=world
     )
     run.handle(Pause(), 0.5)
     run.handle(Ended(run.open_requests[0], SUCCEEDED), 1.0)
@@ -235,7 +218,7 @@ def test_a_start_that_others_wait_for_is_announced_once() -> None:
 
 def test_effects_are_looked_for_during_a_pause() -> None:
     world = KnowledgeBase(sensed={"done": 2.0})
-    run = going(calls(GroundAction("act", end_effects=(Set(("done",), Constant(True)),))), world=world)
+    run = going(plan_of(GroundAction("act", end_effects=(Set(("done",), Constant(True)),))), world=world)
     run.handle(Ended(run.open_requests[0], SUCCEEDED), 1.0)
     run.handle(Pause(at_once=True), 1.5)
     assert not run.paused
@@ -246,7 +229,7 @@ def test_effects_are_looked_for_during_a_pause() -> None:
 
 def test_a_call_whose_effects_stay_away_during_a_pause_begins_anew_after_it() -> None:
     world = KnowledgeBase(sensed={"done": 2.0})
-    run = going(calls(GroundAction("act", end_effects=(Set(("done",), Constant(True)),))), world=world)
+    run = going(plan_of(GroundAction("act", end_effects=(Set(("done",), Constant(True)),))), world=world)
     run.handle(Ended(run.open_requests[0], SUCCEEDED), 1.0)
     run.handle(Pause(), 1.5)
     assert sent(run.handle(Tick(), 3.0)) == []
@@ -255,7 +238,7 @@ def test_a_call_whose_effects_stay_away_during_a_pause_begins_anew_after_it() ->
 
 
 def test_questions_stay_open_and_their_answers_are_kept() -> None:
-    run, commands = begun(calls(GroundAction("asks")), Bindings({"asks": Binding(goal={"word": "$word"})}), asks=True)
+    run, commands = begun(plan_of(GroundAction("asks")), Bindings({"asks": Binding(goal={"word": "$word"})}), asks=True)
     (question,) = [command for command in commands if isinstance(command, Ask)]
     assert run.handle(Pause(at_once=True), 1.0) == []
     assert run.paused
@@ -265,7 +248,7 @@ def test_questions_stay_open_and_their_answers_are_kept() -> None:
 
 
 def test_a_paused_run_waits_for_no_resources() -> None:
-    run, _ = begun(calls(*(GroundAction(name, resources=("arm",)) for name in ("first", "second"))))
+    run, _ = begun(plan_of(*(GroundAction(name, resources=("arm",)) for name in ("first", "second"))))
     assert len(run.resources.line) == 1
     run.handle(Pause(at_once=True), 0.5)
     assert run.resources.line == ()
@@ -312,113 +295,3 @@ def test_what_the_plan_says_about_cancelled_calls_is_about_others_wishes() -> No
     assert sent(run.handle(Resume(), 3.0)) == ["act"]
     run.handle(Accepted(run.open_requests[0]), 4.0)
     assert sent(run.handle(Ended(run.open_requests[0], CANCELED), 4.0)) == ["mend"]
-
-
-# --- the proof -----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("guard", [Always(), CancelAsked()])
-def test_only_pauses_may_have_a_call_begin_anew_for_ever(guard: Always | CancelAsked) -> None:
-    machine = generate(plan(1))
-    explore(machine)
-    (name,) = [name for name, rule in machine.rules.items() if isinstance(rule.guard, PauseAsked)]
-    mutant = replace(machine, rules={**machine.rules, name: machine.rules[name]._replace(guard=guard)})
-    for prove in (explore, verify):
-        if isinstance(guard, CancelAsked):
-            # behind `stop`, which is open whenever it is: it never fires
-            prove(mutant)
-            continue
-        with pytest.raises(Unsound, match="round for ever"):
-            prove(mutant)
-
-
-def test_a_round_beside_that_of_a_pause_is_found() -> None:
-    machine = generate(plan(1))
-    mutant = replace(machine, net=replace(machine.net, outputs={**machine.net.outputs, "a0()#0 aborted": {"a0()#0 ready": 1}}))
-    for prove in (explore, verify):
-        with pytest.raises(Unsound, match="round for ever"):
-            prove(mutant)
-
-
-# --- runs on robots ------------------------------------------------------------------------
-
-
-def test_robots_stop_for_a_pause_and_do_the_rest_after_it() -> None:
-    at = ("at", "r1", "hall")
-    truth = KnowledgeBase({at: True})
-    world, beliefs, log = SimulatedWorld(truth, {"at"}), KnowledgeBase({at: True}), Log()
-    robots = SimulatedRobots(world)
-    graph = calls(move("r1", "hall", "door"), move("r1", "door", "lab"), orders=("0e<1s",))
-    run = Run(generate(graph), Layered(beliefs), id=RUN, observer=log)
-
-    async def main() -> RunResult:
-        report_changes(world, beliefs)
-        executor = Executor(run, robots)
-        task = asyncio.ensure_future(executor.execute())
-        await asyncio.sleep(2)
-        executor.pause(at_once=True)
-        await asyncio.sleep(10)
-        assert run.paused
-        assert truth.value(at) is True
-        executor.resume()
-        await asyncio.sleep(1)
-        executor.pause()
-        await asyncio.sleep(30)
-        assert run.paused
-        assert truth.value(("at", "r1", "door")) is True
-        executor.resume()
-        return await task
-
-    result = run_async(main(), virtual=True)
-    assert result.goal
-    assert [call.attempts for call in result.calls] == [2, 1]
-    assert truth.value(("at", "r1", "lab")) is True
-
-
-# --- any program ---------------------------------------------------------------------------
-
-
-class Pausing(Chaos):
-    """Pauses and resumes as well, up to some time."""
-
-    pauses = 12
-
-    def _next(self) -> Event:
-        if self.run.pausing and (self.random.random() < 0.2 or not (self.queues or self.wake)):
-            return Resume()
-        if not self.run.pausing and self.pauses and self.random.random() < 0.1:
-            self.pauses -= 1
-            return Pause(at_once=self.random.random() < 0.6)
-        return super()._next()
-
-
-@pytest.mark.timeout(600)
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
-@given(programs(), st.integers(0, 2**32))
-def test_any_program_that_is_paused_and_resumed_ends_and_loses_no_token(text: str, seed: int) -> None:
-    found = read(text)
-    machine = generate(found.graph, found.bindings, on_failure=found.on_failure)
-    random = Random(seed)
-    world = KnowledgeBase(found.facts, objects=found.objects, rules=found.rules)
-    knowledge = Layered(world, KnowledgeBase(variables=found.variables))
-    run = Run(machine, knowledge, id=RUN, bindings=found.bindings, asks=random.random() < 0.7)
-    chaos = Pausing(run, knowledge, random)
-    open_before: set[UUID] = set()
-    was_pausing = False
-    for _ in chaos.drive():
-        for place, tokens in run.marking.items():
-            assert tokens == 1 or place in machine.record_places, f"{place} holds {tokens} tokens"
-        for name, used in in_use(chaos.requests).items():
-            assert used <= found.graph.capacities.get(name, 1), f"{name} is used by {used} calls"
-        assert {one for claim in run.resources.held for one in claim.names} >= in_use(chaos.requests).keys()
-        if was_pausing and run.pausing:
-            assert set(run.open_requests) <= open_before, "nothing starts during a pause"
-        if run.paused:
-            assert (run.resources.line, run.open_requests) == ((), ())
-            assert {claim.request for claim in run.resources.held} <= chaos.requests.keys()
-        open_before, was_pausing = set(run.open_requests), run.pausing is not None
-    assert run.resources.line == ()
-    assert {claim.request for claim in run.resources.held} <= chaos.requests.keys(), "only servers that may be at work keep any"
-    assert all(run.marking[place] == machine.initial[place] for place in machine.resource_places)
-    ended = {place: tokens for place, tokens in run.marking.items() if place not in machine.record_places}
-    assert ended == ({machine.goal_place: 1} if run.result().goal else {machine.failed_place: 1})

@@ -1,4 +1,4 @@
-"""Effects: all at once, deletes before adds, and what it takes to undo them."""
+"""Effects: all at once, deletes before adds, and what they may do."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import TRUE, Condition, Holds, Not
+from pnm.core.logic.conditions import TRUE, Holds, Not
 from pnm.core.logic.effects import (
-    OPERATIONS,
     Changes,
     Effect,
     Effects,
@@ -22,7 +21,6 @@ from pnm.core.logic.effects import (
     When,
     assignments,
     changes,
-    decided,
     effects_text,
     every_effect,
     facts,
@@ -30,50 +28,36 @@ from pnm.core.logic.effects import (
     names_written,
     possible_assignments,
     read,
-    read_early,
-    undo,
-    values_before,
     written,
 )
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import (
-    UNDEFINED,
     UNKNOWN,
-    Arithmetic,
     Constant,
     Environment,
-    Expression,
     Fluent,
     Unknown,
     Value,
     ValueOf,
     Variable,
     bind,
-    choices,
-    ground_expression,
-    value_of,
+)
+from tests.support.runs.effects import (
+    ALL_FACTS,
+    ALL_NUMBERS,
+    EFFECTS,
+    FIGURES,
+    PLAIN,
+    ROOMS,
+    STATES,
+    TRUTHS,
+    add,
+    delete,
+    number,
+    state,
 )
 
-ROOMS = ("hall", "kitchen")
-
-
-def add(*fluent: str) -> Set:
-    return Set(fluent, Constant(True))
-
-
-def delete(*fluent: str) -> Set:
-    return Set(fluent, Constant(False))
-
-
-def number(operation: str, name: str, by: Expression | float) -> Set:
-    return Set((name,), Constant(by) if isinstance(by, float) else by, operation)
-
-
-def state(facts: dict[Fluent, Value | Unknown] | None = None) -> KnowledgeBase:
-    return KnowledgeBase(facts, objects={"room": ROOMS, "object": ROOMS})
-
-
-# --- simultaneous -----------------------------------------------------------------------------
+# --- simultaneous ---
 
 
 @pytest.mark.parametrize("before", [True, False, UNKNOWN])
@@ -137,8 +121,6 @@ def test_increases_accumulate() -> None:
     assert changes(both, state({("x",): 3.0})) == {("x",): 6.0}
 
 
-# --- simultaneous, whatever the order and however nested ----------------------------------------
-
 NESTED_FACTS = st.builds(Set, st.sampled_from((("p",), ("at", "?x"), ("at", "hall"))), st.builds(Constant, st.booleans()))
 NESTED_NUMBERS = st.builds(
     Set, st.sampled_from((("n",), ("m",))), st.builds(Constant, st.sampled_from((1.0, 2.0, 4.0))), st.sampled_from(("increase", "decrease"))
@@ -170,6 +152,9 @@ def literals(effect: Effect, before: KnowledgeBase, env: Environment) -> Iterato
                     yield from literals(one, before, {**env, "?x": room})
 
 
+# --- simultaneous, whatever the order and however nested ---
+
+
 @given(st.lists(NESTED, max_size=5), st.lists(st.sampled_from(ROOMS)), st.randoms(use_true_random=False))
 def test_deletes_come_before_adds_and_increases_add_up_in_any_order(effects: list[Effect], lit: list[str], chooser: random.Random) -> None:
     before = state({**{("at", room): True for room in lit}, ("n",): 10.0, ("m",): 20.0})
@@ -184,37 +169,10 @@ def test_deletes_come_before_adds_and_increases_add_up_in_any_order(effects: lis
         chooser.shuffle(effects)
 
 
-# --- what effects may do ----------------------------------------------------------------------
-
-TERMS = st.sampled_from((*ROOMS, "?x"))
-FACTS = st.one_of(st.just(("p",)), st.tuples(st.just("at"), TERMS))
-NUMBERS = st.sampled_from((("n",), ("m",)))
-AMOUNTS: st.SearchStrategy[Expression] = st.one_of(
-    st.builds(Constant, st.sampled_from((0.0, 1.0, 2.0))),
-    st.builds(ValueOf, NUMBERS),
-    st.builds(lambda fluent: Arithmetic("+", (ValueOf(fluent), Constant(1.0))), NUMBERS),
-)
-PLAIN = st.one_of(st.builds(add, st.just("p")), st.builds(Set, FACTS, st.builds(Constant, st.booleans())))
-SETS = st.one_of(PLAIN, st.builds(Set, NUMBERS, AMOUNTS, st.sampled_from(OPERATIONS)))
-CONDITIONS: st.SearchStrategy[Condition] = st.one_of(st.just(TRUE), st.builds(Holds, FACTS), st.builds(Not, st.builds(Holds, FACTS)))
-EFFECTS = st.recursive(
-    SETS,
-    lambda inner: st.one_of(
-        st.builds(When, CONDITIONS, st.lists(inner, max_size=3).map(tuple)),
-        st.builds(ForEach, st.just((Variable("?x"),)), st.lists(inner, max_size=3).map(tuple)),
-    ),
-    max_leaves=4,
-)
 ANY_EFFECTS = st.lists(EFFECTS, max_size=4).map(lambda effects: ground_effects(tuple(effects), {"?x": "hall"}))
-ALL_FACTS: list[Fluent] = [("p",), ("at", "hall"), ("at", "kitchen")]
-ALL_NUMBERS: list[Fluent] = [("n",), ("m",)]
-TRUTHS: st.SearchStrategy[Value | Unknown] = st.sampled_from((True, False, UNKNOWN))
-FIGURES: st.SearchStrategy[Value | Unknown] = st.sampled_from((0.0, 1.0, 2.5, UNKNOWN))
-STATES = st.builds(
-    lambda facts, numbers: state({**facts, **numbers}),
-    st.fixed_dictionaries({}, optional=dict.fromkeys(ALL_FACTS, TRUTHS)),
-    st.fixed_dictionaries({}, optional=dict.fromkeys(ALL_NUMBERS, FIGURES)),
-)
+
+
+# --- what effects may do ---
 
 
 @given(ANY_EFFECTS, STATES)
@@ -278,177 +236,3 @@ def test_numbers_and_conditions_are_no_plain_facts(effects: Effects) -> None:
 def test_plain_facts_of_every_object() -> None:
     assert facts((ForEach((Variable("?x"),), (add("at", "?x"),)),), state()) == {("at", "hall"): True, ("at", "kitchen"): True}
     assert facts((), state()) == {}
-
-
-# --- decided at the start -----------------------------------------------------------------------
-
-
-def early(effects: Effects, chooser: random.Random) -> Effects:
-    """The effects, some of whose conditions are decided early."""
-    result: list[Effect] = []
-    for effect in effects:
-        match effect:
-            case Set():
-                result.append(effect)
-            case When(condition, inner):
-                result.append(When(condition, early(inner, chooser), chooser.random() < 0.5))
-            case ForEach(variables, inner):
-                result.append(ForEach(variables, early(inner, chooser)))
-    return tuple(result)
-
-
-def happening(effects: Effects, start: KnowledgeBase, end: KnowledgeBase, env: Environment) -> list[tuple[Fluent, Expression, str]]:
-    """The oracle: every `Set` that happens, each condition asked in the state it is about."""
-    found: list[tuple[Fluent, Expression, str]] = []
-    for effect in effects:
-        match effect:
-            case Set(fluent, value, operation):
-                found.append((bind(fluent, env), ground_expression(value, env), operation))
-            case When(condition, inner, is_early):
-                if evaluate(condition, start if is_early else end, env) is True:
-                    found += happening(inner, start, end, env)
-            case ForEach(variables, inner):
-                for chosen in choices(variables, end, env):
-                    found += happening(inner, start, end, chosen)
-    return found
-
-
-@given(ANY_EFFECTS, STATES, STATES, st.randoms(use_true_random=False))
-def test_early_conditions_are_asked_at_the_start_and_others_at_the_end(
-    effects: Effects, start: KnowledgeBase, end: KnowledgeBase, chooser: random.Random
-) -> None:
-    mixed = early(effects, chooser)
-    expected = changes(tuple(Set(*one) for one in happening(mixed, start, end, {})), end)
-    assert changes(decided(mixed, start), end) == expected
-    assert written(decided(mixed, start), end) <= written(mixed, end)
-    assert decided(decided(mixed, start), end) == decided(mixed, start)
-
-
-@given(ANY_EFFECTS, STATES, STATES, st.randoms(use_true_random=False), st.data())
-def test_only_what_is_read_early_decides_at_the_start_and_only_what_is_read_at_the_end(
-    effects: Effects, start: KnowledgeBase, end: KnowledgeBase, chooser: random.Random, data: st.DataObject
-) -> None:
-    mixed = early(effects, chooser)
-    after = changes(decided(mixed, start), end)
-    for moment, matters in ((start, read_early(mixed, start)), (end, read(mixed, end))):
-        others = {*ALL_FACTS, *ALL_NUMBERS} - matters
-        moment.update({fluent: data.draw(FIGURES if fluent in ALL_NUMBERS else TRUTHS) for fluent in sorted(others)})
-    assert changes(decided(mixed, start), end) == after
-
-
-def test_effects_without_early_conditions_are_left_as_they_are() -> None:
-    effects = (add("p"), When(Holds(("p",)), (add("q"),)), ForEach((Variable("?x"),), (When(Holds(("at", "?x")), (delete("p"),)),)))
-    assert decided(effects, state()) is effects
-    assert ground_effects((When(Holds(("at", "?x")), (add("q"),), True),), {"?x": "hall"}) == (
-        When(Holds(("at", "hall")), (add("q"),), True),
-    )
-
-
-# --- undo -------------------------------------------------------------------------------------
-
-
-def begin(effects: Effects, knowledge: KnowledgeBase) -> tuple[Changes, Changes]:
-    """Apply the effects; return what was there before and what they made of it."""
-    after = changes(effects, knowledge)
-    before = values_before(after, knowledge)
-    knowledge.update(after)
-    return before, after
-
-
-def seen(knowledge: KnowledgeBase) -> list[object]:
-    """What conditions can tell of the state: an absent fact is false, an absent number unknown."""
-    return [evaluate(Holds(fluent), knowledge) for fluent in ALL_FACTS] + [value_of(ValueOf(fluent), knowledge) for fluent in ALL_NUMBERS]
-
-
-@given(ANY_EFFECTS, STATES)
-def test_undo_restores_the_state(effects: Effects, knowledge: KnowledgeBase) -> None:
-    at_first = seen(knowledge)
-    knowledge.update(undo(*begin(effects, knowledge), knowledge))
-    assert seen(knowledge) == at_first
-
-
-def test_what_was_absent_is_a_false_fact_or_an_unknown_number() -> None:
-    after: Changes = {("p",): True, ("q",): True, ("n",): 3.0, ("m",): 3.0, ("k",): UNKNOWN}
-    knowledge = state({("q",): UNKNOWN, ("m",): 0.0})
-    assert values_before(after, knowledge) == {("p",): False, ("q",): UNKNOWN, ("n",): UNKNOWN, ("m",): 0.0, ("k",): UNKNOWN}
-
-
-@given(ANY_EFFECTS, STATES, st.dictionaries(st.sampled_from(ALL_FACTS), TRUTHS))
-def test_undo_leaves_facts_alone_that_others_have_changed_since(effects: Effects, knowledge: KnowledgeBase, later: Changes) -> None:
-    before, after = begin(effects, knowledge)
-    theirs = knowledge.update(later)
-    knowledge.update(undo(before, after, knowledge))
-    assert {fluent: knowledge.value(fluent) for fluent in theirs} == theirs
-
-
-def test_undo_takes_back_its_own_share_of_a_number() -> None:
-    knowledge = state({("load",): 10.0})
-    before, after = begin((number("increase", "load", 5.0),), knowledge)
-    knowledge.update(changes((number("increase", "load", 2.0),), knowledge))
-    assert undo(before, after, knowledge) == {("load",): 12.0}
-
-
-@pytest.mark.parametrize("now", [UNKNOWN, "nobody", True])
-def test_undo_leaves_a_number_alone_that_has_become_something_else(now: Value | Unknown) -> None:
-    knowledge = state({("load",): 10.0})
-    before, after = begin((number("increase", "load", 5.0),), knowledge)
-    knowledge.update({("load",): now})
-    assert undo(before, after, knowledge) == {}
-
-
-# --- objects ------------------------------------------------------------------------------------
-
-LOCATION: Fluent = ("location", "r1")
-
-
-def test_a_fluent_gets_an_object_by_name_by_variable_or_from_another_fluent() -> None:
-    knowledge = state({("target",): "kitchen"})
-    assert changes((Set(LOCATION, Constant("hall")),), knowledge) == {LOCATION: "hall"}
-    assert changes((Set(LOCATION, Constant("?to")),), knowledge, {"?to": "hall"}) == {LOCATION: "hall"}
-    assert changes((Set(LOCATION, ValueOf(("target",))),), knowledge) == {LOCATION: "kitchen"}
-    everywhere = ForEach((Variable("?x", ("room",)),), (Set(("next", "?x"), Constant("?x")),))
-    assert changes((everywhere,), knowledge) == {("next", "hall"): "hall", ("next", "kitchen"): "kitchen"}
-
-
-def test_a_fluent_may_lose_its_object() -> None:
-    knowledge = state({LOCATION: "hall"})
-    assert changes((Set(LOCATION, Constant(UNDEFINED)),), knowledge) == {LOCATION: UNDEFINED}
-    assert changes((Set(LOCATION, ValueOf(("nobody-knows",))),), state({("nobody-knows",): UNKNOWN})) == {LOCATION: UNKNOWN}
-
-
-def test_objects_are_put_back() -> None:
-    knowledge = state({LOCATION: "hall"})
-    effects = (Set(LOCATION, Constant("kitchen")), Set(("location", "r2"), Constant("hall")))
-    before, after = begin(effects, knowledge)
-    assert before == {LOCATION: "hall", ("location", "r2"): UNDEFINED}
-    assert undo(before, after, knowledge) == before
-    knowledge.update({LOCATION: "cellar"})
-    assert undo(before, after, knowledge) == {("location", "r2"): UNDEFINED}
-
-
-def test_a_constant_object_is_as_plain_as_a_fact() -> None:
-    plain = (add("p"), Set(LOCATION, Constant("hall")), Set(("held",), Constant(UNDEFINED)))
-    assert facts(plain, state()) == {("p",): True, LOCATION: "hall", ("held",): UNDEFINED}
-    assert facts((Set(LOCATION, ValueOf(("target",))),), state({("target",): "hall"})) is None
-
-
-# --- text -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("effects", "text"),
-    [
-        ((), "(and)"),
-        ((add("at", "?x"),), "(at ?x)"),
-        ((delete("p"), number("increase", "n", 1.5)), "(and (not (p)) (increase (n) 1.5))"),
-        ((When(Holds(("p",)), (add("q"),)),), "(when (p) (q))"),
-        ((ForEach((Variable("?x", ("room",)),), (add("at", "?x"), delete("p"))),), "(forall (?x - room) (and (at ?x) (not (p))))"),
-    ],
-)
-def test_effects_are_written_as_pddl(effects: Effects, text: str) -> None:
-    assert effects_text(effects) == text
-
-
-def test_names_written_look_into_every_effect() -> None:
-    nested = ForEach((Variable("?x"),), (When(Holds(("r",)), (add("q", "?x"),)), number("decrease", "n", 1.0)))
-    assert names_written((add("p"), nested)) == {"p", "q", "n"}

@@ -1,10 +1,9 @@
-"""Constraints over courses of states: progression against the definitions, and what lags of reports do to it."""
+"""Constraints over courses of states: progression against the definitions."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise, product
-from math import inf
+from itertools import product
 
 import kairos
 import pytest
@@ -12,13 +11,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.conditions import All, Any, Condition, Holds, Not
+from pnm.core.logic.conditions import All, Holds, Not
 from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.expressions import UNKNOWN, Unknown, Variable
+from pnm.core.logic.expressions import UNKNOWN, Variable
 from pnm.core.logic.trajectory import (
     IMPOSSIBLE,
     Constraint,
-    ConstraintProgress,
     instances,
     is_fulfilled,
     moments,
@@ -27,30 +25,27 @@ from pnm.core.logic.trajectory import (
     progressed,
     shifted,
 )
-
-P, Q = Holds(("p",)), Holds(("q",))
-Trace = list[tuple[float, KnowledgeBase]]
-Rest = tuple[Constraint, ...]
-
-
-def state(p: bool | Unknown = False, q: bool | Unknown = False) -> KnowledgeBase:
-    return KnowledgeBase({("p",): p, ("q",): q})
+from tests.support.runs.trajectories import (
+    AFTER,
+    BEFORE,
+    LIKE_KAIROS,
+    ONCE,
+    SAFE,
+    P,
+    Q,
+    Rest,
+    Trace,
+    always,
+    progress,
+    sometime,
+    state,
+    traces,
+)
 
 
 def course(text: str, step: float = 1.0) -> Trace:
     """Read ``"- p pq q"``: which of p and q are true in each state, a second apart."""
     return [(number * step, state("p" in word, "q" in word)) for number, word in enumerate(text.split())]
-
-
-def always(condition: Condition) -> Constraint:
-    return Constraint("always", (condition,))
-
-
-def sometime(condition: Condition) -> Constraint:
-    return Constraint("sometime", (condition,))
-
-
-# --- the oracle: the definitions, over a whole course --------------------------------------------
 
 
 def keeps(trace: Trace, constraint: Constraint) -> bool:
@@ -91,48 +86,10 @@ def keeps(trace: Trace, constraint: Constraint) -> bool:
             raise AssertionError(constraint)
 
 
-def progress(rest: Rest, trace: Trace) -> Rest:
-    """Progress through a course, as a monitor does: with every state, and when a moment comes that matters."""
-    rest = progressed(rest, trace[0][1], trace[0][0])
-    for (before, old), (after, new) in pairwise(trace):
-        now = before
-        while due := [moment for one in rest for moment in moments(one) if now < moment < after]:
-            now = min(due)
-            rest = progressed(rest, old, now)
-        rest = progressed(rest, new, after)
-    return rest
-
-
-BOOLEANS = st.tuples(st.booleans(), st.booleans())
-
-
-@st.composite
-def traces(draw: st.DrawFn, values: st.SearchStrategy[tuple[bool | Unknown, bool | Unknown]] = BOOLEANS) -> Trace:
-    pauses = draw(st.lists(st.sampled_from((0.5, 1.0, 2.5)), max_size=6))
-    return [(sum(pauses[:number]), state(*draw(values))) for number in range(len(pauses) + 1)]
-
-
-TIMES = st.sampled_from((0.0, 0.5, 1.0, 2.0, 3.5, 6.0))
-CONDITIONS = st.sampled_from((P, Q, Not(P), All((P, Q)), Any((P, Q))))
-ONE = st.tuples(CONDITIONS)
-TWO = st.tuples(CONDITIONS, CONDITIONS)
-SAFE = st.one_of(
-    st.builds(Constraint, st.sampled_from(("always", "at-most-once")), ONE),
-    st.builds(Constraint, st.just("hold-during"), ONE, st.tuples(TIMES, TIMES)),
-    st.builds(Constraint, st.just("hold-after"), ONE, st.tuples(TIMES)),
-)
-"""Constraints that only what is known to be so can violate."""
-LIKE_KAIROS = st.one_of(
-    st.builds(Constraint, st.sampled_from(("at end", "always", "sometime", "at-most-once")), ONE),
-    st.builds(Constraint, st.sampled_from(("sometime-after", "sometime-before")), TWO),
-    st.builds(Constraint, st.just("within"), ONE, st.tuples(TIMES)),
-    st.builds(Constraint, st.just("always-within"), TWO, st.tuples(TIMES)),
-)
-"""Constraints whose definitions everybody reads in the same way."""
 CONSTRAINTS = st.one_of(LIKE_KAIROS, SAFE)
 
 
-# --- progression -----------------------------------------------------------------------------------
+# --- progression ---
 
 
 @settings(max_examples=300, deadline=None)
@@ -176,9 +133,6 @@ def test_what_is_unknown_fulfils_nothing() -> None:
 
 
 NEVER_P = always(Not(P))
-ONCE, AFTER, BEFORE = (
-    Constraint(name, (P, Q)[:count]) for name, count in (("at-most-once", 1), ("sometime-after", 2), ("sometime-before", 2))
-)
 SOON = Constraint("always-within", (P, Q), (2.0,))
 
 
@@ -272,8 +226,6 @@ def test_something_else_than_a_constraint_is_refused() -> None:
             progressed((wrong,), state())
 
 
-# --- the same definitions, read by others ----------------------------------------------------------
-
 _ACTIONS = "".join(
     f"(:action {name} :parameters () :effect (and {' '.join(f'({one})' if one in name else f'(not ({one}))' for one in 'pq')}))"
     for name in ("pq", "px", "xq", "xx")
@@ -282,6 +234,9 @@ DOMAIN = kairos.parse_domain(
     f"(define (domain d) (:requirements :adl :durative-actions :constraints) (:predicates (p) (q) (r)) {_ACTIONS}"
     "(:durative-action wait :parameters () :duration (= ?duration 1) :effect (at end (r))))"
 )
+
+
+# --- the same definitions, read by others ---
 
 
 @settings(max_examples=150, deadline=None)
@@ -294,74 +249,3 @@ def test_the_planner_reads_the_definitions_as_we_do(constraint: Constraint, trac
     text = f"(define (problem x) (:domain d) (:init {first}) (:goal (and)) (:constraints {constraint}))"
     plan = "".join(f"{time:.3f}: ({word(one)})\n" for time, one in trace[1:])
     assert kairos.validate(kairos.parse_problem(text, DOMAIN), kairos.parse_plan(plan)).valid == keeps(trace, constraint)
-
-
-# --- watching --------------------------------------------------------------------------------------
-
-
-def watched(constraint: Constraint, seen: Trace, until: float = 100.0, lag: float = 1.0) -> ConstraintProgress:
-    """Look at each state when it is reported, and whenever the watch asks for a look."""
-    watch = ConstraintProgress((constraint,))
-    ends = [*(time for time, _ in seen[1:]), until]
-    for (now, one), end in zip(seen, ends, strict=True):
-        watch = watch.seen(one, now, lag)
-        while (again := watch.next_look(now, lag)) < end:
-            now, watch = again, watch.seen(one, again, lag)
-    return watch
-
-
-def reports(text: str) -> Trace:
-    """Read ``"0:p 3:- 3.5:pq"``: what is reported to be true, and when."""
-    return [(float(word.split(":")[0]), state("p" in word, "q" in word)) for word in text.split()]
-
-
-EITHER = always(Any((P, Q)))
-BY_3, FROM_3 = (Constraint(name, (P,), (3.0,)) for name in ("within", "hold-after"))
-
-
-@pytest.mark.parametrize(
-    ("constraint", "seen", "left"),
-    [
-        (always(P), "0:p 3:- 3.5:p", (always(P),)),
-        (always(P), "0:p 3:-", (IMPOSSIBLE,)),
-        (EITHER, "0:p 3:- 3:q", (EITHER,)),
-        (EITHER, "0:p 3:- 3.9:q 4.5:- 5.4:p", (EITHER,)),
-        (sometime(P), "0:- 3:p 3:-", ()),
-        (AFTER, "0:- 3:p 3:-", (AFTER, sometime(Q))),
-        (AFTER, "0:- 3:p 3:q", (AFTER,)),
-        (BEFORE, "0:- 3:q 3:p", ()),
-        (BEFORE, "0:- 3:p 3.5:- 5:q", ()),
-        (BEFORE, "0:- 3:p 3:pq", (IMPOSSIBLE,)),
-        (ONCE, "0:p 3:- 3.5:p", (replace(ONCE, begun=True),)),
-        (ONCE, "0:p 3:p 3:-", (NEVER_P,)),
-        (ONCE, "0:p 3:- 5:p 5.5:-", (NEVER_P,)),
-        (ONCE, "0:p 3:- 5:p", (IMPOSSIBLE,)),
-        (BY_3, "0:- 3.5:p", ()),
-        (BY_3, "0:- 4.5:p", (IMPOSSIBLE,)),
-        (SOON, "0:- 3:p 4:- 5.5:q", (SOON,)),
-        (SOON, "0:- 3:p 4:- 6.5:q", (IMPOSSIBLE,)),
-        (Constraint("hold-during", (P,), (3.0, 9.0)), "0:- 3.5:p 8.5:- 8.9:p 9:-", ()),
-        (Constraint("hold-during", (P,), (3.0, 9.0)), "0:- 5:p", (IMPOSSIBLE,)),
-        (FROM_3, "0:- 3.5:p 8:- 8.5:p", (FROM_3,)),
-        (FROM_3, "0:p 3.9:- 4.1:p", (FROM_3,)),
-        (FROM_3, "0:- 4.5:p", (IMPOSSIBLE,)),
-    ],
-    ids=str,
-)
-def test_what_helps_counts_at_once_and_what_harms_if_it_lasts_for_the_lag(constraint: Constraint, seen: str, left: Rest) -> None:
-    assert watched(constraint, reports(seen)).rest == left
-
-
-def test_a_watch_says_when_it_wants_to_look_again() -> None:
-    watch = ConstraintProgress((BY_3,)).seen(state(), 0.0, 1.0)
-    assert watch.next_look(0.0, 1.0) == 3.0
-    watch = watch.seen(state(), 3.0, 1.0)
-    assert (watch.doubtful_since, watch.violated, watch.next_look(3.0, 1.0)) == (3.0, False, 4.0)
-    watch = watch.seen(state(), 4.0, 1.0)
-    assert (watch.violated, watch.next_look(4.0, 1.0)) == (True, inf)
-
-
-@settings(max_examples=300, deadline=None)
-@given(CONSTRAINTS, traces())
-def test_reports_without_a_lag_are_believed_at_once(constraint: Constraint, trace: Trace) -> None:
-    assert watched(constraint, trace, until=trace[-1][0], lag=0.0) == ConstraintProgress(progress((constraint,), trace))

@@ -17,7 +17,7 @@ from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.verification.verify import verify
 from pnm.core.net.net import Marking
 from tests.support.runs.direct import RUN, drive
-from tests.support.yaml.programs import DOMAIN, Chaos, Json, in_use, programs, read, written
+from tests.support.yaml.programs import DOMAIN, Chaos, Json, as_yaml, in_use, programs, read
 
 
 def check_marking(machine: PetriNetMachine, marking: Marking, budgets: Mapping[tuple[str, str], int]) -> None:
@@ -184,7 +184,7 @@ class Interpreter:
 @settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(BLOCKS, st.integers(0, 3), st.integers(0, 3))
 def test_a_program_without_concurrency_does_what_it_says(steps: Json, x: int, y: int) -> None:
-    plan = read(f"{COUNTING}---\n{written({'initial_knowledge': {'x': x, 'y': y}, 'plan': steps})}")
+    plan = read(f"{COUNTING}---\n{as_yaml({'initial_knowledge': {'x': x, 'y': y}, 'plan': steps})}")
     trace = drive(plan.graph, bindings=plan.bindings, variables=plan.variables)
     meant = Interpreter({"x": x, "y": y})
     assert trace.result.goal is meant.do(steps)

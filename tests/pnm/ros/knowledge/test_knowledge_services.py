@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Callable, Iterator
-from uuid import UUID, uuid4
+from uuid import uuid4
 
 import pytest
 from pnm_interfaces.srv import QueryKnowledge, UpdateKnowledge
@@ -16,54 +15,14 @@ from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.core.machine.requests import OutcomeKind
 from pnm.knowledge.sources import Asker, SourceError, Sources
 from pnm.knowledge.sources.memory import MemoryKnowledge
-from pnm.ros.knowledge.goal_ids import may_be_ours, service_prefix
-from pnm.ros.knowledge.knowledge_services import KnowledgeServices
-from pnm.ros.knowledge.knowledge_source import uuid_field
-from pnm.ros.node.service_client import ServiceClient, until_true
+from pnm.ros.node.service_client import until_true
+from tests.support.people import Person
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import ChildProcess, run
+from tests.support.ros.child_process import run
 from tests.support.ros.fake_executor import FakeExecutor, fake_executor
-
-
-@pytest.fixture(scope="module")
-def server(names: Callable[[], str]) -> Iterator[str]:
-    """A server whose callback is a function and whose executor has one thread."""
-    name = names()
-    process = ChildProcess("asking_server", name)
-    yield name
-    process.kill()
-
 
 OURS = "/pnm/ros/"
 """Stands in every traceback of what is tested; rclpy itself may fail with one while its context ends."""
-
-
-class Person:
-    """Answers when it is told to; `asked` has a question for every moment at which somebody asks."""
-
-    def __init__(self) -> None:
-        self.asked: asyncio.Queue[str] = asyncio.Queue()
-        self.withdrawn: asyncio.Queue[str] = asyncio.Queue()
-        self.answers: dict[str, asyncio.Future[object]] = {}
-
-    async def query(self, question: Question, asker: Asker, /) -> object:
-        assert asker.plan == "tour"
-        self.answers[question.name] = asyncio.get_running_loop().create_future()
-        self.asked.put_nowait(question.name)
-        try:
-            return await self.answers[question.name]
-        except asyncio.CancelledError:
-            self.withdrawn.put_nowait(question.name)
-            raise
-
-    async def update(self, question: Question, value: object, asker: Asker, /) -> None:
-        self.asked.put_nowait(f"{question.name}: {value} {question.meta}")
-
-    async def close(self) -> None:
-        pass
-
-
-# --- from the server's side ----------------------------------------------------------------
 
 
 def test_local_and_global_and_both(ros, server):
@@ -212,25 +171,6 @@ def test_what_a_source_refuses_is_said_to_the_server_and_changes_nothing(ros, se
     run(main())
 
 
-def test_a_person_is_asked_while_others_go_on(ros, server):
-    async def main():
-        person = Person()
-        async with fake_executor(ros, person=person) as one:
-            first = one.send(server, "query", "person", "shop", "Which shop?", LIMIT)
-            second = one.send(server, "query", "global", "USER", None, LIMIT)
-            assert {await person.asked.get(), await person.asked.get()} == {"shop", "USER"}
-            assert await one.said(server, "update", "local", "spam", 1) == [None], "a question that is open holds up no other request"
-            person.answers["USER"].set_result("later")
-            assert json.loads((await second).message) == ["later"]
-            assert not first.done()
-            person.answers["shop"].set_result("bakery")
-            assert json.loads((await first).message) == ["bakery"]
-            assert await one.said(server, "update", "person", "shop", "thanks", {"mood": 1}) == [None]
-            assert await person.asked.get() == 'shop: thanks {"mood": 1}'
-
-    run(main())
-
-
 @pytest.mark.parametrize("kind", ["function", "coroutine", "simple"])
 def test_cancelling_a_goal_that_asks_ends_it_and_withdraws_the_question(ros, names, begin, kind):
     name = names()
@@ -268,11 +208,11 @@ def test_a_simple_server_carries_out_one_goal_at_a_time_and_none_that_was_cancel
             client = one.client(name)
             client.cancel(goal)
             await until_true(ros, lambda: client._goals[goal][0].cancel_answered)
-            person.answers["a"].set_result(1)
+            person.answer("a", 1)
             assert (await first).message == "[1]"
             assert (await second).kind is OutcomeKind.CANCELED
             assert await person.asked.get() == "c"
-            person.answers["c"].set_result(3)
+            person.answer("c", 3)
             assert (await third).message == "[3]"
 
     run(main())
@@ -329,146 +269,3 @@ def test_a_server_that_ends_while_it_asks_leaves_no_traceback_of_ours(ros, names
             assert (await ended).kind in (OutcomeKind.LOST, OutcomeKind.UNAVAILABLE)
 
     run(main())
-
-
-# --- from the side of servers in other languages ---------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("fields", "said"),
-    [
-        ({"goal_id": uuid_field(UUID(int=5))}, "no goal 00000000-0000-0000-0000-000000000005 is being carried out for this executive"),
-        ({"layer": 9}, "there is no layer 9; expected one of {0: 'local', 1: 'global', 2: 'all', 3: 'person'}"),
-        ({"name": ""}, "the request names no variable"),
-        ({"meta": "{"}, "'{' is not JSON"),
-        ({"name": "odd"}, "JSON cannot say nan"),
-        ({"name": "bug", "layer": 1}, "KeyError: 'bug'"),
-        ({"layer": 3}, "there is nobody who could be asked"),
-    ],
-    ids=lambda value: str(value)[:40],
-)
-def test_a_query_that_cannot_be_answered_is_refused(ros, fields, said):
-    class Buggy(MemoryKnowledge):
-        async def query(self, question, asker, /):
-            raise KeyError(question.name)
-
-    async def main():
-        async with fake_executor(ros, [Buggy()]) as one:
-            one.local.store({"odd": float("nan")})
-            goal = one.new_id()
-            one.goals[goal] = None
-            client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{one.name}/query")
-            answer = await client.call({"goal_id": uuid_field(goal), "layer": 0, "name": "spam", **fields}, LIMIT)
-            assert (answer.success, answer.found, answer.value) == (False, False, "")
-            assert said in answer.message
-            answer = await client.call({"goal_id": uuid_field(goal), "layer": 0, "name": "spam"}, LIMIT)
-            assert (answer.success, answer.found, answer.value, answer.message) == (True, False, "", "")
-            await client.close()
-
-    run(main())
-
-
-def test_who_repeats_a_question_to_a_person_gets_the_same_answer(ros):
-    async def main():
-        person = Person()
-        async with fake_executor(ros, person=person) as one:
-            goals = [one.new_id() for _ in range(2)]
-            one.goals |= dict.fromkeys(goals)
-            client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{one.name}/query")
-
-            def ask(goal, layer, name):
-                return asyncio.ensure_future(client.call({"goal_id": uuid_field(goal), "layer": layer, "name": name}, LIMIT))
-
-            await ask(goals[0], 0, "spam")
-            same = [ask(goals[0], 3, "shop") for _ in range(2)]
-            others = [ask(goals[1], 3, "shop"), ask(goals[0], 3, "stop")]
-            questions = [await person.asked.get() for _ in range(3)]
-            await ask(goals[0], 0, "spam")  # whatever was sent before has come
-            assert sorted(questions) == ["shop", "shop", "stop"]
-            assert person.asked.empty()
-            one.services.end(goals[1])
-            assert (await others[0]).message == "the goal is over, or the executive ends"
-            del one.goals[goals[1]]
-            person.answers["stop"].set_result(1)
-            assert (await others[1]).value == "1"
-            first = ask(goals[0], 3, "again")
-            await person.asked.get()
-            person.answers["again"].set_result(1)
-            assert (await first).value == "1"
-            second = ask(goals[0], 3, "again")
-            await person.asked.get()
-            person.answers["again"].set_result(2)
-            assert (await second).value == "2", "what was answered is asked anew"
-            one.services.end(goals[0])
-            assert {answer.message for answer in await asyncio.gather(*same)} == {"the goal is over, or the executive ends"}
-            await client.close()
-
-    run(main())
-
-
-@pytest.mark.parametrize("value", ["", "kitchen", "NaN"])
-def test_an_update_with_what_is_no_json_is_refused(ros, value):
-    async def main():
-        async with fake_executor(ros) as one:
-            goal = one.new_id()
-            one.goals[goal] = None
-            client = ServiceClient(ros, "pnm_interfaces/srv/UpdateKnowledge", f"{one.name}/update")
-            answer = await client.call({"goal_id": uuid_field(goal), "layer": 2, "name": "spam", "value": value}, LIMIT)
-            assert not answer.success
-            assert "is not JSON" in answer.message
-            assert one.local.variables() == {}
-            await client.close()
-
-    run(main())
-
-
-def test_closing_refuses_what_is_still_being_asked(ros):
-    async def main():
-        person = Person()
-        async with fake_executor(ros, person=person) as one:
-            goal = one.new_id()
-            one.goals[goal] = None
-            client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{one.name}/query")
-            asking = asyncio.ensure_future(client.call({"goal_id": uuid_field(goal), "layer": 3, "name": "spam"}, LIMIT))
-            await person.asked.get()
-        answer = await asking
-        assert (answer.success, answer.message) == (False, "the goal is over, or the executive ends")
-        assert person.withdrawn.get_nowait() == "spam"
-        await client.close()
-
-    run(main())
-
-
-def test_an_executive_whose_loop_has_ended_refuses(ros, names):
-    loop = asyncio.new_event_loop()
-    loop.close()
-    name = names()
-
-    async def main():
-        services = KnowledgeServices(ros, loop, name, lambda goal: None, Sources())
-        await services.open()
-        client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{name}/query")
-        answer = await client.call({"name": "spam"}, LIMIT)
-        assert (answer.success, answer.message) == (False, "the executive has ended")
-        await services.close()
-        await client.close()
-
-    run(main())
-
-
-# --- ids -----------------------------------------------------------------------------------
-
-
-def test_ids_say_where_to_ask():
-    goal = UUID("0123abcd-0000-5000-8000-000000000000")
-    assert service_prefix(goal.bytes) == "/pnm_0123abcd"
-    assert may_be_ours(goal.bytes)
-    assert not may_be_ours(uuid4().bytes)
-    assert not may_be_ours(bytes(16))
-
-
-def test_the_layers_of_the_interfaces_are_those_of_queries():
-    from pnm.ros.knowledge.knowledge_services import LAYERS
-
-    for kind in (QueryKnowledge.Request, UpdateKnowledge.Request):
-        assert [LAYERS[getattr(kind, layer.name)] for layer in Layer] == list(Layer)

@@ -6,11 +6,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
-from tests.support.e2e.deployment import RosDomain, written
+from tests.support.e2e.deployment import RosDomain
 from tests.support.e2e.mall.scripts import file_of, script
 from tests.support.e2e.mall.verdict import Verdict, verdict_on
 from tests.support.e2e.plan_deployment import Serving, Workers
 from tests.support.e2e.processes import ROOT, Program
+from tests.support.files import written
 
 DOMAIN: Final = ROOT / "domains" / "mall"
 SPEED: Final = "80"
@@ -41,7 +42,7 @@ class Mall(RosDomain):
         node = self.start(Serving(["-m", "planner_bridge", "serve", *self._files()], self.environment))
         robot.until(lambda: any(line.startswith("ready") for line in robot.out))
         node.ready()
-        scripts = written(self.folder / "scripts.json", file_of(numbers))
+        scripts = str(written(self.folder / "scripts.json", file_of(numbers)))
         visitor = self.start(Program([str(DOMAIN / "visitor.py"), scripts], self.environment))
         assert visitor.ended(60.0 + EACH * len(numbers)) == 0, str(visitor)
         node.stop()
@@ -59,7 +60,7 @@ class Mall(RosDomain):
         plans = DOMAIN / "plans"
         domain = (plans / "domain.yaml").read_text(encoding="utf-8")
         assert "topics]" in domain
-        written(self.folder / "domain.yaml", domain.replace("topics]", f"{{topics: {{limit: {self._patience}}}}}]"))
-        written(self.folder / "small_talk.yaml", (plans / "small_talk.yaml").read_text(encoding="utf-8"))
-        world = written(self.folder / "world.yaml", (plans / "world.yaml").read_text(encoding="utf-8"))
+        str(written(self.folder / "domain.yaml", domain.replace("topics]", f"{{topics: {{limit: {self._patience}}}}}]")))
+        str(written(self.folder / "small_talk.yaml", (plans / "small_talk.yaml").read_text(encoding="utf-8")))
+        world = str(written(self.folder / "world.yaml", (plans / "world.yaml").read_text(encoding="utf-8")))
         return [str(DOMAIN / "domain.pddl"), str(ROOT / "problems" / "mall" / "p01.pddl"), "--world", world]

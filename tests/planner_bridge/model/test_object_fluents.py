@@ -1,0 +1,210 @@
+"""Fluents whose values are objects mean the same in plans, runs and replanning."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+
+import kairos
+import pytest
+
+from planner_bridge.model.grounding import initial_knowledge, problem_now
+from planner_bridge.model.problem import Domain, Problem
+from planner_bridge.ordering.plan_to_graph import plan_graph
+from planner_bridge.pddl import parse_domain, parse_problem
+from planner_bridge.tasks.replanning import PlanAgain, ResumePlan
+from pnm.actions.faults import Fault, FaultKind, Faults
+from pnm.core.execution.questions import EvaluationContext
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import Compare, Condition, Not
+from pnm.core.logic.domain import Declaration
+from pnm.core.logic.effects import Set
+from pnm.core.logic.evaluation import evaluate
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Value, ValueOf, Variable
+from pnm.core.machine.bindings import Binding, Bindings, goal_data
+from tests.support.tasks.planned_runs import Simulation, changed, shown, simulate, timed
+
+TRAYS = """
+(define (domain trays) (:requirements :durative-actions :typing :numeric-fluents)
+  (:types robot room thing - object)
+  (:predicates (greeted ?r - robot))
+  (:functions (battery))
+  (:durative-action move :parameters (?r - robot ?a ?b - room) :duration (= ?duration 4) :condition () :effect ())
+  (:durative-action fetch :parameters (?r - robot) :duration (= ?duration 3) :condition () :effect ())
+  (:action greet :parameters (?r - robot) :precondition () :effect (greeted ?r)))
+"""
+
+
+def at(robot: str, room: str) -> Condition:
+    return Compare("=", ValueOf(("place", robot)), Constant(room))
+
+
+def put(fluent: Fluent, room: str) -> Set:
+    return Set(fluent, Constant(room))
+
+
+def trays() -> Domain:
+    """Where a robot is, is a value: ``(place r1)``; on its way it is nowhere. It fetches things from where they are wanted."""
+    domain = parse_domain(TRAYS)
+    robot, room = Variable("?r", ("robot",)), ("room",)
+    functions = {**domain.functions, "place": Declaration("place", (robot,), room), "wanted": Declaration("wanted", (robot,), room)}
+    move = replace(
+        domain.actions["move"],
+        precondition=at("?r", "?a"),
+        start_effects=(put(("place", "?r"), UNDEFINED),),
+        end_effects=(put(("place", "?r"), "?b"),),
+    )
+    fetch = replace(
+        domain.actions["fetch"],
+        precondition=Not(Compare("=", ValueOf(("place", "?r")), ValueOf(("wanted", "?r")))),
+        end_effects=(Set(("place", "?r"), ValueOf(("wanted", "?r"))),),
+    )
+    greet = replace(domain.actions["greet"], precondition=at("?r", "hall"))
+    return replace(domain, functions=functions, actions={"move": move, "fetch": fetch, "greet": greet})
+
+
+def tray_problem(init: dict[Fluent, Value], goal: Condition) -> Problem:
+    things = "(:objects r1 r2 - robot hall lab yard - room cup - thing)"
+    problem = parse_problem(f"(define (problem p) (:domain trays) {things} (:init) (:goal (and)))", trays())
+    return replace(problem, init=init, goal=goal)
+
+
+R1, R2 = ("place", "r1"), ("place", "r2")
+IN_LAB = tray_problem({R1: "hall"}, at("r1", "lab"))
+TO_LAB = timed("0 4 move r1 hall lab")
+
+
+def test_objects_order_calls_like_facts() -> None:
+    plan = timed("0 4 move r1 hall lab", "4.001 4 move r1 lab yard", "0 4 move r2 hall lab", "8.002 0 greet r1")
+    graph = plan_graph(tray_problem({R1: "hall", R2: "hall"}, at("r1", "yard")), plan)
+    assert shown(graph)[0] == "end of #0 < start of #1 ((place r1))"
+    assert not any(2 in (one.before.call, one.after.call) for one in graph.orderings)
+
+
+def test_a_robot_whose_place_is_a_value_arrives() -> None:
+    async def scenario(simulation: Simulation) -> None:
+        result = await simulation.run(plan_graph(IN_LAB, TO_LAB))
+        assert result.goal, result.reason
+        assert (simulation.truth(R1), simulation.knowledge.value(R1)) == ("lab", "lab")
+
+    simulate(IN_LAB, scenario)
+
+
+def test_on_the_way_it_is_nowhere() -> None:
+    places: list[object] = []
+
+    async def scenario(simulation: Simulation) -> None:
+        asyncio.get_running_loop().call_later(2.0, lambda: places.append(simulation.knowledge.value(R1)))
+        assert (await simulation.run(plan_graph(IN_LAB, TO_LAB))).goal
+
+    simulate(IN_LAB, scenario)
+    assert places == [UNDEFINED]
+
+
+def test_a_robot_that_is_nowhere_is_not_where_it_is_wanted() -> None:
+    problem = replace(IN_LAB, init={("wanted", "r1"): "lab"})
+
+    async def scenario(simulation: Simulation) -> None:
+        assert (await simulation.run(plan_graph(problem, timed("0 3 fetch r1")))).goal
+
+    simulate(problem, scenario)
+
+
+@pytest.mark.parametrize("assumed", [frozenset[str](), frozenset({"place"})])
+def test_an_object_that_does_not_come_is_missed_if_it_is_sensed(assumed: frozenset[str]) -> None:
+    async def scenario(simulation: Simulation) -> None:
+        result = await simulation.run(plan_graph(IN_LAB, TO_LAB))
+        assert result.goal is bool(assumed)
+        if not assumed:
+            assert [(one.cause, one.expected) for one in result.failures] == [("effects_missing", "(= (place r1) lab)")]
+        assert simulation.truth(R1) == "hall"
+
+    simulate(IN_LAB, scenario, Faults((Fault("move", FaultKind.NO_EFFECT),)), Bindings(assumed=assumed))
+
+
+def test_an_aborted_move_leaves_the_robot_where_it_was_known_to_be() -> None:
+    async def scenario(simulation: Simulation) -> None:
+        graph = plan_graph(IN_LAB, TO_LAB)
+        result = await simulation.run(graph)
+        assert [one.cause for one in result.failures] == ["aborted"]
+        assert (simulation.truth(R1), simulation.knowledge.value(R1)) == ("hall", "hall")
+        assert isinstance(simulation.decide(graph, result), ResumePlan)
+
+    faults = Faults((Fault("move", FaultKind.ABORT),))
+    simulate(IN_LAB, scenario, faults, Bindings({"move": Binding(retries=0)}, assumed=frozenset({"place"})))
+
+
+def test_a_robot_that_was_carried_away_is_found_by_the_precondition() -> None:
+    async def scenario(simulation: Simulation) -> None:
+        simulation.backend.robots.world.change({R1: "yard"})
+        graph = plan_graph(IN_LAB, TO_LAB)
+        result = await simulation.run(graph)
+        assert [(one.cause, one.observed) for one in result.failures] == [("precondition_false", "(place r1) is yard")]
+        assert isinstance(simulation.decide(graph, result), PlanAgain)
+        assert simulation.now().init[R1] == "yard"
+        assert (await simulation.run(plan_graph(simulation.now(), timed("0 4 move r1 yard lab")))).goal
+
+    simulate(IN_LAB, scenario)
+
+
+def test_a_robot_that_is_there_does_not_move() -> None:
+    async def scenario(simulation: Simulation) -> None:
+        result = await simulation.run(plan_graph(IN_LAB, TO_LAB))
+        assert result.goal
+        assert [call.outcome for call in result.calls] == ["already true"]
+
+    simulate(replace(IN_LAB, init={R1: "lab"}), scenario)
+
+
+def test_a_value_read_at_the_end_is_the_one_it_has_then() -> None:
+    problem = tray_problem({R1: "hall", ("wanted", "r1"): "lab"}, at("r1", "yard"))
+
+    async def scenario(simulation: Simulation) -> None:
+        result = await simulation.run(plan_graph(problem, timed("0 3 fetch r1")))
+        assert result.goal, result.reason
+
+    simulate(problem, scenario, changed(1.0, {("wanted", "r1"): "yard"}))
+
+
+def test_a_goal_field_may_be_an_object_that_is_known() -> None:
+    bindings = Bindings({"fetch": Binding(goal={"robot": "?r", "to": "(wanted ?r)"})})
+    wanted = tray_problem({R1: "hall", ("wanted", "r1"): "lab"}, at("r1", "lab"))
+
+    async def scenario(simulation: Simulation) -> None:
+        graph = plan_graph(wanted, timed("0 3 fetch r1"))
+        data = goal_data(graph.calls[0].action, bindings.of("fetch"), ("robot", "to"), EvaluationContext(simulation.knowledge))
+        assert data == ({"robot": "r1", "to": "lab"}, ())
+        assert (await simulation.run(graph)).goal
+        for nothing in (UNKNOWN, UNDEFINED):
+            simulation.knowledge.world.update({("wanted", "r1"): nothing})
+            assert goal_data(graph.calls[0].action, bindings.of("fetch"), None, EvaluationContext(simulation.knowledge))[1] == ("to",)
+
+    simulate(wanted, scenario, bindings=bindings)
+
+
+def test_a_problem_from_what_is_known_has_only_values_that_it_declares() -> None:
+    knowledge = initial_knowledge(IN_LAB)
+    strange: dict[Fluent, Value] = {R2: "moon", ("place", "zz"): "lab", ("wanted", "r1"): "cup", ("wanted", "r2"): 3.0, ("battery",): "lab"}
+    knowledge.update({**strange, ("battery",): "lab", ("greeted", "r1"): True})
+    assert problem_now(IN_LAB, knowledge).init == {R1: "hall", ("greeted", "r1"): True}
+    for nothing in (UNKNOWN, UNDEFINED):
+        knowledge.update({("battery",): 0.5, R2: "yard", R1: nothing})
+        assert problem_now(IN_LAB, knowledge).init == {("battery",): 0.5, R2: "yard", ("greeted", "r1"): True}
+
+
+HOLDING, WANTS, HAS = ValueOf(("holding", "r1")), ValueOf(("wants", "r1")), ValueOf(("has", "r1"))
+CUP = Constant("cup")
+EQUALITIES = [Compare("=", HOLDING, CUP), Compare("=", HAS, CUP), Compare("=", HAS, Constant("bowl")), Compare("=", HOLDING, HAS)]
+EQUALITIES += [Compare("=", WANTS, HAS), Compare("=", HAS, HAS)]
+
+
+@pytest.mark.parametrize("condition", [*EQUALITIES, *map(Not, EQUALITIES)], ids=str)
+def test_the_planner_also_takes_what_is_undefined_for_equal_to_nothing(condition: Condition) -> None:
+    domain = kairos.parse_domain(f"""(define (domain d) (:requirements :typing :object-fluents :adl) (:types robot thing - object)
+      (:constants r1 - robot cup bowl - thing) (:predicates (done))
+      (:functions (holding ?r - robot) - thing (wants ?r - robot) - thing (has ?r - robot) - thing)
+      (:action a :parameters () :precondition {condition} :effect (done)))""")
+    text = "(define (problem p) (:domain d) (:init (= (has r1) cup) (= (wants r1) bowl)) (:goal (done)))"
+    found = kairos.solve(domain, kairos.parse_problem(text, domain))
+    state = KnowledgeBase({HAS.fluent: "cup", WANTS.fluent: "bowl"})
+    assert found.status is (kairos.Status.SOLVED if evaluate(condition, state) else kairos.Status.UNSOLVABLE)

@@ -1,0 +1,105 @@
+"""Deadlines of tasks, and tasks that are cancelled."""
+
+from __future__ import annotations
+
+from uuid import uuid4
+
+import pytest
+
+from pnm.actions.faults import Fault, FaultKind, Faults
+from pnm.core.machine.bindings import Binding
+from pnm.tasks import Code, TaskRefused
+from tests.support.tasks.node import needing, robots_of, simulated
+from tests.support.tasks.simulation import TaskSimulation
+
+
+@pytest.mark.parametrize("deadline", [0.0, 0.5, 1.5])
+@simulated()
+async def test_a_goal_that_is_not_reached_in_time_is_given_up(simulation: TaskSimulation, deadline: float):
+    task = simulation.want("(in p0 a2)", deadline=deadline)
+    assert await simulation.ended_with(task) == [Code.DEADLINE_MISSED]
+    await simulation.reaches(simulation.want("(in p0 a2)"))
+
+
+@simulated()
+async def test_a_goal_that_waits_can_be_cancelled_and_misses_its_deadline(simulation: TaskSimulation):
+    one, two, three = simulation.want("(at r0 a2)"), simulation.want("(at r0 a1)"), simulation.want("(at r0 a3)", deadline=1.0)
+    await simulation.sees(two, "state", "waits")
+    await simulation.master.cancel(two)
+    assert await simulation.ended_with(one, two, three) == [Code.GOAL_REACHED, Code.CANCELLED, Code.DEADLINE_MISSED]
+
+
+@simulated()
+async def test_a_task_is_cancelled_only_when_the_servers_have_confirmed_it(simulation: TaskSimulation):
+    task = await simulation.begun("(at r0 a2)")
+    await simulation.master.cancel(task)
+    assert simulation.endings[task].code is Code.CANCELLED
+    assert len(simulation.seen(task, "ended")) == 1
+
+
+@simulated(faults=Faults((Fault("move", FaultKind.HANG, ignores_cancel=True, times=1),)))
+async def test_a_server_that_does_not_confirm_is_given_up_after_its_limit(simulation: TaskSimulation):
+    task = await simulation.begun("(at r0 a2)")
+    await simulation.master.cancel(task)
+    assert simulation.endings[task].code is Code.CANCELLED
+
+
+@simulated(faults=Faults((Fault("move(r0, a0, a1)", FaultKind.HANG, ignores_cancel=True),)))
+async def test_what_a_request_has_that_was_given_up_is_not_used_by_others_and_they_find_another_way(simulation: TaskSimulation):
+    first = await simulation.begun("(at r0 a1)")
+    await simulation.master.cancel(first)
+    assert simulation.seen(first, "withheld", "keeps r0 until its server says that it is over")
+    second = simulation.want("(in p0 a1)")
+    assert await simulation.ended_with(second) == [Code.GOAL_REACHED]
+    (failure,) = simulation.seen(second, "failed")
+    assert f"r0 is kept by move(r0, a0, a1) of task {first.hex[:8]}, which has not confirmed that it is over" in failure.text
+    assert {word.split("(")[1].split(",")[0] for word in simulation.sent(second)} == {"r1"}
+    third = simulation.want("(has r0 p0)")
+    assert await simulation.ended_with(third) == [Code.SERVER_UNAVAILABLE], "no other robot will do"
+    assert "move(r0, ?, ?)" in simulation.endings[third].message
+    assert simulation.endings[third].message.endswith(
+        f"r0 is kept by move(r0, a0, a1) of task {first.hex[:8]}, which has not confirmed that it is over"
+    )
+    assert not simulation.sent(third)
+
+
+@simulated(
+    faults=Faults((Fault("move(r0, a0, a1)", FaultKind.SLOW, ignores_cancel=True, times=1),)),
+    chosen=needing("{r}", move=Binding(resources=("{r}",), retries=0, cancel=2.0)),
+)
+async def test_what_a_request_has_that_was_given_up_is_free_when_its_server_reports_late(simulation: TaskSimulation):
+    first = await simulation.begun("(at r0 a1)")
+    await simulation.master.cancel(first)
+    second = simulation.want("(has r0 p0)")
+    assert await simulation.ended_with(second) == [Code.GOAL_REACHED]
+    assert simulation.seen(second, "sent")[0].time >= 10.0 - 0.1, "when the first one has ended indeed"
+
+
+@simulated(
+    faults=Faults(
+        (
+            Fault("move(r0, a0, a1)", FaultKind.SLOW, ignores_cancel=True, times=1),
+            Fault("move(r1, a1, a0)", FaultKind.SLOW, times=1),
+            Fault("pick(r1, p0, a0)", FaultKind.ABORT),
+        )
+    ),
+    chosen=needing("{r}", move=Binding(resources=("{r}",), retries=0, cancel=2.0), pick=Binding(resources=("{r}",), retries=0, accept=3.0)),
+)
+async def test_what_was_waited_for_in_vain_is_planned_with_again_when_it_is_free(simulation: TaskSimulation):
+    first = await simulation.begun("(at r0 a1)")
+    await simulation.master.cancel(first)
+    second = simulation.want("(in p0 a1)")
+    await simulation.sees(second, "failed", "r0 is kept")
+    await simulation.reaches(second)
+    assert robots_of(simulation, second) == {"r0", "r1"}
+
+
+@simulated()
+async def test_what_is_not_there_cannot_be_paused_resumed_or_cancelled(simulation: TaskSimulation):
+    task = simulation.want("(at r0 a0)")
+    await simulation.ended_with(task)
+    for deed in (simulation.master.cancel, simulation.master.resume, lambda one: simulation.master.pause(one, at_once=True)):
+        with pytest.raises(TaskRefused, match="is over"):
+            await deed(task)
+        with pytest.raises(TaskRefused, match="there is no task"):
+            await deed(uuid4())

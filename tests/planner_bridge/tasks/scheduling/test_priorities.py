@@ -1,0 +1,91 @@
+"""Priorities of tasks: who is preempted, and for whom."""
+
+from __future__ import annotations
+
+import asyncio
+
+from pnm.core.logic.computed_values import MISSING, Layer, Question
+from pnm.core.machine.bindings import Binding
+from pnm.knowledge.sources.source import Asker
+from pnm.tasks import TaskState
+from tests.support.problems import fleet
+from tests.support.tasks.node import needing, simulated
+from tests.support.tasks.simulation import TaskSimulation
+
+
+@simulated()
+async def test_a_higher_goal_preempts_a_lower_one_that_goes_on_by_itself(simulation: TaskSimulation):
+    low = await simulation.begun("(at r0 a2)")
+    high = simulation.want("(at r0 a3)", priority=1)
+    await simulation.reaches(high)
+    assert simulation.seen(low, "state", "makes way for (at r0 a3)")
+    await simulation.reaches(low)
+    assert simulation.holds("(at r0 a2)")
+
+
+@simulated(chosen=needing("lift"))
+async def test_a_higher_goal_takes_the_resource_of_a_lower_one_even_if_their_facts_have_nothing_to_do_with_each_other(
+    simulation: TaskSimulation,
+):
+    low = await simulation.begun("(at r0 a2)")
+    high = simulation.want("(at r1 a3)", priority=1)
+    await simulation.reaches(high, low)
+    assert simulation.seen(low, "conflict", "makes way")
+    assert simulation.ended_at(high) < simulation.ended_at(low)
+
+
+@simulated(chosen=needing("lift"))
+async def test_equal_goals_that_share_a_resource_take_turns(simulation: TaskSimulation):
+    tasks = [simulation.want("(at r0 a2)"), simulation.want("(at r1 a3)")]
+    await simulation.reaches(*tasks)
+    assert not any(simulation.seen(task, "conflict") for task in tasks)
+
+
+@simulated()
+async def test_a_task_that_was_preempted_and_paused_goes_on_when_both_are_over(simulation: TaskSimulation):
+    low = await simulation.begun("(at r0 a2)")
+    high = await simulation.begun("(at r0 a3)", priority=1)
+    await simulation.master.pause(low, at_once=True)
+    await simulation.reaches(high)
+    assert simulation.state(low) is TaskState.PAUSED
+    await simulation.master.resume(low)
+    await simulation.reaches(low)
+
+
+@simulated()
+async def test_nobody_is_held_up_by_a_task_that_is_paused(simulation: TaskSimulation):
+    low = await simulation.begun("(at r0 a1)")
+    high = await simulation.begun("(at r0 a3)", priority=1)
+    assert simulation.state(low) is TaskState.PAUSED
+    await simulation.master.pause(high, at_once=True)
+    await simulation.reaches(low)
+    await simulation.master.resume(high)
+    await simulation.reaches(high)
+    assert simulation.holds("(at r0 a3)")
+
+
+class SlowPerson:
+    """Answers everything after a minute."""
+
+    async def query(self, question: Question, asker: Asker, /) -> object:
+        if question.layer is not Layer.PERSON:
+            return MISSING
+        await asyncio.sleep(60.0)
+        return "yes"
+
+    async def update(self, question: Question, value: object, asker: Asker, /) -> None: ...
+
+    async def close(self) -> None: ...
+
+
+ASKING = Binding(resources=("lift",), retries=0, ask={"word": "May I?"}, goal={"word": "$word"})
+
+
+@simulated(fleet(robots=2, parcels=3, places=8), chosen=needing("lift", pick=ASKING), source=SlowPerson())
+async def test_nobody_is_held_up_by_a_task_that_only_waits_for_an_answer(simulation: TaskSimulation):
+    low = await simulation.begun("(at r0 a4)")
+    high = simulation.want("(has r1 p2)", priority=1)
+    await simulation.reaches(low, high)
+    assert simulation.seen(low, "state", "makes way"), "what the other one does first needs the lift"
+    assert simulation.ended_at(low) < simulation.seen(high, "sent", "pick")[0].time
+    assert len(simulation.seen(low, "conflict")) == 1

@@ -1,0 +1,235 @@
+"""Several goals at once, over shared robots, in simulation."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from planner_bridge.loading import load
+from planner_bridge.model.problem import Problem
+from planner_bridge.tasks.replanning import Limits
+from planner_bridge.tasks.settings import OnChange
+from pnm.actions.faults import Fault, FaultKind, Faults, HiddenChange
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.machine import OnFailure
+from pnm.tasks import Code, OnConflict, TaskState
+from tests.support.files import ROOT
+from tests.support.problems import fleet
+from tests.support.tasks.node import CALLS, EAGER, USUAL, carry, robots_of, simulated
+from tests.support.tasks.simulation import TaskSimulation
+
+ONCE = replace(USUAL, limits=Limits(forbid_after=1))
+"""What has failed is not tried again in a new plan either."""
+
+
+def delivery() -> Problem:
+    """Robots that are at no place while they drive."""
+    return load(ROOT / "domains" / "delivery" / "domain.pddl", ROOT / "problems" / "delivery" / "p01.pddl")
+
+
+DRIVING = replace(EAGER, bindings=Bindings({"move": Binding(resources=("{robot}",), retries=0)}))
+
+
+# --- several goals ---
+
+
+@simulated()
+async def test_goals_of_different_robots_are_pursued_at_the_same_time(simulation: TaskSimulation):
+    one, two = simulation.want("(at r0 a2)"), simulation.want("(at r1 a3)")
+    await simulation.reaches(one, two)
+    assert simulation.sent_at(two) < simulation.ended_at(one)
+
+
+@simulated()
+async def test_a_goal_that_can_be_reached_by_another_robot_does_not_wait(simulation: TaskSimulation):
+    one, two = simulation.want("(in p0 a3)"), simulation.want("(in p1 a3)")
+    await simulation.reaches(one, two)
+    assert robots_of(simulation, one).isdisjoint(robots_of(simulation, two))
+    assert not simulation.seen(one, "state", "waits") + simulation.seen(two, "state", "waits")
+
+
+@simulated()
+async def test_a_goal_that_another_task_would_undo_waits_until_that_is_over(simulation: TaskSimulation):
+    one, two = simulation.want("(at r0 a2)"), simulation.want("(at r0 a1)")
+    await simulation.sees(two, "state", "waits for (at r0 a2)")
+    assert simulation.state(two) is TaskState.QUEUED
+    await simulation.reaches(one, two)
+    assert simulation.sent_at(two) >= simulation.ended_at(one)
+    assert simulation.holds("(at r0 a1)")
+
+
+@pytest.mark.parametrize("ends", ["by itself", "cancelled", "paused at once", "paused", "made to yield"])
+@simulated(delivery(), chosen=DRIVING)
+async def test_no_plan_is_told_only_when_what_others_have_begun_cannot_make_it_possible(simulation: TaskSimulation, ends: str):
+    one = await simulation.begun("(at r1 kitchen)")
+    await asyncio.sleep(1.0)
+    assert not any(simulation.holds(f"(at r1 {place})") for place in ("store", "hall", "yard"))
+    two = simulation.want("(at r1 yard)", priority=1 if ends == "made to yield" else 0)
+    never = simulation.want("(at parcel1 yard)")
+    if ends == "cancelled":
+        await simulation.master.cancel(one)
+    elif ends.startswith("paused"):
+        await simulation.master.pause(one, at_once=ends == "paused at once")
+    await simulation.reaches(two)
+    assert await simulation.ended_with(never) == [Code.NO_PLAN]
+    if ends.startswith("paused"):
+        await simulation.master.resume(one)
+    if ends != "cancelled":
+        await simulation.reaches(one)
+    else:
+        assert await simulation.ended_with(one) == [Code.CANCELLED]
+    assert not simulation.backend.robots.clashes
+
+
+@simulated(delivery(), chosen=DRIVING)
+async def test_what_others_have_begun_counts_even_if_it_ends_while_a_plan_is_looked_for(simulation: TaskSimulation):
+    one = await simulation.begun("(at r1 hall)")
+    await asyncio.sleep(1.0)
+    two = simulation.want("(at r1 yard)")
+    await simulation.until(lambda: simulation.seen(two, "state", "planning"))
+    carry(simulation, "r1", "store", "hall")
+    await simulation.master.cancel(one)
+    await simulation.reaches(two)
+
+
+@simulated(delivery(), chosen=DRIVING)
+async def test_a_goal_that_waits_for_what_others_have_begun_says_so_or_is_refused(simulation: TaskSimulation):
+    one = await simulation.begun("(at r1 kitchen)")
+    await asyncio.sleep(1.0)
+    two, three = simulation.want("(at r1 yard)"), simulation.want("(at r1 yard)", on_conflict=OnConflict.REFUSE)
+    await simulation.sees(two, "state", "waits for (at r1 kitchen)")
+    assert "it has begun move(r1, store, hall)" in simulation.seen(two, "state", "waits for")[0].text
+    assert await simulation.ended_with(three) == [Code.CONFLICT]
+    await simulation.reaches(one, two)
+
+
+@simulated()
+async def test_a_goal_in_conflict_is_refused_if_that_is_the_policy(simulation: TaskSimulation):
+    one = await simulation.begun("(at r0 a2)")
+    two = simulation.want("(at r0 a1)", on_conflict=OnConflict.REFUSE)
+    assert await simulation.ended_with(two, one) == [Code.CONFLICT, Code.GOAL_REACHED]
+    assert "(at r0 " in simulation.endings[two].message
+
+
+@simulated()
+async def test_a_goal_in_conflict_waits_if_that_is_the_policy_even_if_there_is_a_way_around(simulation: TaskSimulation):
+    one = await simulation.begun("(in p0 a3)")
+    two = simulation.want("(in p1 a3)", on_conflict=OnConflict.QUEUE)
+    await simulation.reaches(one, two)
+    assert bool(simulation.seen(two, "state", "waits")) == bool(robots_of(simulation, one) & robots_of(simulation, two))
+
+
+BOTH = "(and (at r0 a1) (at r1 a2))"
+ONE_FAILS_AND_ONE_IS_SLOW = Faults((Fault("move(r0, a0, a1)", FaultKind.ABORT), Fault("move(r1, a1, a2)", FaultKind.SLOW, times=1)))
+A_WAY_IS_BLOCKED = Faults(changes=(HiddenChange({("way", "a1", "a2"): False}, at=0.5),))
+
+
+# --- failures and changes while others go on ---
+
+
+@simulated(faults=ONE_FAILS_AND_ONE_IS_SLOW, chosen=ONCE)
+async def test_what_is_under_way_goes_on_while_another_way_is_found(simulation: TaskSimulation):
+    task = simulation.want(BOTH)
+    await simulation.sees(task, "failed", "move(r0, a0, a1)")
+    await simulation.sees(task, "sent", "move(r0, a0, a3)")
+    assert not simulation.seen(task, "ended", "move(r1, a1, a2)"), "r1 is still on its way"
+    await simulation.reaches(task)
+    assert simulation.sent(task).count("move(r1, a1, a2)") == 1, "and was never sent again"
+
+
+@pytest.mark.parametrize(("policy", "ends"), [(OnFailure.DRAIN, "succeeded"), (OnFailure.CANCEL, "canceled")])
+def test_other_policies_end_what_is_under_way_first(policy: OnFailure, ends: str):
+    @simulated(faults=ONE_FAILS_AND_ONE_IS_SLOW, chosen=replace(ONCE, on_failure=policy))
+    async def scenario(simulation: TaskSimulation) -> None:
+        task = simulation.want(BOTH)
+        await simulation.sees(task, "sent", "move(r0, a0, a3)")
+        assert ends in simulation.seen(task, "ended", "move(r1, a1, a2)")[0].text
+        await simulation.reaches(task)
+
+    scenario()
+
+
+@simulated(fleet(places=6), faults=A_WAY_IS_BLOCKED)
+async def test_a_change_that_breaks_the_rest_of_the_plan_is_acted_on_at_once(simulation: TaskSimulation):
+    task = simulation.want("(at r0 a2)")
+    await simulation.sees(task, "replanned")
+    assert simulation.seen(task, "replanned")[0].time == pytest.approx(0.5, abs=0.1)
+    await simulation.reaches(task)
+    assert not simulation.seen(task, "failed")
+    assert simulation.sent(task) == ["move(r0, a0, a1)", *(f"move(r0, a{n}, a{m})" for n, m in ((1, 0), (0, 5), (5, 4), (4, 3), (3, 2)))]
+
+
+@simulated(fleet(places=6), faults=A_WAY_IS_BLOCKED, chosen=replace(USUAL, on_change=OnChange.LAZY))
+async def test_a_lazy_task_finds_out_when_a_call_fails(simulation: TaskSimulation):
+    task = simulation.want("(at r0 a2)")
+    await simulation.reaches(task)
+    assert simulation.seen(task, "failed", "precondition_false")
+
+
+SOMEBODY_BRINGS_IT = HiddenChange({("in", "p0", "a0"): False, ("in", "p0", "a2"): True, ("has", "r0", "p0"): False}, at=1.5)
+
+
+@simulated(fleet(robots=1), faults=Faults(changes=(SOMEBODY_BRINGS_IT,)))
+async def test_a_goal_that_comes_true_by_itself_is_taken(simulation: TaskSimulation):
+    task = simulation.want("(in p0 a2)")
+    await simulation.reaches(task)
+    assert len(simulation.sent(task)) <= 2
+
+
+SOMEBODY_CARRIES_IT_ON = HiddenChange({("at", "r0", "a0"): False, ("at", "r0", "a1"): False, ("at", "r0", "a2"): True}, at=1.5)
+
+
+@simulated(fleet(places=8), faults=Faults(changes=(SOMEBODY_CARRIES_IT_ON,)))
+async def test_calls_that_have_become_needless_are_left_out(simulation: TaskSimulation):
+    task = simulation.want("(at r0 a4)")
+    await simulation.reaches(task)
+    assert not simulation.seen(task, "failed")
+
+
+@simulated(faults=Faults((Fault("pick", FaultKind.ABORT, message="the gripper is stuck"),)))
+async def test_a_task_that_can_do_no_more_says_what_failed(simulation: TaskSimulation):
+    task = simulation.want("(in p0 a2)")
+    assert await simulation.ended_with(task) == [Code.ACTION_FAILED]
+    assert "the gripper is stuck" in simulation.endings[task].message
+
+
+# --- many ---
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32))
+def test_many_goals_over_few_robots_with_failures_all_end_and_say_the_truth(seed: int):
+    rng = random.Random(seed)
+    parcels, places = 8, 5
+    kinds = [FaultKind.ABORT, FaultKind.REJECT, FaultKind.NO_EFFECT, FaultKind.SLOW, FaultKind.HANG]
+    faults = tuple(
+        Fault(rng.choice(CALLS), rng.choice(kinds), after=rng.randrange(20), times=1, ignores_cancel=rng.random() < 0.3)
+        for _ in range(rng.randrange(6))
+    )
+
+    @simulated(fleet(robots=3, parcels=parcels, places=places), faults=Faults(faults))
+    async def scenario(simulation: TaskSimulation) -> None:
+        wanted = [f"(in p{n} a{rng.randrange(places)})" for n in range(parcels)]
+        tasks = []
+        for text in wanted:
+            tasks.append(simulation.want(text, priority=rng.choice([0, 0, 0, 1]), on_conflict=rng.choice([None, OnConflict.QUEUE])))
+            await asyncio.sleep(rng.choice([0.0, 0.0, 0.7, 3.0]))
+            if rng.random() < 0.2:
+                chosen = rng.choice([None, *tasks])
+                if chosen is None or chosen not in simulation.endings:
+                    await simulation.master.pause(chosen, at_once=rng.random() < 0.5)
+                    await asyncio.sleep(rng.choice([0.0, 2.0]))
+                    await simulation.master.resume(None)
+        codes = await simulation.ended_with(*tasks)
+        for text, code in zip(wanted, codes, strict=True):
+            if code is Code.GOAL_REACHED:
+                assert simulation.holds(text)
+            else:
+                assert code in (Code.ACTION_FAILED, Code.NO_PLAN, Code.CONDITION_LOST, Code.SERVER_UNAVAILABLE, Code.TIMED_OUT), code
+
+    scenario()

@@ -1,0 +1,140 @@
+"""Pauses are proved and survived whatever the program, on simulated robots as well."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from random import Random
+from uuid import UUID
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from pnm.actions.simulated_robots import SimulatedRobots
+from pnm.actions.simulated_world import SimulatedWorld, report_changes
+from pnm.clock import run_async
+from pnm.core.execution.call_results import RunResult
+from pnm.core.execution.events import Event, Pause, Resume
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.machine.generate import generate
+from pnm.core.machine.machine import Always, CancelAsked, PauseAsked
+from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.verify import explore, verify
+from pnm.executor import Executor
+from tests.support.runs.plan_graphs import plan, plan_of
+from tests.support.runs.simulated import Log, move
+from tests.support.yaml.programs import Chaos, in_use, programs, read
+
+RUN = UUID(int=1)
+
+
+# --- the proof ---
+
+
+@pytest.mark.parametrize("guard", [Always(), CancelAsked()])
+def test_only_pauses_may_have_a_call_begin_anew_for_ever(guard: Always | CancelAsked) -> None:
+    machine = generate(plan(1))
+    explore(machine)
+    (name,) = [name for name, rule in machine.rules.items() if isinstance(rule.guard, PauseAsked)]
+    mutant = replace(machine, rules={**machine.rules, name: machine.rules[name]._replace(guard=guard)})
+    for prove in (explore, verify):
+        if isinstance(guard, CancelAsked):
+            # behind `stop`, which is open whenever it is: it never fires
+            prove(mutant)
+            continue
+        with pytest.raises(Unsound, match="round for ever"):
+            prove(mutant)
+
+
+def test_a_round_beside_that_of_a_pause_is_found() -> None:
+    machine = generate(plan(1))
+    mutant = replace(machine, net=replace(machine.net, outputs={**machine.net.outputs, "a0()#0 aborted": {"a0()#0 ready": 1}}))
+    for prove in (explore, verify):
+        with pytest.raises(Unsound, match="round for ever"):
+            prove(mutant)
+
+
+# --- runs on robots ---
+
+
+def test_robots_stop_for_a_pause_and_do_the_rest_after_it() -> None:
+    at = ("at", "r1", "hall")
+    truth = KnowledgeBase({at: True})
+    world, beliefs, log = SimulatedWorld(truth, {"at"}), KnowledgeBase({at: True}), Log()
+    robots = SimulatedRobots(world)
+    graph = plan_of(move("r1", "hall", "door"), move("r1", "door", "lab"), orders=("0e<1s",))
+    run = Run(generate(graph), Layered(beliefs), id=RUN, observer=log)
+
+    async def main() -> RunResult:
+        report_changes(world, beliefs)
+        executor = Executor(run, robots)
+        task = asyncio.ensure_future(executor.execute())
+        await asyncio.sleep(2)
+        executor.pause(at_once=True)
+        await asyncio.sleep(10)
+        assert run.paused
+        assert truth.value(at) is True
+        executor.resume()
+        await asyncio.sleep(1)
+        executor.pause()
+        await asyncio.sleep(30)
+        assert run.paused
+        assert truth.value(("at", "r1", "door")) is True
+        executor.resume()
+        return await task
+
+    result = run_async(main(), virtual=True)
+    assert result.goal
+    assert [call.attempts for call in result.calls] == [2, 1]
+    assert truth.value(("at", "r1", "lab")) is True
+
+
+class Pausing(Chaos):
+    """Pauses and resumes as well, up to some time."""
+
+    pauses = 12
+
+    def _next(self) -> Event:
+        if self.run.pausing and (self.random.random() < 0.2 or not (self.queues or self.wake)):
+            return Resume()
+        if not self.run.pausing and self.pauses and self.random.random() < 0.1:
+            self.pauses -= 1
+            return Pause(at_once=self.random.random() < 0.6)
+        return super()._next()
+
+
+# --- any program ---
+
+
+@pytest.mark.timeout(600)
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+@given(programs(), st.integers(0, 2**32))
+def test_any_program_that_is_paused_and_resumed_ends_and_loses_no_token(text: str, seed: int) -> None:
+    found = read(text)
+    machine = generate(found.graph, found.bindings, on_failure=found.on_failure)
+    random = Random(seed)
+    world = KnowledgeBase(found.facts, objects=found.objects, rules=found.rules)
+    knowledge = Layered(world, KnowledgeBase(variables=found.variables))
+    run = Run(machine, knowledge, id=RUN, bindings=found.bindings, asks=random.random() < 0.7)
+    chaos = Pausing(run, knowledge, random)
+    open_before: set[UUID] = set()
+    was_pausing = False
+    for _ in chaos.drive():
+        for place, tokens in run.marking.items():
+            assert tokens == 1 or place in machine.record_places, f"{place} holds {tokens} tokens"
+        for name, used in in_use(chaos.requests).items():
+            assert used <= found.graph.capacities.get(name, 1), f"{name} is used by {used} calls"
+        assert {one for claim in run.resources.held for one in claim.names} >= in_use(chaos.requests).keys()
+        if was_pausing and run.pausing:
+            assert set(run.open_requests) <= open_before, "nothing starts during a pause"
+        if run.paused:
+            assert (run.resources.line, run.open_requests) == ((), ())
+            assert {claim.request for claim in run.resources.held} <= chaos.requests.keys()
+        open_before, was_pausing = set(run.open_requests), run.pausing is not None
+    assert run.resources.line == ()
+    assert {claim.request for claim in run.resources.held} <= chaos.requests.keys(), "only servers that may be at work keep any"
+    assert all(run.marking[place] == machine.initial[place] for place in machine.resource_places)
+    ended = {place: tokens for place, tokens in run.marking.items() if place not in machine.record_places}
+    assert ended == ({machine.goal_place: 1} if run.result().goal else {machine.failed_place: 1})

@@ -1,0 +1,178 @@
+"""The pool of resources: claims, priorities, fairness, and what is withheld."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from random import Random
+from uuid import UUID
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pnm.core.execution.events import Begin, Send, Tick
+from pnm.core.execution.resources import Claim, Resources
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase, Layered
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, PlanGraph, Recovery, Then
+from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
+from tests.support.runs.claims import claim
+
+
+def test_a_claim_gets_all_or_nothing() -> None:
+    pool = Resources()
+    assert pool.take(claim(1, "arm"))
+    assert not pool.take(claim(2, "leg", "arm"))
+    assert pool.held == (claim(1, "arm"),)
+    pool.give(UUID(int=1))
+    assert pool.take(claim(2, "leg", "arm"))
+    assert pool.line == ()
+
+
+def test_what_one_ahead_waits_for_is_not_taken_by_one_behind() -> None:
+    pool = Resources()
+    pool.take(claim(1, "arm"))
+    pool.take(claim(2, "arm", "leg"))
+    assert not pool.take(claim(3, "leg"))
+    assert pool.take(claim(4, "eye"))
+    assert pool.take(claim(5, "leg", priority=1)), "but a higher priority is ahead"
+
+
+def test_a_claim_stands_in_line_once_and_where_it_came_first() -> None:
+    pool = Resources()
+    pool.take(claim(1, "arm"))
+    for number in (2, 3, 2):
+        assert not pool.take(claim(number, "arm"))
+    assert [one.request.int for one in pool.line] == [2, 3]
+    assert not pool.take(claim(2, "arm", "leg")), "another claim comes anew"
+    assert [one.request.int for one in pool.line] == [3, 2]
+
+
+def test_whoever_waits_is_told_when_it_would_be_served() -> None:
+    pool, told = Resources(), list[str]()
+    stop = pool.listen(lambda: told.append("served"))
+    pool.take(claim(1, "arm"))
+    pool.take(claim(2, "leg"))
+    pool.take(claim(3, "arm", "leg"))
+    pool.give(UUID(int=1))
+    assert told == []
+    pool.take(claim(4, "arm"))
+    pool.withdraw(UUID(int=3))
+    assert told == ["served"]
+    assert pool.servable() == {UUID(int=4)}
+    stop()
+    pool.give(UUID(int=2))
+    assert told == ["served"]
+
+
+def test_tasks_are_outranked_by_claims_of_higher_priority_alone() -> None:
+    pool = Resources({"leg": 2})
+    for one in (claim(1, "arm", task=7), claim(2, "leg", task=8), claim(3, "eye", task=9, priority=2)):
+        assert pool.take(one)
+    pool.take(claim(4, "arm", "leg", "eye", priority=1))
+    assert pool.outranked() == {UUID(int=7)}
+    pool.withdraw(UUID(int=4))
+    pool.take(claim(5, "arm"))
+    assert pool.outranked() == frozenset()
+
+
+def test_a_resource_is_in_use_as_often_as_it_may_be() -> None:
+    pool = Resources({"arm": 2})
+    assert [pool.take(claim(number, "arm")) for number in range(3)] == [True, True, False]
+    assert repr(pool) == "<Resources, in use: arm; 1 in line>"
+
+
+def test_a_call_that_goes_on_after_a_recovery_waits_with_a_limit_for_what_it_was_sent_with() -> None:
+    pool = Resources()
+    bindings = Bindings({"move": Binding(accept=4.0, retries=0, resources=("{robot}",))})
+    mending = Recovery(frozenset({Cause.ABORTED}), Then.CONTINUE, Flow((ActionCall(1, GroundAction("mend")),)))
+    graph = PlanGraph((ActionCall(0, GroundAction("move", ("?robot",), ("robot",)), recoveries=(mending,)),))
+    knowledge = Layered(KnowledgeBase(), KnowledgeBase(variables={"robot": "r1"}))
+    run = Run(generate(graph, bindings), knowledge, id=UUID(int=1), bindings=bindings, resources=pool)
+    (sent,) = (one for one in run.handle(Begin(), 0.0) if isinstance(one, Send))
+    run.handle(Ended(sent.request.id, Outcome(OutcomeKind.ABORTED)), 1.0)
+    pool.take(claim(9, "r1"))
+    pool.withhold(UUID(int=9), "lift()")
+    (mend,) = run.open_requests
+    run.handle(Ended(mend, Outcome(OutcomeKind.SUCCEEDED, {"robot": "r2"})), 2.0)
+    assert [one.names for one in pool.line] == [("r1",)]
+    run.handle(Tick(), 6.0)
+    (failure,) = run.result().failures
+    assert (failure.cause, failure.lacking) == ("withheld", ("r1",))
+
+
+@dataclass
+class Worker:
+    """Wants something so many times, one after the other. The mutable state is what has a default."""
+
+    number: int
+    priority: int
+    names: tuple[str, ...]
+    times: int
+    has: bool = False
+    waits: bool = False
+
+    @property
+    def claim(self) -> Claim:
+        return claim(self.number * 100 + self.times, *self.names, priority=self.priority)
+
+
+@dataclass
+class Fair:
+    """What the pool does, said in other words: everybody in line, in the order in which they came."""
+
+    capacities: dict[str, int]
+    having: dict[int, tuple[str, ...]] = field(default_factory=dict)
+    came: list[Worker] = field(default_factory=list)
+
+    def may(self, worker: Worker) -> bool:
+        everybody = self.came if worker in self.came else [*self.came, worker]
+        served = sorted(everybody, key=lambda one: -one.priority)
+        before = served[: served.index(worker)]
+        used = Counter(name for names in (*self.having.values(), *(one.names for one in before)) for name in names)
+        return all(used[name] + 1 <= self.capacities.get(name, 1) for name in worker.names)
+
+
+NAMES = st.lists(st.sampled_from(["arm", "leg", "eye"]), min_size=1, unique=True).map(tuple)
+WORKERS = st.lists(st.tuples(st.integers(0, 2), NAMES, st.integers(1, 3)), min_size=1, max_size=6)
+
+
+@settings(deadline=None)
+@given(WORKERS, st.dictionaries(st.sampled_from(["arm", "leg"]), st.integers(1, 2)), st.integers(0, 2**32))
+def test_nobody_has_too_much_everybody_is_served_and_equals_in_order(
+    wanted: list[tuple[int, tuple[str, ...], int]], capacities: dict[str, int], seed: int
+) -> None:
+    pool, fair, random = Resources(capacities), Fair(capacities), Random(seed)
+    workers = [Worker(number, *one) for number, one in enumerate(wanted)]
+    for _ in range(1000):
+        going_on = [one for one in workers if one.times]
+        if not going_on:
+            break
+        worker = random.choice(going_on)
+        if worker.has:
+            pool.give(worker.claim.request)
+            fair.having.pop(worker.number)
+            worker.has, worker.times = False, worker.times - 1
+        elif worker.waits and random.random() < 0.1:
+            pool.withdraw(worker.claim.request)
+            fair.came.remove(worker)
+            worker.waits = False
+        else:
+            may = fair.may(worker)
+            assert pool.is_free(worker.claim) is may
+            assert pool.take(worker.claim) is may
+            if worker in fair.came:
+                fair.came.remove(worker) if may else None
+            elif not may:
+                fair.came.append(worker)
+            worker.has, worker.waits = may, not may
+            if may:
+                fair.having[worker.number] = worker.names
+        used = Counter(name for one in pool.held for name in one.names)
+        assert all(count <= capacities.get(name, 1) for name, count in used.items())
+        assert [one.request for one in pool.line] == [one.claim.request for one in sorted(fair.came, key=lambda one: -one.priority)]
+        assert pool.held or not pool.line or pool.servable()
+    else:
+        raise AssertionError(f"somebody is never served: {pool}")

@@ -1,0 +1,22 @@
+"""Fixtures for the tests of this folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from tests.support.pddl.sensed_world import SENSING
+from tests.support.people import TerminalUser
+
+
+@pytest.fixture
+def person() -> Iterator[TerminalUser]:
+    somebody = TerminalUser()
+    yield somebody
+    somebody.leave()
+
+
+@pytest.fixture
+def everything():
+    return SENSING

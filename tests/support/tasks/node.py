@@ -1,0 +1,72 @@
+"""Tasks of a node in simulation: how tests are run with them, and what their actions need."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from functools import update_wrapper
+from inspect import Signature, signature
+from typing import Concatenate, ParamSpec
+from uuid import UUID
+
+from planner_bridge.model.problem import Problem
+from planner_bridge.tasks.replanning import Limits
+from planner_bridge.tasks.scheduling.task_manager import TaskLimits
+from planner_bridge.tasks.settings import OnChange, Settings
+from pnm.actions.faults import NO_FAULTS, Faults
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.machine import OnFailure
+from pnm.knowledge.sources.source import Source
+from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
+
+P = ParamSpec("P")
+CALLS = ("move", "pick", "drop")
+
+
+def needing(resource: str, **bindings: Binding) -> Settings:
+    """Whatever a robot does needs this resource, and nothing is tried twice."""
+    usual = {name: Binding(resources=(resource,), retries=0) for name in CALLS}
+    return replace(EAGER, bindings=Bindings({**usual, **bindings}))
+
+
+EAGER = Settings(on_change=OnChange.EAGER, on_failure=OnFailure.CONTINUE_OTHERS, limits=Limits(seconds=2000.0))
+USUAL = needing("{r}")
+
+
+def simulated(
+    problem: Problem | None = None,
+    *,
+    faults: Faults = NO_FAULTS,
+    chosen: Settings = USUAL,
+    limits: TaskLimits | None = None,
+    source: Source | None = None,
+) -> Callable[[Callable[Concatenate[TaskSimulation, P], Awaitable[None]]], Callable[P, None]]:
+    """Run a test with the tasks of such a node, in simulation."""
+
+    def wrap(scenario: Callable[Concatenate[TaskSimulation, P], Awaitable[None]]) -> Callable[P, None]:
+        def test(*args: P.args, **kwargs: P.kwargs) -> None:
+            simulate_tasks(
+                lambda simulation: scenario(simulation, *args, **kwargs),
+                problem,
+                faults=faults,
+                chosen=chosen,
+                limits=limits,
+                source=source,
+            )
+
+        _, *others = signature(scenario).parameters.values()
+        update_wrapper(test, scenario)
+        test.__signature__ = Signature(others)  # type: ignore[attr-defined]  # by which pytest knows what a test is given
+        return test
+
+    return wrap
+
+
+def carry(simulation: TaskSimulation, robot: str, origin: str, place: str) -> None:
+    """Have somebody carry a robot from one place to another."""
+    simulation.backend.robots.world.change({("at", robot, origin): False, ("at", robot, place): True})
+
+
+def robots_of(simulation: TaskSimulation, task: UUID) -> set[str]:
+    """Return the robots that have done something for a task."""
+    return {call.split("(")[1].split(",")[0] for call in simulation.sent(task)}

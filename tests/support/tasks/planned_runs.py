@@ -1,0 +1,83 @@
+"""Plans that are run one after the other in one simulated world, by what is known of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Coroutine
+from dataclasses import dataclass
+from typing import Any as Anything
+from uuid import uuid4
+
+from planner_bridge.model.grounding import initial_knowledge, problem_now
+from planner_bridge.model.plan import Plan, PlanStep
+from planner_bridge.model.problem import Problem
+from planner_bridge.simulation import simulated_backend
+from planner_bridge.tasks.replanning import Decision, History, Limits, Progress, decide
+from pnm.actions.backend import SimulatedBackend
+from pnm.actions.faults import NO_FAULTS, Faults, HiddenChange
+from pnm.clock import run_async
+from pnm.core.execution.call_results import RunResult
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import Layered
+from pnm.core.logic.expressions import Fluent, Value
+from pnm.core.machine.bindings import Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.plan_graph import PlanGraph
+from pnm.core.machine.verification.verify import verify
+from pnm.executor import Executor
+
+
+@dataclass
+class Simulation:
+    """A simulated world, and what is known of it, for one run after the other."""
+
+    problem: Problem
+    backend: SimulatedBackend
+    knowledge: Layered
+    bindings: Bindings
+
+    async def run(self, graph: PlanGraph) -> RunResult:
+        machine = generate(graph, self.bindings)
+        verify(machine)
+        fields = self.backend.client.goal_fields
+        return await Executor(
+            Run(machine, self.knowledge, id=uuid4(), bindings=self.bindings, goal_fields=fields), self.backend.client
+        ).execute()
+
+    def truth(self, fluent: Fluent) -> object:
+        return self.backend.robots.world.truth.value(fluent)
+
+    def now(self) -> Problem:
+        return problem_now(self.problem, self.knowledge.world)
+
+    def decide(self, graph: PlanGraph, result: RunResult) -> Decision:
+        history = History().after(result.calls, result.failures)
+        return decide(self.now(), Progress(graph, result.calls), self.knowledge.world, history, Limits())
+
+
+Scenario = Callable[[Simulation], Coroutine[Anything, Anything, None]]
+
+
+def simulate(problem: Problem, scenario: Scenario, faults: Faults = NO_FAULTS, bindings: Bindings = Bindings()) -> None:
+    async def main() -> None:
+        simulation = Simulation(problem, simulated_backend(problem, bindings, faults), Layered(initial_knowledge(problem)), bindings)
+        await simulation.backend.open(simulation.knowledge.world)
+        try:
+            await scenario(simulation)
+        finally:
+            await simulation.backend.close()
+
+    run_async(main(), virtual=True)
+
+
+def timed(*steps: str) -> Plan:
+    """Steps such as ``"0 4 go r1 a b"``: when, how long, what."""
+    found = [step.split() for step in steps]
+    return Plan(tuple(PlanStep(one[2], tuple(one[3:]), float(one[0]), float(one[1])) for one in found), temporal=True)
+
+
+def shown(graph: PlanGraph) -> list[str]:
+    return [str(ordering) for ordering in graph.orderings]
+
+
+def changed(when: float, changes: dict[Fluent, Value]) -> Faults:
+    return Faults(changes=(HiddenChange(changes, at=when),))

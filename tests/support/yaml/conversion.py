@@ -1,0 +1,14 @@
+"""What is compared when PDDL becomes YAML and PDDL again."""
+
+from __future__ import annotations
+
+from planner_bridge.pddl.comments.table import Table
+from planner_bridge.pddl.syntax.expressions import tokens
+
+
+def told(table: Table) -> list[str]:
+    return sorted(one for note in table.values() for one in (*note.before, *note.beside, *note.below) if one)
+
+
+def comments_in(text: str) -> list[str]:
+    return sorted(token.rstrip() for token, _ in tokens(text) if token[0] == ";")

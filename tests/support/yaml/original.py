@@ -1,0 +1,84 @@
+"""Plans of the first implementation, run by this one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.machine.requests import Outcome, OutcomeKind, Request
+from pnm.errors import InputError
+from pnm.language.plan import HandWrittenPlan, read_plans
+from tests.support.runs.direct import Answer, Trace, drive, succeed
+
+TYPES = """
+external_knowledge_base: {module: rpn_ros_interface.ros_external_knowledge_base, class: ROSExternalKnowledgeBase}
+action_types:
+  Ros: &ros_action {type: {module: rpn_ros_interface.action, class: ROSAtomicAction}}
+  Rpn: &rpn_action {type: {module: rpn_ros_interface.rpn_action, class: RPNAtomicAction}}
+  Kb: &kb_action {type: {module: pnp_actions.kb_action, class: KBAction}}
+actions:
+  a: {<<: *ros_action}
+  b: {<<: *ros_action}
+  c: {<<: *ros_action}
+  given: {<<: *ros_action, params: [value]}
+  ready: {<<: *ros_action, preconditions: {Comparison: [eq, [LocalQuery: ready, true]]}}
+  found: {<<: *ros_action, effects: {Exists: [LocalQuery: result]}}
+  both: {<<: *ros_action, preconditions: {Exists: [LocalQuery: nothing]}, effects: {Exists: [LocalQuery: result]}}
+  kb: {<<: *kb_action, params: [operation]}
+"""
+
+
+def read(folder: Path, plan: str, knowledge: str = "{}", rest: str = "") -> HandWrittenPlan:
+    path = folder / "plan.yaml"
+    path.write_text(f"{TYPES}{rest}---\ninitial_knowledge: {knowledge}\nplan: {plan}\n", encoding="utf-8")
+    (found,) = read_plans(path).values()
+    return found
+
+
+def told(plan: HandWrittenPlan, answer: Answer = succeed, known: Mapping[str, object] | None = None) -> Trace:
+    world = KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules)
+    return drive(plan.graph, answer, bindings=plan.bindings, variables=plan.variables, known=known, world=world)
+
+
+class Run:
+    """Reads a plan and runs it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def __call__(
+        self, plan: str, answer: Answer = succeed, *, knowledge: str = "{}", rest: str = "", known: dict[str, object] | None = None
+    ) -> Trace:
+        return told(read(self.folder, plan, knowledge, rest), answer, known)
+
+    def wrong(self, plan: str, rest: str = "") -> str:
+        with pytest.raises(InputError) as caught:
+            read(self.folder, plan, rest=rest)
+        return str(caught.value)
+
+
+def variables(trace: Trace) -> dict[str, object]:
+    return trace.run.knowledge.local.variables()
+
+
+def causes(trace: Trace) -> list[str]:
+    return [failure.cause for failure in trace.result.failures]
+
+
+COUNTING = """
+  - found: {}
+  - while:
+      condition: {Comparison: [ne, [LocalQuery: value, 10]]}
+      actions:
+        - given: {}
+        - kb: {operation: {LocalUpdate: [value, {LocalQuery: result}, ""]}}
+"""
+
+
+def counted(request: Request) -> Outcome:
+    value = request.goal.get("value", 0)
+    assert isinstance(value, int)
+    return Outcome(OutcomeKind.SUCCEEDED, {"result": value + 1})

@@ -1,0 +1,35 @@
+"""Plans in YAML and the actions they call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+from pnm.core.logic.computed_values import Layer, Literal, Query
+from pnm.core.machine.plan_graph import ActionCall
+from pnm.language import HandWrittenPlan
+
+ReadAll: TypeAlias = Callable[[str], dict[str, HandWrittenPlan]]
+Read: TypeAlias = Callable[[str], HandWrittenPlan]
+
+
+def q(name: str, layer: Layer = Layer.LOCAL) -> Query:
+    return Query(Literal.of(name), layer)
+
+
+def orderings(plan: HandWrittenPlan) -> set[tuple[int, int]]:
+    return {(one.before.call, one.after.call) for one in plan.graph.orderings}
+
+
+ACTIONS = """\
+actions:
+  go: {params: "?r - robot ?to - place", preconditions: "(free ?r)", effects: ["(at ?r ?to)"]}
+  say: {params: [text]}
+  wait: {params: [time]}
+  any:
+  set: {type: kb_action, params: [operation, value, unused]}
+"""
+
+
+def call(plan: HandWrittenPlan, number: int = 0) -> ActionCall:
+    return plan.graph.calls[number]
