@@ -126,7 +126,6 @@ class CallBlock(Block[ActionCall]):
 
     @cached_property
     def _announced(self) -> list[str]:
-        """Places that the start of the call marks."""
         return self.builder.out_of.get(PlanEvent(self.step.index, Moment.START), [])
 
     @cached_property

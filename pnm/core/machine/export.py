@@ -49,7 +49,6 @@ def to_dot(machine: PetriNetMachine) -> str:
 
 
 def _cluster(machine: PetriNetMachine, step: Step, transitions: Mapping[int | None, list[str]], indent: str) -> Iterator[str]:
-    """Yield a frame around a step and all that it holds."""
     yield f'{indent}subgraph cluster_{step.index} {{ label={_quote(str(step))}; color=gray; fontname="sans-serif";'
     yield from (f"{indent}  {_place(machine, place, f'{step} ')}" for place in machine.blocks[step.index])
     yield from (f"{indent}  {_transition(machine, name)}" for name in transitions[step.index])

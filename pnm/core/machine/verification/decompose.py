@@ -73,7 +73,6 @@ class Anatomy:
             self._check_entry(region)
 
     def _owners(self, weights: Mapping[str, Weights]) -> dict[str, set[Owner]]:
-        """Return, for every place, the blocks whose transitions write it, or read it."""
         found: dict[str, set[Owner]] = {place: set() for place in self.machine.net.places}
         for transition, connected in weights.items():
             owner = self.machine.rules[transition].call
@@ -126,7 +125,6 @@ class Anatomy:
             raise Unsound(f"{place} connects steps that do not stand beside each other")
 
     def _check_entry(self, region: Region) -> None:
-        """Check that the owner enters all of the region at once, and leaves it so."""
         for name in self.transitions[region.owner]:
             marked = self.machine.net.outputs[name].keys() & set(region.first)
             taken = self.machine.net.inputs[name].keys() & set(region.last)

@@ -133,7 +133,6 @@ class _Explorer:
                 yield _STOPS[stop], _State(state.tokens, stop, state.supplied)
 
     def _moods(self, state: _State) -> tuple[bool, bool, bool]:
-        """Return whether the run is failing, ending, and cancelling what runs."""
         failing = state.stop > 1 or any(state.tokens[place] for place in self.failures)
         ending = failing or state.stop > 0 or any(state.tokens[place] for place in self.restarts)
         return failing, ending, state.stop == 3 or (ending and self.part.cancels)
