@@ -148,7 +148,6 @@ class Executor:
             self.run.resources.confirm(event.request)
 
     def _enter(self) -> None:
-        """Listen to what the run depends on."""
         knowledge, resources = self.run.knowledge, self.run.resources
         self._leaving = [layer.listen(self._changed) for layer in (knowledge.world, knowledge.local)]
         self._leaving.append(resources.listen(partial(self._put_once, ResourcesChanged())))
@@ -232,7 +231,6 @@ class Executor:
         self._put_once(KnowledgeChanged())
 
     def _put_once(self, event: KnowledgeChanged | ResourcesChanged) -> None:
-        """Put the event into the inbox unless one like it still waits there."""
         if event not in self._waiting:
             self._waiting.add(event)
             self._inbox.put_nowait(event)

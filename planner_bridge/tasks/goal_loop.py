@@ -92,12 +92,7 @@ class GoalLoop:
     # --- replanning -----------------------------------------------------------------------------
 
     async def _replan(self, execution: PlanExecution) -> PlanGraph | None:
-        """Replace the run by that of another plan, or return that plan if the run is over; None if the run goes on.
-
-        Raises:
-            TaskEnded: the run is over and none follows.
-            NoPlan: likewise, because there is no plan.
-        """
+        """Replace the run by that of another plan, or return that plan if the run is over; None if the run goes on."""
         if execution.is_over:
             await self._catch_up(execution)
         while True:
@@ -138,7 +133,6 @@ class GoalLoop:
                 return graph
 
     async def _catch_up(self, execution: PlanExecution) -> None:
-        """Wait for reports about the run that may still be under way."""
         if not (execution.is_eager or execution.result.goal) or not self._monitor.constraints.idle:
             await asyncio.sleep(self._context.world.longest_lag)
         await self._monitor.settle()
@@ -210,7 +204,6 @@ class GoalLoop:
         return decide(self._monitor.now(), progress, context.world, history, limits, withheld)
 
     async def _follower(self, execution: PlanExecution, decision: ResumePlan | PlanAgain) -> PlanGraph:
-        """Return the plan that follows a run that is over."""
         if isinstance(decision, ResumePlan) and not execution.is_blocked:
             return decision.rest
         if self._given is None:
@@ -253,9 +246,6 @@ class GoalLoop:
         """Find a plan from the state after what is under way; None if it is in conflict with those of other tasks.
 
         If there is none, that may be because what has just happened has not been reported yet: the second attempt is the last one.
-
-        Raises:
-            NoPlan: there is none.
         """
         world = self._context.world
         for is_last in (False, True):

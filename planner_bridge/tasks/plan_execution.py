@@ -62,7 +62,6 @@ class PlanExecution(Observer):
         self._future: asyncio.Future[RunResult] = asyncio.get_running_loop().create_future()
 
     async def __aenter__(self) -> PlanExecution:
-        """Begin to execute the plan."""
         self._context.control.begin_execution(self)
         self._stop_listening = self._context.world.listen(self._changed)
         self._future = asyncio.ensure_future(self.executor.execute())

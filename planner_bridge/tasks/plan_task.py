@@ -134,11 +134,7 @@ class PlanTask:
         )
 
     async def _problem(self) -> Problem:
-        """Return the problem of reaching the plan's goal from the world as it is.
-
-        Raises:
-            InputError: the plan has no goal, or its domain cannot be written in PDDL.
-        """
+        """Return the problem of reaching the plan's goal from the world as it is."""
         plan = self._performance.program.plan
         if plan.goal == TRUE:
             raise InputError(f"the plan {plan.name} has no goal")

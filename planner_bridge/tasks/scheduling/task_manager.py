@@ -258,11 +258,7 @@ class TaskManager:
         self._admit()
 
     def _plan_start(self, task: Task) -> StartTask:
-        """Return what carries out the plan of a task: one that is loaded, or a text of calls.
-
-        Raises:
-            InputError: it is neither.
-        """
+        """Return what carries out the plan of a task: one that is loaded, or a text of calls."""
         programs = self._performer.programs if self._performer else {}
         if self._performer and (task.wanted.text in programs or (programs and "(" not in task.wanted.text)):
             return PlanTask(self._performer, self._context(task, TRUE)).carry_out
@@ -295,7 +291,6 @@ class TaskManager:
         return sum(one.control.has_begun for one in self._tasks.values()) >= self._limits.active
 
     def _admit(self) -> None:
-        """Begin with the tasks that wait, as far as the limits allow."""
         for task in sorted(self._tasks.values(), key=lambda one: one.rank):
             if task.start and not task.control.has_begun and not task.is_held and not self._is_full:
                 task.control.begin(TaskState.RUNNING if task.wanted.is_plan else TaskState.PLANNING)

@@ -241,7 +241,6 @@ class Calls:
         return Performed((Send(Request(identity, action, self.goal(call, context)[0], attempt)),))
 
     def _next(self, call: int) -> UUID:
-        """Return the identity of the next request of the call."""
         return self.identity(f"{call}/{self._sent.get(call, 0) + 1}")
 
     def identity(self, what: str) -> UUID:
