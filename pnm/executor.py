@@ -81,7 +81,7 @@ class Executor:
 
     @property
     def paused(self) -> bool:
-        """Whether the run was told to pause, and nothing is under way, nor begins because of what it is still to be told."""
+        """Whether the run was told to pause, nothing is under way, and no queued event can begin anything."""
         return self.run.paused and self._inbox.empty()
 
     def succeed(self, run: Run) -> None:

@@ -70,7 +70,7 @@ class PlanExecution(Observer):
         return self
 
     async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
-        """Let nothing go on after an error; whoever cancels the task itself wants everything to be left as it is."""
+        """Stop the run after an error; a cancelled asyncio task leaves everything as it is."""
         if kind is not None and issubclass(kind, asyncio.CancelledError):
             self._future.cancel()
         elif not self._future.done():

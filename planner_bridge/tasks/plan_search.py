@@ -29,7 +29,7 @@ from pnm.tasks import Code, OnConflict, TaskState
 
 _NO_PLAN: Final = frozenset({PlanningStatus.UNSOLVABLE, PlanningStatus.NO_PLAN})
 MAX_SHORTENED: Final = 100
-"""Calls of the longest plan of which needless ones are left out."""
+"""Calls of the longest plan that needless calls are removed from."""
 
 P = TypeVar("P", Plan, PlanGraph)
 Attempt: TypeAlias = Callable[[], Awaitable[tuple[P | None, tuple[Conflict, ...]]]]

@@ -49,7 +49,7 @@ def code_of_run(result: RunResult, stopped: Code) -> Code:
 
     Args:
         result: how the run ended.
-        stopped: the code if it was told to stop.
+        stopped: the code if it was stopped.
     """
     if result.goal:
         return Code.GOAL_REACHED

@@ -3,7 +3,7 @@
 A plan that calls another has it carried out here as well, as a run of its own: what it is given are its parameters,
 what it gives back are its results.
 
-What whoever starts a hand-written plan gives it: no other parameters than it has, and a value for each.
+Parameters of a hand-written plan: those that it declares, and a value for each.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ class Performance:
 
     @property
     def results(self) -> dict[str, object]:
-        """The variables that whoever started the plan is told; those that nobody has stored are left out."""
+        """The result variables of the plan; those without a value are left out."""
         found = {name: self.executor.run.knowledge.local.variable(name) for name in self.program.plan.results}
         return {name: value for name, value in found.items() if value is not MISSING}
 
@@ -169,7 +169,7 @@ class Performer:
         programs: by the name of the plan.
         backend: carries the actions out.
         world: what all runs share.
-        source: who is asked and told what runs do not know.
+        source: the source for questions and updates outside the run.
     """
 
     programs: Mapping[str, Program]
@@ -217,7 +217,7 @@ class Performer:
         Args:
             name: of the plan.
             parameters: what the run knows at first.
-            observer: is told what happens.
+            observer: of the run.
             task: on whose behalf resources are claimed, those of plans that it calls included; the run's own if None.
             priority: how these claims stand among others.
 
@@ -276,7 +276,7 @@ class PlansClient:
 
     Args:
         performer: carries out the plans.
-        observer: is told what happens in them as well.
+        observer: of the runs of called plans as well.
         task: on whose behalf they are carried out.
         priority: of their claims to resources.
 
@@ -338,7 +338,7 @@ class PlansClient:
         report(Accepted(request.id))
         try:
             result = await self._performer.execute(performance)
-        except Exception as error:  # whoever calls the plan waits for its end
+        except Exception as error:  # the calling plan waits for its end
             _log.exception("%s has come to no end", request.action)
             report(Ended(request.id, Outcome(OutcomeKind.ABORTED, message=f"internal error: {type(error).__name__}: {error}")))
             return

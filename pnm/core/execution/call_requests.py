@@ -202,7 +202,7 @@ class Calls:
             self._begun[call] = taken.begun
 
     def under_way(self, results: Sequence[CallResult]) -> tuple[UnderWay, ...]:
-        """Return the requests that another run may take over; results are what is told of the calls so far."""
+        """Return the requests that another run may take over; `results` are the interim results of the calls."""
         return tuple(
             UnderWay(
                 self.as_sent(call),

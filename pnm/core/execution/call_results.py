@@ -76,7 +76,7 @@ class RunResult:
     calls: tuple[CallResult, ...]
     failures: tuple[Failure, ...]
     stopped: bool = False
-    """It was told to stop."""
+    """The run was stopped."""
 
 
 class Explanation(NamedTuple):
@@ -108,7 +108,7 @@ class CallResults:
     def calls(self, handed: Collection[int] = ()) -> tuple[CallResult, ...]:
         """Return what became of the calls, every time they were reached.
 
-        A plan of calls alone keeps its order; of any other plan calls are told in the order in which they were sent, and of those
+        A plan of calls alone keeps its order; of any other plan calls come in the order in which they were sent, and of those
         that were never reached the outermost ones.
 
         Args:

@@ -50,12 +50,12 @@ class RunView:
 
     @property
     def ending(self) -> bool:
-        """Whether nothing more is started: a failure or restart place is marked, or the run was told to stop."""
+        """Whether nothing more is started: a failure or restart place is marked, or the run was stopped."""
         return self._state.ending
 
     @property
     def stopped(self) -> bool:
-        """Whether the run was told to stop."""
+        """Whether the run was stopped."""
         return self._state.stop is not None
 
     @property
@@ -65,7 +65,7 @@ class RunView:
 
     @property
     def paused(self) -> bool:
-        """Whether the run was told to pause, and nothing is under way any more."""
+        """Whether the run is paused: nothing starts, and nothing is under way any more."""
         return self._state.pause is not None and self._state.idle
 
     @property

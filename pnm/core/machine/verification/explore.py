@@ -61,7 +61,7 @@ class Part:
     outputs: frozenset[str] = frozenset()
     """Places that are marked in the end, each once: others take from them."""
     finals: frozenset[str] = frozenset()
-    """Places of which exactly one is marked in the end, if there are any."""
+    """Final places: exactly one is marked in the end, if there are any."""
     early: frozenset[str] = frozenset()
     """Places that must be marked once nothing more can happen without the last supply."""
     restarts: frozenset[str] = frozenset()
@@ -78,7 +78,7 @@ class Part:
 class _State:
     tokens: Tokens
     stop: int = 0
-    """0: going on, 1: another part asks for the plan to begin anew, 2: told to end, 3: told to cancel."""
+    """0: going on, 1: another part asks for the plan to begin anew, 2: a stop, 3: a stop that cancels."""
     supplied: int = 0
     """How many of the supplies have come."""
 
