@@ -72,7 +72,7 @@ class TimeLimit:
         return max(0.0, self._seconds - self._used - passing)
 
     def allow(self, seconds: float) -> None:
-        """Extend the limit to so many seconds in all; it is never shortened."""
+        """Extend the limit to a total of `seconds`; it is never shortened."""
         self._stop()
         self._seconds = max(self._seconds, seconds)
         self._count()

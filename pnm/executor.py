@@ -17,7 +17,6 @@ from pnm.core.execution.events import (
     Ask,
     Begin,
     Cancel,
-    Command,
     Event,
     KnowledgeChanged,
     Pause,
@@ -82,7 +81,7 @@ class Executor:
 
     @property
     def paused(self) -> bool:
-        """Whether the run was told to pause, and nothing is under way, nor begins because of what it is still to be told."""
+        """Whether the run was told to pause, nothing is under way, and no queued event can begin anything."""
         return self.run.paused and self._inbox.empty()
 
     def succeed(self, run: Run) -> None:
@@ -149,7 +148,6 @@ class Executor:
             self.run.resources.confirm(event.request)
 
     def _enter(self) -> None:
-        """Listen to what the run depends on."""
         knowledge, resources = self.run.knowledge, self.run.resources
         self._leaving = [layer.listen(self._changed) for layer in (knowledge.world, knowledge.local)]
         self._leaving.append(resources.listen(partial(self._put_once, ResourcesChanged())))
@@ -173,26 +171,23 @@ class Executor:
         if isinstance(event, KnowledgeChanged | ResourcesChanged):
             self._waiting.discard(event)
         for command in self.run.handle(event, asyncio.get_running_loop().time()):
-            self._do(command)
+            match command:
+                case Send(request):
+                    self._client.send(request, self._hear)
+                case Cancel(request):
+                    self._client.cancel(request)
+                case Wake(at):
+                    self._wake_at(at)
+                case Ask(identity, question):
+                    self._talk(identity, self._ask(identity, question))
+                case Withdraw(identity):
+                    if identity in self._talks:
+                        self._talks[identity].cancel()
+                case Store(identity, question, value):
+                    self._talk(identity, self._tell(identity, question, value))
+                case _:
+                    assert_never(command)
         self._announce()
-
-    def _do(self, command: Command) -> None:
-        match command:
-            case Send(request):
-                self._client.send(request, self._hear)
-            case Cancel(request):
-                self._client.cancel(request)
-            case Wake(at):
-                self._wake_at(at)
-            case Ask(identity, question):
-                self._talk(identity, self._ask(identity, question))
-            case Withdraw(identity):
-                if identity in self._talks:
-                    self._talks[identity].cancel()
-            case Store(identity, question, value):
-                self._talk(identity, self._tell(identity, question, value))
-            case _:
-                assert_never(command)
 
     def _talk(self, identity: UUID, talk: Coroutine[None, None, None]) -> None:
         task = self._talks[identity] = asyncio.get_running_loop().create_task(talk)
@@ -236,7 +231,6 @@ class Executor:
         self._put_once(KnowledgeChanged())
 
     def _put_once(self, event: KnowledgeChanged | ResourcesChanged) -> None:
-        """Put the event into the inbox unless one like it still waits there."""
         if event not in self._waiting:
             self._waiting.add(event)
             self._inbox.put_nowait(event)

@@ -177,7 +177,7 @@ class MadePlan:
 
 
 Make: TypeAlias = Callable[[str, str, float | None], Awaitable[MadePlan]]
-"""Finds a plan for a goal from the world as it is, with a planner ("" for what is usual) in so many seconds (None likewise).
+"""Finds a plan for a goal from the world as it is, with a planner ("" for the default) and a limit in seconds (None likewise).
 
 What is wrong with the goal is in the result; a search that is cancelled ends the planner.
 """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -56,17 +56,17 @@ class ConstraintMonitor:
         self._problem = problem
         self._knowledge = knowledge
         self._constraints = [(one, self._instance(one)) for one in (*problem.domain.constraints, *problem.constraints)]
-        self._preferences = [(one, self._instances(one)) for one in (*problem.domain.preferences, *problem.preferences)]
+        self._preferences: list[tuple[Preference, list[list[_MonitoredConstraint]]]] = []
+        for preference in (*problem.domain.preferences, *problem.preferences):
+            wanted = preference.wanted
+            constraints = wanted if isinstance(wanted, tuple) else (Constraint("at end", (wanted,)),)
+            chosen = choices(preference.variables, knowledge, NOTHING)
+            ground = [[watched for one in constraints for watched in self._instance(one, env)] for env in chosen]
+            self._preferences.append((preference, ground))
         self._looked = False
 
     def _instance(self, constraint: Constraint, env: Environment = NOTHING) -> list[_MonitoredConstraint]:
         return [_MonitoredConstraint(one, names_in(one), ConstraintProgress((one,))) for one in instances(constraint, self._knowledge, env)]
-
-    def _instances(self, preference: Preference) -> list[list[_MonitoredConstraint]]:
-        wanted = preference.wanted
-        constraints = wanted if isinstance(wanted, tuple) else (Constraint("at end", (wanted,)),)
-        chosen = choices(preference.variables, self._knowledge, NOTHING)
-        return [[watched for one in constraints for watched in self._instance(one, env)] for env in chosen]
 
     def _hard(self) -> Iterator[_MonitoredConstraint]:
         return (watched for _, instance in self._constraints for watched in instance)
@@ -122,34 +122,31 @@ class ConstraintMonitor:
         """Return the problem from the world as it is with those constraints and preferences that are left."""
         if self.idle:
             return problem
-        constraints = [left for one in self._constraints for left in self._constraint_left(*one, now)]
-        preferences = [left for one in self._preferences for left in self._preference_left(*one, now)]
+        constraints: list[Constraint] = []
+        for constraint, instance in self._constraints:
+            constraints += (shifted(constraint, now),) if all(one.untouched for one in instance) else _left(instance, now)
+        preferences: list[Preference] = []
+        for preference, ground in self._preferences:
+            if not isinstance(preference.wanted, tuple):
+                preferences.append(preference)
+            elif all(one.untouched for instance in ground for one in instance):
+                preferences.append(replace(preference, wanted=tuple(shifted(one, now) for one in preference.wanted)))
+            else:  # fulfilled ones too: metrics name them
+                preferences += (Preference(preference.name, _left(instance, now)) for instance in ground)
         domain = replace(problem.domain, constraints=(), preferences=())
         return replace(problem, domain=domain, constraints=tuple(constraints), preferences=tuple(preferences))
-
-    def _constraint_left(self, constraint: Constraint, instance: list[_MonitoredConstraint], now: float) -> Iterable[Constraint]:
-        if all(one.untouched for one in instance):
-            return (shifted(constraint, now),)
-        return _left(instance, now)
-
-    def _preference_left(self, preference: Preference, instances: list[list[_MonitoredConstraint]], now: float) -> Iterable[Preference]:
-        if not isinstance(preference.wanted, tuple):
-            return (preference,)
-        if all(one.untouched for instance in instances for one in instance):
-            return (replace(preference, wanted=tuple(shifted(one, now) for one in preference.wanted)),)
-        return [Preference(preference.name, _left(instance, now)) for instance in instances]  # fulfilled ones too: metrics name them
 
     # --- at its end ----------------------------------------------------------------------------
 
     def constraint_results(self, now: float) -> tuple[ConstraintResult, ...]:
         """Return what became of every constraint if the task ends now."""
-        return tuple(self._constraint_result(*one, now) for one in self._constraints)
-
-    def _constraint_result(self, constraint: Constraint, instance: list[_MonitoredConstraint], now: float) -> ConstraintResult:
         if not self._looked:
-            return ConstraintResult(constraint, "not monitored")
-        found = tuple(violation for one in instance if (violation := self._violation(one, now)))
-        return ConstraintResult(constraint, "violated" if found else "fulfilled", found)
+            return tuple(ConstraintResult(constraint, "not monitored") for constraint, _ in self._constraints)
+        results: list[ConstraintResult] = []
+        for constraint, instance in self._constraints:
+            violations = tuple(violation for one in instance if (violation := self._violation(one, now)))
+            results.append(ConstraintResult(constraint, "violated" if violations else "fulfilled", violations))
+        return tuple(results)
 
     def _violation(self, watched: _MonitoredConstraint, now: float) -> Violation | None:
         if watched.violation or is_fulfilled(watched.progress.rest, self._knowledge, now):
@@ -162,15 +159,11 @@ class ConstraintMonitor:
         of_actions = dict.fromkeys(one.name for schema in self._problem.domain.actions.values() for one in schema.preferences)
         if not self._looked:
             return tuple(PreferenceResult(name, "not monitored") for name in names | of_actions)
-        return (
-            *(self._preference_result(name, now) for name in names),
-            *(PreferenceResult(name, "not monitored") for name in of_actions),
-        )
-
-    def _preference_result(self, name: str, now: float) -> PreferenceResult:
-        found = (instance for preference, instances in self._preferences if preference.name == name for instance in instances)
-        violated = sum(any(self._violation(one, now) for one in instance) for instance in found)
-        return PreferenceResult(name, "violated" if violated else "fulfilled", violated)
+        violated = dict.fromkeys(names, 0)
+        for preference, ground in self._preferences:
+            violated[preference.name] += sum(any(self._violation(one, now) for one in instance) for instance in ground)
+        monitored = (PreferenceResult(name, "violated" if count else "fulfilled", count) for name, count in violated.items())
+        return (*monitored, *(PreferenceResult(name, "not monitored") for name in of_actions))
 
 
 def _left(instance: list[_MonitoredConstraint], now: float) -> tuple[Constraint, ...]:

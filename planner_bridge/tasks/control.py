@@ -51,7 +51,7 @@ class Execution(Protocol):
 
 
 class TaskControl:
-    """What a task has been told, what it is doing, and what carries out its plan. Everything in it is mutable state.
+    """Control of a task: its requested pause or stop, its state, and its execution. Everything in it is mutable state.
 
     Args:
         observer: listens to the states of the task.
@@ -84,7 +84,7 @@ class TaskControl:
 
     @property
     def is_paused(self) -> bool:
-        """Whether the task was told to pause."""
+        """Whether the task is paused, or is to pause."""
         return not self._is_unpaused.is_set()
 
     @property

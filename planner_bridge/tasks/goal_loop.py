@@ -92,12 +92,7 @@ class GoalLoop:
     # --- replanning -----------------------------------------------------------------------------
 
     async def _replan(self, execution: PlanExecution) -> PlanGraph | None:
-        """Replace the run by that of another plan, or return that plan if the run is over; None if the run goes on.
-
-        Raises:
-            TaskEnded: the run is over and none follows.
-            NoPlan: likewise, because there is no plan.
-        """
+        """Replace the run by that of another plan, or return that plan if the run is over; None if the run goes on."""
         if execution.is_over:
             await self._catch_up(execution)
         while True:
@@ -138,27 +133,22 @@ class GoalLoop:
                 return graph
 
     async def _catch_up(self, execution: PlanExecution) -> None:
-        """Wait for reports about the run that may still be under way."""
         if not (execution.is_eager or execution.result.goal) or not self._monitor.constraints.idle:
             await asyncio.sleep(self._context.world.longest_lag)
         await self._monitor.settle()
 
     def _check_end(self, execution: PlanExecution) -> None:
         """Raise `TaskEnded` if the task ends with this run."""
-        if ended := self._end_with(execution):
+        result, stopped, problem = execution.result, self._control.stopped, self._context.problem
+        ended, is_violated = stopped, stopped is not None and stopped.code is Code.CONSTRAINT_VIOLATED
+        is_complete = result.goal or not (problem.network or self._given)  # a network of tasks, or a plan, is more than its goal
+        if not is_violated and is_complete and self._goal_holds() and not self._monitor.missing:
+            ended = TaskEnded(Code.GOAL_REACHED, "the goal holds")
+        elif stopped is None and self._given and (result.failures or not execution.is_blocked):
+            ended = TaskEnded(code_of_failures(result.failures), result.reason)
+        if ended:
             self._log.end(execution.run.machine, execution.result)
             raise ended
-
-    def _end_with(self, execution: PlanExecution) -> TaskEnded | None:
-        result, stopped, problem = execution.result, self._control.stopped, self._context.problem
-        if stopped and stopped.code is Code.CONSTRAINT_VIOLATED:
-            return stopped
-        is_complete = result.goal or not (problem.network or self._given)  # a network of tasks, or a plan, is more than its goal
-        if is_complete and self._goal_holds() and not self._monitor.missing:
-            return TaskEnded(Code.GOAL_REACHED, "the goal holds")
-        if stopped is None and self._given and (result.failures or not execution.is_blocked):
-            return TaskEnded(code_of_failures(result.failures), result.reason)
-        return stopped
 
     def _goal_holds(self) -> bool:
         return evaluate(self._context.problem.goal, self._context.knowledge) is True
@@ -214,7 +204,6 @@ class GoalLoop:
         return decide(self._monitor.now(), progress, context.world, history, limits, withheld)
 
     async def _follower(self, execution: PlanExecution, decision: ResumePlan | PlanAgain) -> PlanGraph:
-        """Return the plan that follows a run that is over."""
         if isinstance(decision, ResumePlan) and not execution.is_blocked:
             return decision.rest
         if self._given is None:
@@ -257,9 +246,6 @@ class GoalLoop:
         """Find a plan from the state after what is under way; None if it is in conflict with those of other tasks.
 
         If there is none, that may be because what has just happened has not been reported yet: the second attempt is the last one.
-
-        Raises:
-            NoPlan: there is none.
         """
         world = self._context.world
         for is_last in (False, True):

@@ -62,7 +62,6 @@ class PlanExecution(Observer):
         self._future: asyncio.Future[RunResult] = asyncio.get_running_loop().create_future()
 
     async def __aenter__(self) -> PlanExecution:
-        """Begin to execute the plan."""
         self._context.control.begin_execution(self)
         self._stop_listening = self._context.world.listen(self._changed)
         self._future = asyncio.ensure_future(self.executor.execute())
@@ -71,7 +70,7 @@ class PlanExecution(Observer):
         return self
 
     async def __aexit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
-        """Let nothing go on after an error; whoever cancels the task itself wants everything to be left as it is."""
+        """Stop the run after an error; a cancelled asyncio task leaves everything as it is."""
         if kind is not None and issubclass(kind, asyncio.CancelledError):
             self._future.cancel()
         elif not self._future.done():

@@ -29,7 +29,7 @@ from pnm.tasks import Code, OnConflict, TaskState
 
 _NO_PLAN: Final = frozenset({PlanningStatus.UNSOLVABLE, PlanningStatus.NO_PLAN})
 MAX_SHORTENED: Final = 100
-"""Calls of the longest plan of which needless ones are left out."""
+"""Calls of the longest plan that needless calls are removed from."""
 
 P = TypeVar("P", Plan, PlanGraph)
 Attempt: TypeAlias = Callable[[], Awaitable[tuple[P | None, tuple[Conflict, ...]]]]
@@ -217,18 +217,14 @@ def without_needless_calls(problem: Problem, plan: Plan) -> Plan:
     One after the other is left out if what is left still works (greedy action elimination, Nakhost and Müller, 2010). Where a plan
     is more than a way to its goal it is left as it is, and so are long ones: the work grows with the square of their length.
     """
-    if plan.temporal or len(plan.steps) > MAX_SHORTENED or _asks_for_more(problem):
+    domain, metric = problem.domain, problem.metric
+    is_short = metric is None or (metric.direction == "minimize" and str(metric.expression) in ("(total-cost)", "(total-time)"))
+    preferences = (*domain.preferences, *problem.preferences, *(one for schema in domain.actions.values() for one in schema.preferences))
+    asks_for_more = problem.network or problem.constraints or domain.constraints or preferences or not is_short
+    if plan.temporal or len(plan.steps) > MAX_SHORTENED or asks_for_more:
         return plan
     progress, world = Progress.beginning(total_order(problem, plan)), initial_knowledge(problem)
     if why_not(progress, world):
         return plan
     kept = {call.index for call in shortened(progress, world).rest}
     return replace(plan, steps=tuple(step for number, step in enumerate(plan.steps) if number in kept))
-
-
-def _asks_for_more(problem: Problem) -> bool:
-    """Return whether the problem asks for more than its goal: tasks, constraints, preferences, or the best of something."""
-    domain, metric = problem.domain, problem.metric
-    is_short = metric is None or (metric.direction == "minimize" and str(metric.expression) in ("(total-cost)", "(total-time)"))
-    preferences = (*domain.preferences, *problem.preferences, *(one for schema in domain.actions.values() for one in schema.preferences))
-    return bool(problem.network or problem.constraints or domain.constraints or preferences) or not is_short

@@ -113,9 +113,13 @@ class PlanTask:
         """Have a planner find another way to the goal of the plan, from the world as it is now."""
         context = self._context
         context.observer.resigned(result.reason)
+        asking = (failure.call for failure in result.failures if failure.replan)  # for another plan: they are given up
+        given_up = {ForbiddenCall.of(call.action): context.settings.limits.forbid_after for call in asking if isinstance(call, ActionCall)}
+        unconfirmed = (one.call.action for one in result.calls if one.kind is CallOutcome.UNCONFIRMED)
+        history = History(given_up, frozenset(map(ForbiddenCall.of, unconfirmed)))
         try:
             problem = await self._problem()
-            loop = GoalLoop(replace(context, problem=problem), history=self._history(result))
+            loop = GoalLoop(replace(context, problem=problem), history=history)
             rest = await loop.pursue()
         except InputError as error:
             return replace(result, reason=f"{result.reason}; no planner can be asked: {error}")
@@ -129,21 +133,8 @@ class PlanTask:
             preferences=rest.preferences,
         )
 
-    def _history(self, result: PlanResult) -> History:
-        """Return the history of the run: the calls that ask for another plan are given up."""
-        calls = (failure.call for failure in result.failures if failure.replan)
-        given_up = {
-            ForbiddenCall.of(call.action): self._context.settings.limits.forbid_after for call in calls if isinstance(call, ActionCall)
-        }
-        unconfirmed = (one.call.action for one in result.calls if one.kind is CallOutcome.UNCONFIRMED)
-        return History(given_up, frozenset(map(ForbiddenCall.of, unconfirmed)))
-
     async def _problem(self) -> Problem:
-        """Return the problem of reaching the plan's goal from the world as it is.
-
-        Raises:
-            InputError: the plan has no goal, or its domain cannot be written in PDDL.
-        """
+        """Return the problem of reaching the plan's goal from the world as it is."""
         plan = self._performance.program.plan
         if plan.goal == TRUE:
             raise InputError(f"the plan {plan.name} has no goal")

@@ -138,7 +138,7 @@ class Progress:
 
     @staticmethod
     def beginning(plan: PlanGraph) -> Progress:
-        """Return a plan of which nothing is done, except that some calls may be under way."""
+        """Return the progress of a plan at its beginning; some calls may be under way."""
         return Progress(plan, tuple(map(CallResult, plan.calls)), frozenset(call.index for call in plan.calls if call.under_way))
 
     @property

@@ -49,7 +49,7 @@ def code_of_run(result: RunResult, stopped: Code) -> Code:
 
     Args:
         result: how the run ended.
-        stopped: the code if it was told to stop.
+        stopped: the code if it was stopped.
     """
     if result.goal:
         return Code.GOAL_REACHED
@@ -136,12 +136,26 @@ class TaskResult:
             "reason": self.reason,
             "plans": self.plans,
             "replans": self.replans,
-            "calls": [_call_as_json(call, self.began) for call in self.calls],
+            "calls": [
+                {
+                    "action": one.call.action.name,
+                    "arguments": list(one.call.action.arguments),
+                    "outcome": one.outcome,
+                    "attempts": one.attempts,
+                    "started": None if one.started is None else round(one.started - self.began, 4),
+                    "ended": None if one.ended is None else round(one.ended - self.began, 4),
+                    "assumed": one.assumed,
+                }
+                for one in self.calls
+            ],
             "failures": [
                 {"call": str(one.call), "cause": one.cause, "expected": one.expected, "observed": one.observed} for one in self.failures
             ],
             "decisions": [_decision_as_json(episode.decision) for episode in self.episodes if episode.decision],
-            "constraints": [_constraint_as_json(one) for one in self.constraints],
+            "constraints": [
+                {"constraint": str(one.constraint), "status": one.status, "violations": [each.as_json() for each in one.violations]}
+                for one in self.constraints
+            ],
             "preferences": [{"name": one.name, "status": one.status, "violated": one.violated} for one in self.preferences],
             "seconds": {name: round(seconds, 6) for name, seconds in self.seconds.items()},
         }
@@ -180,23 +194,6 @@ def _finite(value: object) -> object:
             return value
 
 
-def _call_as_json(result: CallResult, began: float) -> dict[str, Any]:
-    return {
-        "action": result.call.action.name,
-        "arguments": list(result.call.action.arguments),
-        "outcome": result.outcome,
-        "attempts": result.attempts,
-        "started": None if result.started is None else round(result.started - began, 4),
-        "ended": None if result.ended is None else round(result.ended - began, 4),
-        "assumed": result.assumed,
-    }
-
-
-def _constraint_as_json(result: ConstraintResult) -> dict[str, Any]:
-    violations = [{"constraint": str(one.constraint), "time": round(one.time, 4), "observed": one.observed} for one in result.violations]
-    return {"constraint": str(result.constraint), "status": result.status, "violations": violations}
-
-
 def _decision_as_json(decision: Decision) -> dict[str, Any]:
     match decision:
         case ResumePlan(rest):
@@ -218,6 +215,10 @@ class Violation:
     time: float
     """Seconds after the start of the task."""
     observed: str
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the violation as `pnm run --json` prints it."""
+        return {"constraint": str(self.constraint), "time": round(self.time, 4), "observed": self.observed}
 
     def __str__(self) -> str:
         return f"{self.constraint} is violated after {self.time:.2f} s: {self.observed}"

@@ -74,7 +74,7 @@ class Task(TaskObserver):
     """The task, and all who listen to it besides."""
     control: TaskControl = field(init=False)
     is_held: bool = False
-    """Whether somebody has paused it."""
+    """Whether an operator has paused it."""
     preempted_by: set[UUID] = field(default_factory=set)
     """The tasks of higher priority for which it is preempted."""
     ended_calls: int = 0

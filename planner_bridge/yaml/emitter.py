@@ -142,37 +142,25 @@ def _block(value: Sequence | Mapping, indent: int) -> Iterator[Line]:
 def _entry(entry: Entry, head: str, indent: int) -> Iterator[Line]:
     value = entry.value
     is_form = head == "-" and isinstance(value, Mapping) and len(value.entries) == 1
-    line = None if is_form else _one_line(value)  # a dash needs no braces behind it
+    if isinstance(value, str):
+        line = None if "\n" in value and not _FOLDED.search(value) else scalar(value)
+    elif isinstance(value, Bare) or ((value.short or not value.entries) and not is_form):  # a dash needs no braces behind it
+        line = _flow(value)
+    else:
+        line = None
     if line is not None and (not isinstance(value, Sequence | Mapping) or not value.entries or indent + len(head) + 1 + len(line) <= WIDTH):
         yield Line(indent, f"{head} {line}")
     elif isinstance(value, Sequence | Mapping):
-        yield from _nested(head, _block(value, indent + 2), indent)
+        lines = _block(value, indent + 2)
+        first = next(lines)
+        if head == "-" and first.text[:1] != "#":
+            yield Line(indent, f"- {first.text}", first.beside)
+        else:
+            yield from (Line(indent, head), first)
+        yield from lines
     elif isinstance(value, str):
         yield Line(indent, f"{head} |-")
         yield from (Line(indent + 2 if text else 0, text) for text in value.split("\n"))
-
-
-def _nested(head: str, lines: Iterator[Line], indent: int) -> Iterator[Line]:
-    first = next(lines)
-    if head == "-" and first.text[:1] != "#":
-        yield Line(indent, f"- {first.text}", first.beside)
-    else:
-        yield Line(indent, head)
-        yield first
-    yield from lines
-
-
-def _one_line(value: Value) -> str | None:
-    """Write the value behind a key or a dash; None if it needs lines of its own."""
-    match value:
-        case str(text) if "\n" in text and not _FOLDED.search(text):
-            return None
-        case str(text):
-            return scalar(text)
-        case Sequence(entries, short) | Mapping(entries, short):
-            return _flow(value) if short or not entries else None
-        case _:
-            return _flow(value)
 
 
 def _flow(value: Value) -> str | None:

@@ -26,7 +26,6 @@ from planner_bridge.pddl.syntax.words import number_text
 from planner_bridge.pddl.write.forms import effects_form
 from planner_bridge.yaml.emitter import Bare, Entry, Mapping, Sequence, Value, document, items, quoted, single
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, ground
-from pnm.core.logic.domain import ActionSchema
 from pnm.core.logic.effects import Effects, ForEach, Set, When, ground_effects
 from pnm.core.logic.expressions import NOTHING, UNDEFINED, Arithmetic, Constant, Expression, Fluent, State, ValueOf, choices, fluent_text
 from pnm.errors import InputError
@@ -56,27 +55,21 @@ def write_original(problem: Problem, plan: Plan) -> str:
     Raises:
         InputError: the domain, the problem or the plan has something without a counterpart there; the message names it.
     """
-    _refuse(problem, plan)
+    used = [problem.domain.actions[name] for name in dict.fromkeys(step.action for step in plan.steps)]
+    impossible = [
+        *(f"the derived predicate {rule.name!r}" for rule in problem.domain.rules),
+        *(f"the constraint {constraint}" for constraint in (*problem.domain.constraints, *problem.constraints)),
+        *(f"the change of facts by themselves at {number_text(change.time)} s" for change in problem.timed),
+        *(f"the duration of the action {schema.name!r}" for schema in used if schema.duration is not None),
+    ]
+    if impossible:
+        raise InputError(f"the first implementation has no way to say {impossible[0]}")
     writer = _UnrolledPlan(problem, initial_knowledge(problem))
     for step in plan.steps:
         writer.call(step)
     writer.check(problem.goal, "goal")
     domain = Mapping((Entry(_class(_KNOWLEDGE_BASE), "external_knowledge_base"), Entry(Mapping(tuple(writer.actions.values())), "actions")))
     return f"{document(domain)}---\n{document(writer.plan())}"
-
-
-def _refuse(problem: Problem, plan: Plan) -> None:
-    """Refuse what has no counterpart in that syntax."""
-    domain = problem.domain
-    used = [domain.actions[name] for name in dict.fromkeys(step.action for step in plan.steps)]
-    found = [
-        *(f"the derived predicate {rule.name!r}" for rule in domain.rules),
-        *(f"the constraint {constraint}" for constraint in (*domain.constraints, *problem.constraints)),
-        *(f"the change of facts by themselves at {number_text(change.time)} s" for change in problem.timed),
-        *(f"the duration of the action {schema.name!r}" for schema in used if schema.duration is not None),
-    ]
-    if found:
-        raise InputError(f"the first implementation has no way to say {found[0]}")
 
 
 @dataclass
@@ -107,9 +100,16 @@ class _UnrolledPlan:
         action = ground_action(schema, step.arguments)
         self.place = f"the action {schema.name!r}"
         self.check(action.precondition, f"before_{_worded(schema.name)}")
-        name = self._action(schema)
-        fields = [Entry(_text(argument), _worded(name)) for name, argument in zip(action.parameters, action.arguments, strict=True)]
-        self.steps.append(Entry(single(name, Mapping(tuple(fields), short=True))))
+        name = _worded(schema.name)
+        if _NAME.fullmatch(name) is None or name in _RESERVED or name == "set_knowledge":
+            raise InputError(f"the first implementation cannot call {self.place}: {name!r} means something else to it")
+        fields = [_worded(variable.name[1:]) for variable in schema.parameters]
+        params = items(map(_text, fields), short=True)
+        entry = Entry(Mapping((Entry(_class(_ROS_ACTION), "type"), Entry(params, "params"))), name)
+        if self.actions.setdefault(name, entry) != entry or len(set(fields)) < len(fields):
+            raise InputError(f"the first implementation cannot call {self.place}: without '-', names in it are there twice")
+        given = [Entry(_text(argument), _worded(field)) for field, argument in zip(action.parameters, action.arguments, strict=True)]
+        self.steps.append(Entry(single(name, Mapping(tuple(given), short=True))))
         self._change(_expanded(action.end_effects, self.state))
 
     def check(self, condition: Condition, name: str) -> None:
@@ -119,7 +119,11 @@ class _UnrolledPlan:
         if condition == TRUE:
             return
         tested = self._condition(condition)
-        word = self._fresh(name)
+        taken = {_worded(action) for action in self.problem.domain.actions} | self.actions.keys()
+        word, count = name, 1
+        while word in taken:
+            count += 1
+            word = f"{name}_{count}"
         self.actions[word] = Entry(Mapping((Entry(_class(_KB_ACTION), "type"), Entry(tested, "preconditions"))), word)
         self.steps.append(self._knowledge(word, single("LocalQuery", _text("checked"), short=True)))
 
@@ -138,25 +142,6 @@ class _UnrolledPlan:
         self._store(name, value)
         return _query(name)
 
-    def _action(self, schema: ActionSchema) -> str:
-        name = _worded(schema.name)
-        if _NAME.fullmatch(name) is None or name in _RESERVED or name == "set_knowledge":
-            raise InputError(f"the first implementation cannot call {self.place}: {name!r} means something else to it")
-        fields = [variable.name[1:] for variable in schema.parameters]
-        params = items([_text(_worded(parameter)) for parameter in fields], short=True)
-        entry = Entry(Mapping((Entry(_class(_ROS_ACTION), "type"), Entry(params, "params"))), name)
-        if self.actions.setdefault(name, entry) != entry or len({_worded(parameter) for parameter in fields}) < len(fields):
-            raise InputError(f"the first implementation cannot call {self.place}: without '-', names in it are there twice")
-        return name
-
-    def _fresh(self, name: str) -> str:
-        taken = {_worded(action) for action in self.problem.domain.actions} | self.actions.keys()
-        found, count = name, 1
-        while found in taken:
-            count += 1
-            found = f"{name}_{count}"
-        return found
-
     # --- effects ---
 
     def _change(self, changes: List[tuple[Set, Condition]]) -> None:
@@ -170,7 +155,10 @@ class _UnrolledPlan:
                     when = None if condition == TRUE else self._temporary(_both("or", self._condition(condition), single("or", Sequence())))
                     (added if truth else deleted).append((fluent, when))
                 case Set(fluent) if condition == TRUE:
-                    numbers[fluent] = self._number(effect, numbers, alone=len(changes) == 1)
+                    value = self._operand(effect.value)
+                    if effect.operation != "assign":
+                        value = _operation(_CHANGES[effect.operation], numbers.get(fluent, _query(self._variable(fluent))), value)
+                    numbers[fluent] = value if len(changes) == 1 else self._temporary(value)
                 case Set():
                     raise self._impossible(f"a conditional effect on a value, {flat(effects_form((effect,)))},")
         for fluent, when in deleted:
@@ -181,14 +169,6 @@ class _UnrolledPlan:
             self._store(self._variable(fluent), _TRUE if when is None else _both("or", self._holds(fluent), _is_true(when)))
         for fluent, value in numbers.items():
             self._store(self._variable(fluent), value)
-
-    def _number(self, effect: Set, numbers: dict[Fluent, Value], *, alone: bool) -> Value:
-        """Return the new value of a function, calculated from values before."""
-        value = self._operand(effect.value)
-        if effect.operation != "assign":
-            before = numbers.get(effect.fluent, _query(self._variable(effect.fluent)))
-            value = _operation(_CHANGES[effect.operation], before, value)
-        return value if alone else self._temporary(value)
 
     # --- conditions and expressions ---
 

@@ -58,17 +58,7 @@ def comments(text: str, nodes: Iterable[yaml.Node], document: Mapped, domain: Do
 
 def _remarks(text: str, nodes: Iterable[yaml.Node]) -> Iterator[Comment]:
     """Yield what begins with ``#`` outside of scalars."""
-    spans = sorted((node.start_mark.index, node.end_mark.index) for node in _quoted(nodes))
-    starts = [start for start, _ in spans]
-    for match in _COMMENT.finditer(text):
-        before = bisect_right(starts, match.start())
-        if match.group().startswith(SCHEMA_MARK):
-            continue
-        if not before or spans[before - 1][1] <= match.start():
-            yield Comment(match.group().rstrip(), match.start())
-
-
-def _quoted(nodes: Iterable[yaml.Node]) -> Iterator[yaml.Node]:
+    spans: list[tuple[int, int]] = []
     waiting = [*nodes]
     while waiting:
         node = waiting.pop()
@@ -77,7 +67,15 @@ def _quoted(nodes: Iterable[yaml.Node]) -> Iterator[yaml.Node]:
         elif isinstance(node, yaml.SequenceNode):
             waiting.extend(node.value)
         elif isinstance(node, yaml.ScalarNode) and node.style is not None:
-            yield node
+            spans.append((node.start_mark.index, node.end_mark.index))
+    spans.sort()
+    starts = [start for start, _ in spans]
+    for match in _COMMENT.finditer(text):
+        before = bisect_right(starts, match.start())
+        if match.group().startswith(SCHEMA_MARK):
+            continue
+        if not before or spans[before - 1][1] <= match.start():
+            yield Comment(match.group().rstrip(), match.start())
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,9 +202,8 @@ class _Anchors:
             whole = form(node)
             inner = (*path, form_anchor(whole))
             yield self._item(inner, node.position)
-            if _has_parts(whole):
-                for part, own_form in _parts(entries[0][2], form):
-                    yield from self._formulas(part, inner, own_form)
+            for part, own_form in _parts(whole, node, form):
+                yield from self._formulas(part, inner, own_form)
 
 
 def _fact(node: Node) -> Form:
@@ -214,19 +211,15 @@ def _fact(node: Node) -> Form:
     return change_form(fluent, value)
 
 
-def _has_parts(form: Form) -> bool:
-    """Return whether a formula has others in it that comments can be about: the negation of a fact has not."""
-    match form:
-        case ["not", [str() as head, *_]]:
-            return head in COMPOUND or head == "and"
-        case [str() as head, *_]:
-            return head in COMPOUND
+def _parts(whole: Form, node: Node, form: Callable[[Node], Form]) -> Iterator[tuple[Node, Callable[[Node], Form]]]:
+    """Yield the formulas in another that comments can be about, each with how it is read: the negation of a fact has none."""
+    match whole:
+        case ["not", [str() as head, *_]] if head not in COMPOUND and head != "and":
+            return
+        case [str() as head, *_] if head in COMPOUND:
+            argument = node.mapped().entries()[0][2]
         case _:
-            return False
-
-
-def _parts(argument: Node, form: Callable[[Node], Form]) -> Iterator[tuple[Node, Callable[[Node], Form]]]:
-    """Yield the formulas in the argument of a form, each with how it is read."""
+            return
     entries = argument.mapped().entries() if argument.is_mapping else ()
     if any(key in _FORMULAS for key, _, _ in entries):
         yield from ((value, _effect if key == "effects" else _condition) for key, _, value in entries if key in _FORMULAS)

@@ -37,19 +37,14 @@ def read_constraint(node: Node, scope: FormulaScope, variables: tuple[Variable, 
         return read_constraint(body, scope.inside(inner), (*variables, *inner))
     times, conditions = CONSTRAINT_WORDS[found.word]
     operands = found.items(times + conditions) if times + conditions > 1 else (found.argument,)
-    return Constraint(
-        found.word.replace("_", " "),
-        tuple([read_condition(operand, scope) for operand in operands[times:]]),
-        tuple([_time(operand) for operand in operands[:times]]),
-        variables,
-    )
-
-
-def _time(node: Node) -> float:
-    value = node.plain()
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < float("inf"):
-        raise node.wrong(f"expected a time of at least 0, found {node.written or 'something else'}")
-    return float(value)
+    wanted = tuple([read_condition(operand, scope) for operand in operands[times:]])
+    seconds: list[float] = []
+    for operand in operands[:times]:
+        value = operand.plain()
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < float("inf"):
+            raise operand.wrong(f"expected a time of at least 0, found {operand.written or 'something else'}")
+        seconds.append(float(value))
+    return Constraint(found.word.replace("_", " "), wanted, tuple(seconds), variables)
 
 
 def read_preference(node: Node, scope: FormulaScope, *, timed: bool = False) -> Preference:

@@ -6,7 +6,7 @@ constraints, preferences, metrics, and task networks, which are kept as their HD
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -80,16 +80,28 @@ def parse(text: str, file: str) -> Contents:
 
 def _domain(model: ProblemModel, top: Mapped) -> Domain:
     scope = FormulaScope(model, {}, strict=True, borrows=top.filled("problem") is None)
-    actions = {name: _with_preferences(schema, top.mapping("actions")[name], scope) for name, schema in model.domain.actions.items()}
+    actions: dict[str, ActionSchema] = {}
+    for name, schema in model.domain.actions.items():
+        timed = schema.duration is not None
+        inner = scope.inside((*schema.parameters, *((Variable(DURATION[0]),) if timed else ())))
+        soft: list[Preference] = []
+        for node in top.mapping("actions")[name].listed("preferences"):
+            node.mapped().needed("condition")
+            soft.append(read_preference(node, inner, timed=timed))
+        actions[name] = replace(schema, preferences=tuple(soft))
     for preference in top.listed("preferences"):
         preference.mapped().needed("constraints")  # no state that could be preferred is known here
+    left_out = [(f"{key!r}", top.nodes[key][0]) for key in _LEFT_OUT if key in top.nodes]
+    for name, entry in top.mapping("actions").items():
+        left_out += [(f"{key!r} of {name}", position) for key, (position, _) in entry.nodes.items() if key not in _PDDL_PARTS]
+    left_out.sort(key=lambda found: (found[1].line, found[1].column))
     return Domain(
         **{**_fields(model.domain), "actions": actions},
         requirements=_requirements(top),
         constraints=tuple([read_constraint(node, scope) for node in top.listed("constraints")]),
         preferences=tuple([read_preference(node, scope) for node in top.listed("preferences")]),
         hierarchy=tuple([_hddl_text(node, HIERARCHY) for node in top.listed("hierarchy")]),
-        warnings=tuple(sorted(_left_out(top), key=lambda warning: (warning.position.line, warning.position.column))),
+        warnings=tuple([Tolerated(f"{what} is left out: PDDL has nothing like it", position) for what, position in left_out]),
     )
 
 
@@ -115,16 +127,6 @@ def _fields(model: DomainModel | ProblemModel) -> Mapping[str, Any]:
     return {name: getattr(model, name) for name in kind.__dataclass_fields__}
 
 
-def _with_preferences(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> ActionSchema:
-    timed = schema.duration is not None
-    inner = scope.inside((*schema.parameters, *((Variable(DURATION[0]),) if timed else ())))
-    found: list[Preference] = []
-    for node in entry.listed("preferences"):
-        node.mapped().needed("condition")
-        found.append(read_preference(node, inner, timed=timed))
-    return replace(schema, preferences=tuple(found))
-
-
 def _requirements(entry: Mapped) -> tuple[str, ...]:
     """Read requirements, with or without their colons: a list of them, or a text of several."""
     words = [word for node in entry.listed("requirements") for word in node.written.split()]
@@ -137,17 +139,6 @@ def _hddl_text(node: Node, heads: tuple[str, ...]) -> str:
     if node.text and lists and isinstance(lists[0], Group) and lists[0].head in heads:
         return node.text
     raise node.wrong(f"expected the text of {' or '.join(heads)}, found {shown(node)}")
-
-
-def _left_out(top: Mapped) -> Iterator[Tolerated]:
-    """Yield what in the file PDDL cannot express, and other planners need not know."""
-    for key in _LEFT_OUT:
-        if key in top.nodes:
-            yield Tolerated(f"{key!r} is left out: PDDL has nothing like it", top.nodes[key][0])
-    for name, entry in top.mapping("actions").items():
-        for key, (position, _) in entry.nodes.items():
-            if key not in _PDDL_PARTS:
-                yield Tolerated(f"{key!r} of {name} is left out: PDDL has nothing like it", position)
 
 
 # --- names ---------------------------------------------------------------------------------

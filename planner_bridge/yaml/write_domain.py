@@ -17,7 +17,6 @@ from planner_bridge.yaml.emitter import Bare, Entry, Mapping, Sequence, Value, d
 from planner_bridge.yaml.write_formulas import conditions, constraints, duration, effects, expression, preferences, typed
 from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.domain import ActionSchema, Declaration
-from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.rules import DerivationRule
 from pnm.errors import InputError
 from pnm.files.yaml_loader import MAX_DEPTH
@@ -74,8 +73,12 @@ def domain_entries(domain: Domain, notes: Notes) -> list[Entry]:
         _constraints(domain, own),
         Entry(preferences(domain.preferences, NO_NOTES, own.at(":constraints")), "preferences"),
         Entry(Sequence(tuple(Entry(text, note=own.at(*hierarchy_anchor(text)).take()) for text in domain.hierarchy)), "hierarchy"),
-        Entry(_actions(domain.actions.values(), own), "actions"),
     ]
+    actions: list[Entry] = []
+    for schema in domain.actions.values():
+        inner = own.at(ACTION, schema.name.lower())
+        actions.append(Entry(Mapping(tuple(_parts(schema, inner))), schema.name, inner.take(), apart=bool(actions)))
+    found.append(Entry(Mapping(tuple(actions)), "actions"))
     return [
         Entry(domain.name, "name", root),
         *(replace(entry, apart=entry.key != "requirements") for entry in found if not _is_empty(entry)),
@@ -120,14 +123,6 @@ def _constraints(whole: Domain | Problem, notes: Notes) -> Entry:
     return Entry(found, "constraints", note) if note else Entry(found, "constraints")
 
 
-def _actions(schemas: Iterable[ActionSchema], notes: Notes) -> Mapping:
-    entries: list[Entry] = []
-    for schema in schemas:
-        own = notes.at(ACTION, schema.name.lower())
-        entries.append(Entry(Mapping(tuple(_parts(schema, own))), schema.name, own.take(), apart=bool(entries)))
-    return Mapping(tuple(entries))
-
-
 def _parts(schema: ActionSchema, notes: Notes) -> Iterator[Entry]:
     if schema.parameters:
         yield Entry(typed(schema.parameters), "params", notes.at("parameters").take())
@@ -166,7 +161,7 @@ def _problem(problem: Problem, notes: Notes) -> Iterator[Entry]:
     found = [
         _requirements(problem.requirements, notes),
         _names("objects", problem.own_objects.items(), notes),
-        Entry(Sequence((*_facts(problem, facts), *(_timed(change, facts) for change in problem.timed))), "init", facts.take()),
+        Entry(Sequence(tuple(_initial(problem, facts))), "init", facts.take()),
         _constraints(problem, notes),
         Entry(preferences(problem.preferences, goal, notes.at(":constraints")), "preferences"),
     ]
@@ -181,15 +176,13 @@ def _problem(problem: Problem, notes: Notes) -> Iterator[Entry]:
         yield Entry(metric, "metric", notes.at(":metric").take())
 
 
-def _facts(problem: Problem, notes: Notes) -> Iterator[Entry]:
+def _initial(problem: Problem, notes: Notes) -> Iterator[Entry]:
     for fluent, value in problem.init.items():
         if value is not False:
             form = change_form(fluent, value)
             yield Entry(flat(form), note=notes.at(fact_anchor(form)).take())
-
-
-def _timed(timed: TimedChange, notes: Notes) -> Entry:
-    time = number_text(timed.time)
-    forms = [change_form(fluent, value) for fluent, value in timed.changes.items()]
-    facts = [Entry(flat(form), note=notes.at(fact_anchor(["at", time, form])).take()) for form in forms]
-    return Entry(Mapping((Entry(Bare(time), "at"), Entry(Sequence(tuple(facts)), "facts"))))
+    for timed in problem.timed:
+        time = number_text(timed.time)
+        forms = [change_form(fluent, value) for fluent, value in timed.changes.items()]
+        facts = [Entry(flat(form), note=notes.at(fact_anchor(["at", time, form])).take()) for form in forms]
+        yield Entry(Mapping((Entry(Bare(time), "at"), Entry(Sequence(tuple(facts)), "facts"))))

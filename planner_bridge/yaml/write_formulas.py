@@ -103,12 +103,11 @@ def expression(value: Expression) -> Value:
 
 def effects(found: Effects, notes: Notes) -> Sequence:
     """Write effects, each an item of a list."""
-    return Sequence(tuple([_effect_noted(effect, notes) for effect in found]))
-
-
-def _effect_noted(effect: Effect, notes: Notes) -> Entry:
-    own = notes.at(form_anchor(effects_form((effect,)))) if notes else NO_NOTES
-    return Entry(_effect(effect, own), note=own.take())
+    entries: list[Entry] = []
+    for effect in found:
+        own = notes.at(form_anchor(effects_form((effect,)))) if notes else NO_NOTES
+        entries.append(Entry(_effect(effect, own), note=own.take()))
+    return Sequence(tuple(entries))
 
 
 def _effect(effect: Effect, notes: Notes) -> Value:
@@ -142,38 +141,35 @@ def duration(bounds: tuple[DurationConstraint, ...]) -> Value:
 
 def constraints(found: Iterable[Constraint], notes: Notes) -> Sequence:
     """Write constraints on the course of states, each an item of a list."""
-    return Sequence(tuple([_constraint(constraint, notes) for constraint in found]))
-
-
-def _constraint(constraint: Constraint, notes: Notes) -> Entry:
-    own = notes.at(form_anchor(constraint_form(constraint)))
-    times: list[Entry] = [Entry(Bare(number_text(time))) for time in constraint.times]
-    entries = [*times, *(_noted(condition, NO_NOTES) for condition in constraint.conditions)]
-    value: Value = single(constraint.operator.replace(" ", "_"), entries[0].value if len(entries) == 1 else Sequence(tuple(entries)))
-    for variables in reversed(nested(constraint.variables)):
-        value = single("forall", _quantified(variables, "constraint", value))
-    return Entry(value, note=own.take())
+    entries: list[Entry] = []
+    for constraint in found:
+        own = notes.at(form_anchor(constraint_form(constraint)))
+        times: list[Entry] = [Entry(Bare(number_text(time))) for time in constraint.times]
+        operands = [*times, *(_noted(condition, NO_NOTES) for condition in constraint.conditions)]
+        value: Value = single(constraint.operator.replace(" ", "_"), operands[0].value if len(operands) == 1 else Sequence(tuple(operands)))
+        for variables in reversed(nested(constraint.variables)):
+            value = single("forall", _quantified(variables, "constraint", value))
+        entries.append(Entry(value, note=own.take()))
+    return Sequence(tuple(entries))
 
 
 def preferences(found: Iterable[Preference], states: Notes, courses: Notes) -> Sequence:
     """Write preferences, each an item of a list; the notes are those of the sections where PDDL has them."""
-    return Sequence(tuple([_preference(preference, courses if isinstance(preference.wanted, tuple) else states) for preference in found]))
-
-
-def _preference(preference: Preference, notes: Notes) -> Entry:
-    own = notes.at(form_anchor(preference_form(preference)))
-    entries: list[Entry] = [Entry(preference.name, "name")] if preference.name else []
-    quantifiers = nested(preference.variables)
-    if quantifiers:
-        entries.append(Entry(typed(quantifiers[0]) if len(quantifiers) == 1 else items(map(typed, quantifiers)), "variables"))
-    if preference.moment:
-        entries.append(Entry(preference.moment.replace(" ", "_"), "moment"))
-    match preference.wanted:
-        case tuple() as wanted:
-            entries.append(Entry(constraints(wanted, NO_NOTES), "constraints"))
-        case condition:
-            entries.append(Entry(conditions(condition, NO_NOTES), "condition"))
-    return Entry(Mapping(tuple(entries)), note=own.take())
+    entries: list[Entry] = []
+    for preference in found:
+        wanted, quantifiers = preference.wanted, nested(preference.variables)
+        own = (courses if isinstance(wanted, tuple) else states).at(form_anchor(preference_form(preference)))
+        keys: list[Entry] = [Entry(preference.name, "name")] if preference.name else []
+        if quantifiers:
+            keys.append(Entry(typed(quantifiers[0]) if len(quantifiers) == 1 else items(map(typed, quantifiers)), "variables"))
+        if preference.moment:
+            keys.append(Entry(preference.moment.replace(" ", "_"), "moment"))
+        if isinstance(wanted, tuple):
+            keys.append(Entry(constraints(wanted, NO_NOTES), "constraints"))
+        else:
+            keys.append(Entry(conditions(wanted, NO_NOTES), "condition"))
+        entries.append(Entry(Mapping(tuple(keys)), note=own.take()))
+    return Sequence(tuple(entries))
 
 
 def nested(variables: tuple[Variable, ...]) -> list[tuple[Variable, ...]]:

@@ -16,7 +16,7 @@ from planner_bridge.model.problem import Domain
 from planner_bridge.pddl.syntax.words import number_text
 from planner_bridge.yaml.emitter import Bare, Entry, Mapping, Sequence, Value, items
 from planner_bridge.yaml.series_parallel import Block, Mesh, Parallel, Series, blocks, reduced
-from pnm.core.machine.plan_graph import ActionCall, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
 
 _NO_PLAN: Final = Entry(Sequence(), "plan", apart=True)
 
@@ -35,7 +35,13 @@ class _StepWriter:
     domain: Domain
 
     def steps(self) -> list[Mapping]:
-        orderings = _needed(self.graph)
+        order = self.graph.in_order()
+        places = {event: place for place, event in enumerate(order)}
+        own = [(places[PlanEvent(call.index, Moment.START)], places[PlanEvent(call.index, Moment.END)]) for call in self.graph.calls]
+        edges = [(places[ordering.before], places[ordering.after]) for ordering in self.graph.orderings]
+        before = reduced(len(order), [*own, *edges])
+        # only those that do not follow from others
+        orderings = [ordering for ordering, (i, j) in zip(self.graph.orderings, edges, strict=True) if ordering.delay or i in before[j]]
         simple = all(
             ordering.before.moment is Moment.END and ordering.after.moment is Moment.START and not ordering.delay for ordering in orderings
         )
@@ -92,14 +98,17 @@ class _StepWriter:
         for call in sorted(self.graph.calls, key=lambda call: call.planned):
             waits = {moment: [ordering for ordering in orderings if ordering.after == PlanEvent(call.index, moment)] for moment in Moment}
             options = [
-                Entry(items((_event(ordering, named) for ordering in waits[Moment.START]), short=True), "after"),
-                *(
-                    [Entry(items((_event(ordering, named) for ordering in waits[Moment.END]), short=True), "end_after")]
-                    if waits[Moment.END]
-                    else []
-                ),
-                *_times(call, self.domain),
+                Entry(items((_event(ordering, named) for ordering in waits[moment]), short=True), key)
+                for moment, key in ((Moment.START, "after"), (Moment.END, "end_after"))
+                if moment is Moment.START or waits[moment]
             ]
+            fixed = any(bound.operation == "=" for bound in self.domain.actions[call.action.name].duration or ())
+            times = [
+                ("duration", None if fixed else call.action.duration),
+                ("release", call.release or None),
+                ("deadline", call.deadline if call.deadline < inf else None),
+            ]
+            options += [Entry(Bare(number_text(seconds)), key) for key, seconds in times if seconds is not None]
             steps.append(Mapping((self._call(call.index), *_id(named, call.index), *options)))
         return steps
 
@@ -137,24 +146,3 @@ def _event(ordering: Ordering, named: dict[int, str]) -> Value:
         return name
     delay = [Entry(Bare(number_text(ordering.delay)), "delay")] if ordering.delay else []
     return Mapping((Entry(name, moment.value), *delay), short=True)
-
-
-def _times(call: ActionCall, domain: Domain) -> list[Entry]:
-    bounds = domain.actions[call.action.name].duration or ()
-    chosen = call.action.duration is not None and not any(bound.operation == "=" for bound in bounds)
-    found = [
-        ("duration", call.action.duration if chosen else None),
-        ("release", call.release or None),
-        ("deadline", call.deadline if call.deadline < inf else None),
-    ]
-    return [Entry(Bare(number_text(value)), key) for key, value in found if value is not None]
-
-
-def _needed(graph: PlanGraph) -> list[Ordering]:
-    """Return the orderings that do not follow from others."""
-    order = graph.in_order()
-    places = {event: place for place, event in enumerate(order)}
-    own = [(places[PlanEvent(call.index, Moment.START)], places[PlanEvent(call.index, Moment.END)]) for call in graph.calls]
-    edges = [(places[ordering.before], places[ordering.after]) for ordering in graph.orderings]
-    before = reduced(len(order), [*own, *edges])
-    return [ordering for ordering, (first, second) in zip(graph.orderings, edges, strict=True) if ordering.delay or first in before[second]]

@@ -143,18 +143,13 @@ def read_schema(name: str, entry: Mapped, scope: FormulaScope) -> ActionSchema:
         expected=end.expected,
     )
     if scope.strict:
-        _check_moments(schema, entry)
+        timed = (schema.invariant, schema.end_condition) != (TRUE, TRUE), bool(schema.start_effects)
+        for key, has_moments in zip(("preconditions", "effects"), timed, strict=True):
+            if has_moments and schema.duration is None:
+                raise InputError(f"only an action with a duration has moments; expected {key} without them", entry.position(key))
+        if any(map(is_early, schema.start_effects if schema.duration is not None else schema.end_effects)):
+            raise InputError("only an effect at the end of an action with a duration can be tested at its start", entry.position("effects"))
     return schema
-
-
-def _check_moments(schema: ActionSchema, entry: Mapped) -> None:
-    """Refuse moments in an action that has only one, and tests before its start."""
-    timed = (schema.invariant, schema.end_condition) != (TRUE, TRUE), bool(schema.start_effects)
-    for key, has_moments in zip(("preconditions", "effects"), timed, strict=True):
-        if has_moments and schema.duration is None:
-            raise InputError(f"only an action with a duration has moments; expected {key} without them", entry.position(key))
-    if any(map(is_early, schema.start_effects if schema.duration is not None else schema.end_effects)):
-        raise InputError("only an effect at the end of an action with a duration can be tested at its start", entry.position("effects"))
 
 
 def read_action(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> LanguageAction:

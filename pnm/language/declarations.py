@@ -28,7 +28,10 @@ _DECLARED: Final = re.compile(r"\(\s*([^\s()?-][^\s()?]*)\s*((?:[^()]|\([^()]*\)
 
 def read_declarations(top: Mapped, problem: Mapped | None, *, strict: bool = False) -> ProblemModel:
     """Read ``types``, ``constants``, ``predicates`` and ``functions``, and the ``objects`` of a problem."""
-    domain = DomainModel(top.string("name") or "", _types(top.filled("types")))
+    name, written = top.string("name") or "", _names(top.filled("types"), FormulaScope())
+    types = {kind: tuple(parent for parent in parents if parent != "object") for kind, parents in written.items() if kind != "object"}
+    # one that is only a supertype is declared by that
+    domain = DomainModel(name, types | {parent: () for parents in types.values() for parent in parents if parent not in types})
     problem_name = None if problem is None else problem.string("name")
     scope = FormulaScope(ProblemModel("", domain), strict=strict)
     domain = replace(
@@ -39,13 +42,6 @@ def read_declarations(top: Mapped, problem: Mapped | None, *, strict: bool = Fal
     )
     objects = {} if problem is None else _names(problem.filled("objects"), scope)
     return ProblemModel(problem_name or domain.name, domain, objects)
-
-
-def _types(node: Node | None) -> dict[str, Types]:
-    """Read types with their supertypes; one that is only a supertype is declared by that."""
-    written = _names(node, FormulaScope())
-    above = {name: tuple(kind for kind in kinds if kind != "object") for name, kinds in written.items() if name != "object"}
-    return above | {kind: () for kinds in above.values() for kind in kinds if kind not in above}
 
 
 def _names(node: Node | None, scope: FormulaScope) -> dict[str, Types]:
@@ -124,7 +120,15 @@ def read_facts(nodes: Iterable[Node], scope: FormulaScope) -> dict[Fluent, Value
     """Read facts: texts ``(at r1 hall)``, ``(= (battery r1) 80)``, ``(not (at r1 hall))``."""
     found: dict[Fluent, Value] = {}
     for node in nodes:
-        fluent, value = _statement(node, scope)
+        try:
+            fluent, value = parse_statement(node.text or "")
+        except InputError as error:
+            raise node.wrong(f"expected a fact such as (at r1 kitchen) or (= (battery r1) 80), found {shown(node)}") from error
+        if isinstance(value, float) and not isfinite(value):
+            raise node.wrong(f"the number is too large: {node.text}")
+        scope.check_change(fluent, node, Constant(value))
+        if isinstance(value, str):
+            scope.check_object(value, node)
         if scope.strict and found.get(fluent, value) != value:
             raise node.wrong(f"{fluent_text(fluent)} has another value before; expected one value")
         found[fluent] = value
@@ -141,16 +145,3 @@ def read_initial(problem: Mapped, scope: FormulaScope) -> tuple[dict[Fluent, Val
         timed.append(TimedChange(entry.number("at", 0.0), read_facts(entry.listed("facts"), scope)))
     facts = read_facts([item for item in items if not item.is_mapping], scope)
     return facts, tuple(sorted(timed, key=lambda change: change.time))
-
-
-def _statement(node: Node, scope: FormulaScope) -> tuple[Fluent, Value]:
-    try:
-        fluent, value = parse_statement(node.text or "")
-    except InputError as error:
-        raise node.wrong(f"expected a fact such as (at r1 kitchen) or (= (battery r1) 80), found {shown(node)}") from error
-    if isinstance(value, float) and not isfinite(value):
-        raise node.wrong(f"the number is too large: {node.text}")
-    scope.check_change(fluent, node, Constant(value))
-    if isinstance(value, str):
-        scope.check_object(value, node)
-    return fluent, value

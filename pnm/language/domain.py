@@ -10,7 +10,7 @@ from pnm.core.logic.conditions import TRUE, Condition
 from pnm.core.logic.domain import ProblemModel
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.errors import Tolerated
-from pnm.files.yaml_nodes import Mapped, Node
+from pnm.files.yaml_nodes import Mapped
 from pnm.knowledge.sources.registry import SourceChoice, check_source
 from pnm.language.actions import ACTION_KEYS, LanguageAction, read_action, read_class, read_schema
 from pnm.language.declarations import read_declarations, read_derived, read_initial
@@ -104,18 +104,15 @@ def _read_sources(top: Mapped) -> tuple[SourceChoice, ...]:
     if external is not None:
         name = check_source(".".join(read_class(external)), external.position)
         found.append(SourceChoice(name, {}, external.position))
-    return (*found, *(choice for node in top.listed("knowledge") for choice in _choices(node)))
-
-
-def _choices(node: Node) -> list[SourceChoice]:
-    if node.text is not None:
-        return [SourceChoice(check_source(node.text, node.position), {}, node.position)]
-    if not node.is_mapping:
-        raise node.wrong(f"expected the name of a source of knowledge, found {shown(node)}")
-    found: list[SourceChoice] = []
-    for name, position, options in node.mapped().entries():
-        plain = {} if options.is_null else options.plain()
-        if not isinstance(plain, dict):
-            raise options.wrong(f"expected options of {name} (option: value), found {shown(options)}")
-        found.append(SourceChoice(check_source(name, position), plain, position))
-    return found
+    for node in top.listed("knowledge"):
+        if node.text is not None:
+            found.append(SourceChoice(check_source(node.text, node.position), {}, node.position))
+        elif not node.is_mapping:
+            raise node.wrong(f"expected the name of a source of knowledge, found {shown(node)}")
+        else:
+            for name, position, options in node.mapped().entries():
+                plain = {} if options.is_null else options.plain()
+                if not isinstance(plain, dict):
+                    raise options.wrong(f"expected options of {name} (option: value), found {shown(options)}")
+                found.append(SourceChoice(check_source(name, position), plain, position))
+    return tuple(found)

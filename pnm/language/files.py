@@ -76,17 +76,12 @@ def _mended(text: str) -> tuple[str, list[tuple[int, str]]]:
         dash, key = len(found[1]), len(found[1]) + 1 + len(found[2])
         if dash < _indent(lines[number + 1]) < key:
             changed.append((number + 2, f"indented by less than what it belongs to in line {number + 1}"))
-            _push(lines, number + 1, dash, key + 1)
+            more = " " * (key + 1 - _indent(lines[number + 1]))
+            for below in range(number + 1, len(lines)):  # all that belongs to the key
+                if lines[below].strip() and _indent(lines[below]) <= dash:
+                    break
+                lines[below] = more + lines[below]
     return "\n".join(lines) + "\n", changed
-
-
-def _push(lines: list[str], start: int, outer: int, inner: int) -> None:
-    """Indent what belongs to the key above more than the key."""
-    more = " " * (inner - _indent(lines[start]))
-    for number in range(start, len(lines)):
-        if lines[number].strip() and _indent(lines[number]) <= outer:
-            return
-        lines[number] = more + lines[number]
 
 
 def _indent(line: str) -> int:
@@ -141,11 +136,7 @@ def read_domain(path: Path) -> LanguageDomain:
 
 
 def plan_heads(path: Path, domain: LanguageDomain | None = None) -> list[PlanHead]:
-    """Read the heads of all plans of a file.
-
-    Raises:
-        InputError: there is none, or something is malformed.
-    """
+    """Read the heads of all plans of a file."""
     return plan_heads_in(*read_documents(path), domain)
 
 
@@ -159,7 +150,10 @@ def plan_heads_in(documents: tuple[Mapped, ...], warnings: tuple[Tolerated, ...]
             _check_classes(entry)
             params = entry.filled("params")
             parameters = None if params is None else read_typed(params)
-            chosen = _domain_of(entry, own, domain)
+            path = entry.string("domain")
+            if path is not None and own is not None:
+                raise InputError("the file has a domain itself; it cannot name another", entry.position("domain"))
+            chosen = own or domain or LanguageDomain() if path is None else read_domain(beside(entry, "domain", path))
             found.append(PlanHead(name, entry, chosen, parameters, tuple(dict.fromkeys((*warnings, *chosen.warnings)))))
     if not found:
         raise InputError("there is no plan in the file; expected the key 'plan'", documents[0].start)
@@ -201,15 +195,6 @@ def domain_document(documents: Iterable[Mapped]) -> Mapped | None:
     if len(found) > 1:
         raise InputError("there is a domain in this file already", found[1].start)
     return found[0] if found else None
-
-
-def _domain_of(entry: Mapped, own: LanguageDomain | None, given: LanguageDomain | None) -> LanguageDomain:
-    path = entry.string("domain")
-    if path is None:
-        return own or given or LanguageDomain()
-    if own is not None:
-        raise InputError("the file has a domain itself; it cannot name another", entry.position("domain"))
-    return read_domain(beside(entry, "domain", path))
 
 
 def beside(entry: Mapped, key: str, path: str) -> Path:

@@ -99,7 +99,11 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tu
     unbound = {name: data for name, data in outer.items() if name not in {variable.name for variable in step.action.schema.parameters}}
     operation = None if step.operation is None else filled_operation(step.operation, unbound)
     names = _parameters(step, operation)
-    duration = _duration(step.action, own, facts) if step.duration is None else step.duration
+    duration = step.duration
+    fixed = next((constraint.bound for constraint in step.action.schema.duration or () if constraint.operation == "="), None)
+    if duration is None and fixed is not None:  # by numbers that do not change or hold at the beginning
+        seconds = value_of(fixed, facts, own.env)
+        duration = float(seconds) if is_number(seconds) else None
     action = ground_schema(step.action.schema, tuple(map(own.argument, names)), own.env, duration)
     resources = tuple(dict.fromkeys((*step.action.resources, *step.resources)))
     called = replace(
@@ -125,15 +129,6 @@ def _parameters(step: CallStep, operation: KnowledgeOperation | None) -> tuple[s
     datas = (operation.name, operation.value, operation.meta) if isinstance(operation, Update) else (operation,)
     used = step.action.mentioned.union(*map(parameters_in, datas))
     return tuple(name for name in names if name != OPERATION and (name in step.given or f"?{name}" in used))
-
-
-def _duration(action: LanguageAction, own: Substitution, facts: Facts) -> float | None:
-    """Return how long the call takes, if the domain fixes it by numbers that do not change or hold at the beginning."""
-    for constraint in action.schema.duration or ():
-        if constraint.operation == "=":
-            seconds = value_of(constraint.bound, facts, own.env)
-            return float(seconds) if is_number(seconds) else None
-    return None
 
 
 def usual_recoveries(action: LanguageAction) -> tuple[Recovery, ...]:

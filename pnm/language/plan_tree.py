@@ -195,22 +195,17 @@ def _recovery(node: Node, usual: frozenset[Cause], own: Cause | None, scope: For
         if times is not None and not 1 <= times <= MAX_TIMES:
             raise InputError(f"expected a number of times from 1 to {MAX_TIMES}, found {times}", entry.position("times"))
     causes = usual if when is None or own is None else frozenset({own})
-    chain, then = _chain(node if entry is None else entry.needed("do"), read_steps)
-    if then is Then.CONTINUE and not causes <= _SENT:
-        raise node.wrong("only a call whose request has ended can continue; expected another command, such as skip_action")
-    return WrittenRecovery(node.position, causes, chain, then, times, when)
-
-
-def _chain(node: Node, read_steps: ReadSteps) -> tuple[SequenceStep, Then]:
-    """Read steps and the command that they end in."""
-    items = (node,) if node.items is None else node.items
+    whole = node if entry is None else entry.needed("do")
+    items = (whole,) if whole.items is None else whole.items
     if not items or items[-1].text is None:
-        last = items[-1] if items else node
-        raise last.wrong(f"expected a command at the end of the chain: {', '.join(COMMANDS)}")
+        raise (items[-1] if items else whole).wrong(f"expected a command at the end of the chain: {', '.join(COMMANDS)}")
     *steps, command = items
     if command.text not in COMMANDS:
         raise unknown("command", command.text or "", COMMANDS, command.position)
     for step in steps:
         if step.text in COMMANDS:
             raise step.wrong(f"{step.text} ends the chain; nothing may come after it")
-    return read_steps(tuple(steps), node.position), COMMANDS[command.text]
+    chain, then = read_steps(tuple(steps), whole.position), COMMANDS[command.text]
+    if then is Then.CONTINUE and not causes <= _SENT:
+        raise node.wrong("only a call whose request has ended can continue; expected another command, such as skip_action")
+    return WrittenRecovery(node.position, causes, chain, then, times, when)

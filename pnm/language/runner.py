@@ -3,7 +3,7 @@
 A plan that calls another has it carried out here as well, as a run of its own: what it is given are its parameters,
 what it gives back are its results.
 
-What whoever starts a hand-written plan gives it: no other parameters than it has, and a value for each.
+Parameters of a hand-written plan: those that it declares, and a value for each.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from math import inf
@@ -63,22 +63,16 @@ async def check_values(plan: HandWrittenPlan, knowledge: Layered, source: Source
         InputError: one has none.
     """
     nameless = [name for name in plan.parameters or () if knowledge.variable(name) is MISSING]
-    askable = _askable(plan) if nameless else frozenset()
+    askable: set[str] = set()  # variables in whose place a person may be asked
+    for call in plan.graph.calls if nameless else ():
+        given = dict(call.action.given)
+        for asked in plan.bindings.of(call.action.name).ask:
+            read = parts(given[asked]) if asked in given else ()
+            askable |= {asked, *(str(part.name.value) for part in read if isinstance(part, Query) and isinstance(part.name, Literal))}
     for name in nameless:
         if name not in askable and not await _is_known(name, source, asker):
             where = f"such as {{{name}: …}} among the parameters, under initial_knowledge, or in the global knowledge"
             raise InputError(f"{plan.name} needs a value for its parameter {name!r}; expected one {where}")
-
-
-def _askable(plan: HandWrittenPlan) -> frozenset[str]:
-    """Return the variables in whose place a person may be asked."""
-    found: set[str] = set()
-    for call in plan.graph.calls:
-        given = dict(call.action.given)
-        for asked in plan.bindings.of(call.action.name).ask:
-            read = parts(given[asked]) if asked in given else ()
-            found |= {asked, *(str(one.name.value) for one in read if isinstance(one, Query) and isinstance(one.name, Literal))}
-    return frozenset(found)
 
 
 async def _is_known(name: str, source: Source | None, asker: Asker) -> bool:
@@ -160,7 +154,7 @@ class Performance:
 
     @property
     def results(self) -> dict[str, object]:
-        """The variables that whoever started the plan is told; those that nobody has stored are left out."""
+        """The result variables of the plan; those without a value are left out."""
         found = {name: self.executor.run.knowledge.local.variable(name) for name in self.program.plan.results}
         return {name: value for name, value in found.items() if value is not MISSING}
 
@@ -175,7 +169,7 @@ class Performer:
         programs: by the name of the plan.
         backend: carries the actions out.
         world: what all runs share.
-        source: who is asked and told what runs do not know.
+        source: the source for questions and updates outside the run.
     """
 
     programs: Mapping[str, Program]
@@ -189,7 +183,11 @@ class Performer:
     going_on: list[Performance] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.resources = Resources(_capacities(program.plan for program in self.programs.values()))
+        capacities: dict[str, int] = {}
+        for program in self.programs.values():  # the most careful of the plans counts
+            for name, capacity in program.plan.graph.capacities.items():
+                capacities[name] = min(capacity, capacities.get(name, capacity))
+        self.resources = Resources(capacities)
         self.programs = {name: program.sharing(self.resources) for name, program in self.programs.items()}
 
     async def prepare(self) -> tuple[str, ...]:
@@ -219,7 +217,7 @@ class Performer:
         Args:
             name: of the plan.
             parameters: what the run knows at first.
-            observer: is told what happens.
+            observer: of the run.
             task: on whose behalf resources are claimed, those of plans that it calls included; the run's own if None.
             priority: how these claims stand among others.
 
@@ -249,11 +247,7 @@ class Performer:
         return Performance(program, Executor(run, client, self.source, name), client)
 
     async def check(self, performance: Performance) -> None:
-        """See to it that every parameter of the plan has a value, before it is carried out; see `check_values`.
-
-        Raises:
-            InputError: one has none.
-        """
+        """See to it that every parameter of the plan has a value, before it is carried out; see `check_values`."""
         run, plan = performance.executor.run, performance.program.plan
         await check_values(plan, run.knowledge, self.source, Asker(run.id, plan.name))
 
@@ -277,21 +271,12 @@ class Performer:
         return None
 
 
-def _capacities(plans: Iterable[HandWrittenPlan]) -> dict[str, int]:
-    """Return how many calls may have each resource at the same time: what the most careful of the plans says."""
-    found: dict[str, int] = {}
-    for plan in plans:
-        for name, capacity in plan.graph.capacities.items():
-            found[name] = min(capacity, found.get(name, capacity))
-    return found
-
-
 class PlansClient:
     """Carries out calls of plans as runs of their own, and passes all others on to the backend.
 
     Args:
         performer: carries out the plans.
-        observer: is told what happens in them as well.
+        observer: of the runs of called plans as well.
         task: on whose behalf they are carried out.
         priority: of their claims to resources.
 
@@ -353,7 +338,7 @@ class PlansClient:
         report(Accepted(request.id))
         try:
             result = await self._performer.execute(performance)
-        except Exception as error:  # whoever calls the plan waits for its end
+        except Exception as error:  # the calling plan waits for its end
             _log.exception("%s has come to no end", request.action)
             report(Ended(request.id, Outcome(OutcomeKind.ABORTED, message=f"internal error: {type(error).__name__}: {error}")))
             return

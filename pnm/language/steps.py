@@ -64,7 +64,14 @@ class StepReader:
     def sequence(self, nodes: tuple[Node, ...], position: Position) -> SequenceStep:
         """Read steps that follow each other."""
         steps = tuple([self.step(node) for node in nodes])
-        _check_ids(steps)
+        known: set[str] = set()
+        for step in steps:
+            if step.place.id is not None and step.place.id in known:
+                raise InputError(f"the id {step.place.id!r} is there twice", step.place.position)
+            known |= {step.place.id} if step.place.id is not None else set()
+        for wait in [wait for step in steps for wait in (*(step.place.after or ()), *step.place.end_after)]:
+            if wait.id not in known:
+                raise unknown("step with the id", wait.id, known, wait.position)
         return SequenceStep(StepPlacement(position), steps)
 
     def step(self, node: Node) -> WrittenStep:
@@ -127,16 +134,12 @@ class StepReader:
 
     # --- calls ---
 
-    def _unknown_action(self, name: str, position: Position) -> InputError:
-        if all(action.kind is ActionKind.PLAN for action in self.actions.values()):
-            return InputError(
-                f"there is no domain that would have an action {name!r}; expected 'actions', or 'domain' and a file", position
-            )
-        return unknown("action", name, self.actions.keys() | RESERVED - {"then", "else"}, position)
-
     def _call(self, name: str, entry: Mapped, place: StepPlacement) -> CallStep:
         if name not in self.actions:
-            raise self._unknown_action(name, entry.nodes[name][0])
+            where = entry.nodes[name][0]
+            if any(action.kind is not ActionKind.PLAN for action in self.actions.values()):
+                raise unknown("action", name, self.actions.keys() | RESERVED - {"then", "else"}, where)
+            raise InputError(f"there is no domain that would have an action {name!r}; expected 'actions', or 'domain' and a file", where)
         action = self.actions[name]
         argument = entry.needed(name)
         arguments = Mapped(entry.file, entry.start, {}) if argument.is_null else argument.mapped()
@@ -214,15 +217,3 @@ def _wait(node: Node) -> Wait:
         raise InputError("expected either 'start' or 'end' and the id of a step", entry.start)
     ((moment, name),) = named
     return Wait(name, entry.position(moment.value), moment, entry.number("delay", 0.0))
-
-
-def _check_ids(steps: tuple[WrittenStep, ...]) -> None:
-    known: set[str] = set()
-    for step in steps:
-        if step.place.id is not None and step.place.id in known:
-            raise InputError(f"the id {step.place.id!r} is there twice", step.place.position)
-        known |= {step.place.id} if step.place.id is not None else set()
-    for step in steps:
-        for wait in (*(step.place.after or ()), *step.place.end_after):
-            if wait.id not in known:
-                raise unknown("step with the id", wait.id, known, wait.position)

@@ -7,7 +7,7 @@ several others there is a junction, so that orderings do not multiply.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
 from typing import Final, NamedTuple, assert_never
@@ -90,27 +90,28 @@ class PlanGraphBuilder:
         Raises:
             InputError: it would be too large, or contradicts itself.
         """
-        flow = _numbered(self._flow(plan, _Region({}, 0, ())))
+        flow = self._flow(plan, _Region({}, 0, ()))
+        steps = list(every_step(flow.steps))
+        calls = [step.index for step in steps if isinstance(step, ActionCall)]
+        others = [step.index for step in steps if not isinstance(step, ActionCall)]
+        flow = _renumbered(flow, {old: new for new, old in enumerate((*calls, *others))})  # calls in the order in which they stand
         return PlanGraph(flow.steps, flow.orderings, goal, rules, capacities=dict(capacities or {}))
 
     def _flow(self, steps: SequenceStep, region: _Region) -> Flow:
+        """Return the flow of steps; a call whose start others wait for, or whose end waits itself, can only be tried again or fail."""
         self._sequence(steps, region)
-        return replace(region.flow, steps=tuple(self._without_usual(region)))
-
-    def _without_usual(self, region: _Region) -> Iterator[Step]:
-        """Yield the steps; a call whose start others wait for, or whose end waits itself, can only be tried again or fail."""
         special = {ordering.before.call for ordering in region.orderings if ordering.before.moment is Moment.START}
         special |= {ordering.after.call for ordering in region.orderings if ordering.after.moment is Moment.END}
+        placed: list[Step] = []
         for step in region.steps:
             if step.index in special and isinstance(step, ActionCall) and step.recoveries:
                 if step.index in self._recovering:
-                    raise InputError(
-                        "a step with recoveries cannot have others wait for its start, nor its end wait for others",
-                        self._positions[step.index],
-                    )
-                yield replace(step, recoveries=())
+                    message = "a step with recoveries cannot have others wait for its start, nor its end wait for others"
+                    raise InputError(message, self._positions[step.index])
+                placed.append(replace(step, recoveries=()))
             else:
-                yield step
+                placed.append(step)
+        return replace(region.flow, steps=tuple(placed))
 
     # --- blocks ---
 
@@ -249,11 +250,7 @@ class _After:
 
 
 def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[_After, ...]]:
-    """Return for every step of a list what it waits for.
-
-    Raises:
-        InputError: steps wait for each other, or for the start of what is no call.
-    """
+    """Return for every step of a list what it waits for."""
     numbers = {step.place.id: number for number, step in enumerate(steps) if step.place.id is not None}
     found: list[tuple[_After, ...]] = []
     for number, step in enumerate(steps):
@@ -288,14 +285,6 @@ def _check_cycles(steps: tuple[WrittenStep, ...], waits: list[tuple[_After, ...]
 
 
 # --- numbers -------------------------------------------------------------------------------
-
-
-def _numbered(flow: Flow) -> Flow:
-    """Number the calls in the order in which they stand, then all other steps."""
-    found = list(every_step(flow.steps))
-    calls = [step.index for step in found if isinstance(step, ActionCall)]
-    others = [step.index for step in found if not isinstance(step, ActionCall)]
-    return _renumbered(flow, {old: new for new, old in enumerate((*calls, *others))})
 
 
 def _renumbered(flow: Flow, numbers: Mapping[int, int]) -> Flow:

@@ -36,7 +36,7 @@ class Ros2Backend:
     The mutable state is what `open` and `share` make.
 
     Raises:
-        InputError: something is sensed of which the bindings say that it is assumed.
+        InputError: a fluent has a sensor and is among the assumed ones of the bindings.
     """
 
     def __init__(self, bindings: Bindings, sensing: Sensing = NO_SENSING, ros: RosThread | None = None) -> None:

@@ -110,7 +110,7 @@ class Preemption(TaskListener):
                 self.update(other)
 
     def update(self, task: Task) -> None:
-        """Pause a task if it is preempted, and resume it if it is not, and nobody has paused it either."""
+        """Pause a task if it is preempted; resume it if it is not, and no operator has paused it."""
         control = task.control
         if task.is_held or task.id not in self._tasks or control.state is TaskState.CANCELLING:
             return

@@ -239,7 +239,12 @@ class TaskManager:
             self._end(task, TaskEnding(Code.QUEUE_FULL, f"{waiting} tasks are waiting already"))
             return
         try:
-            task.start = self._plan_start(task) if task.wanted.is_plan else self._goal_start(task)
+            if task.wanted.is_plan:
+                task.start = self._plan_start(task)
+            else:
+                goal = self._read_goal(task.wanted.text)
+                task.goal = str(goal)
+                task.start = lambda: GoalLoop(self._context(task, goal)).pursue()
         except InputError as error:
             task.error = error
             self._end(task, TaskEnding(Code.INVALID_GOAL, str(error)))
@@ -252,22 +257,8 @@ class TaskManager:
         task.entered(TaskState.QUEUED, "")
         self._admit()
 
-    def _goal_start(self, task: Task) -> StartTask:
-        """Return what pursues the goal of a task.
-
-        Raises:
-            InputError: it is no goal.
-        """
-        goal = self._read_goal(task.wanted.text)
-        task.goal = str(goal)
-        return lambda: GoalLoop(self._context(task, goal)).pursue()
-
     def _plan_start(self, task: Task) -> StartTask:
-        """Return what carries out the plan of a task: one that is loaded, or a text of calls.
-
-        Raises:
-            InputError: it is neither.
-        """
+        """Return what carries out the plan of a task: one that is loaded, or a text of calls."""
         programs = self._performer.programs if self._performer else {}
         if self._performer and (task.wanted.text in programs or (programs and "(" not in task.wanted.text)):
             return PlanTask(self._performer, self._context(task, TRUE)).carry_out
@@ -300,7 +291,6 @@ class TaskManager:
         return sum(one.control.has_begun for one in self._tasks.values()) >= self._limits.active
 
     def _admit(self) -> None:
-        """Begin with the tasks that wait, as far as the limits allow."""
         for task in sorted(self._tasks.values(), key=lambda one: one.rank):
             if task.start and not task.control.has_begun and not task.is_held and not self._is_full:
                 task.control.begin(TaskState.RUNNING if task.wanted.is_plan else TaskState.PLANNING)

@@ -30,7 +30,7 @@ from pnm.core.logic.computed_values import (
 )
 from pnm.core.logic.conditions import ground
 from pnm.core.logic.effects import Changes, ground_effects, is_fixed, undo, values_before
-from pnm.core.logic.expressions import Environment, bind
+from pnm.core.logic.expressions import bind
 from pnm.core.logic.operators import CHANGING, Uncomputable
 from pnm.core.machine.bindings import Binding, Bindings, goal_data, open_parameters, placeholders
 from pnm.core.machine.machine import TransitionAction
@@ -106,7 +106,18 @@ class Calls:
         """Return the action with what knowledge now has for the parameters that the plan leaves open."""
         action = self._plan.calls[call].action
         env = context.environment()
-        return _grounded(action, env) if env else action
+        if not env:
+            return action
+        return replace(
+            action,
+            arguments=bind(action.arguments, env),
+            precondition=ground(action.precondition, env),
+            invariant=ground(action.invariant, env),
+            end_condition=ground(action.end_condition, env),
+            expected=ground(action.expected, env),
+            start_effects=ground_effects(action.start_effects, env),
+            end_effects=ground_effects(action.end_effects, env),
+        )
 
     def goal(self, call: int, context: EvaluationContext) -> tuple[dict[str, object], tuple[str, ...]]:
         """Return the fields of the goal, and the names of those for which there is no value."""
@@ -191,7 +202,7 @@ class Calls:
             self._begun[call] = taken.begun
 
     def under_way(self, results: Sequence[CallResult]) -> tuple[UnderWay, ...]:
-        """Return the requests that another run may take over; results are what is told of the calls so far."""
+        """Return the requests that another run may take over; `results` are the interim results of the calls."""
         return tuple(
             UnderWay(
                 self.as_sent(call),
@@ -230,7 +241,6 @@ class Calls:
         return Performed((Send(Request(identity, action, self.goal(call, context)[0], attempt)),))
 
     def _next(self, call: int) -> UUID:
-        """Return the identity of the next request of the call."""
         return self.identity(f"{call}/{self._sent.get(call, 0) + 1}")
 
     def identity(self, what: str) -> UUID:
@@ -301,16 +311,3 @@ def _unknown_values(operation: KnowledgeOperation, context: EvaluationContext) -
                 return ()
     except Uncomputable:
         return ()  # the operation itself will say so
-
-
-def _grounded(action: GroundAction, env: Environment) -> GroundAction:
-    return replace(
-        action,
-        arguments=bind(action.arguments, env),
-        precondition=ground(action.precondition, env),
-        invariant=ground(action.invariant, env),
-        end_condition=ground(action.end_condition, env),
-        expected=ground(action.expected, env),
-        start_effects=ground_effects(action.start_effects, env),
-        end_effects=ground_effects(action.end_effects, env),
-    )

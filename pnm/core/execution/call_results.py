@@ -76,7 +76,7 @@ class RunResult:
     calls: tuple[CallResult, ...]
     failures: tuple[Failure, ...]
     stopped: bool = False
-    """It was told to stop."""
+    """The run was stopped."""
 
 
 class Explanation(NamedTuple):
@@ -108,7 +108,7 @@ class CallResults:
     def calls(self, handed: Collection[int] = ()) -> tuple[CallResult, ...]:
         """Return what became of the calls, every time they were reached.
 
-        A plan of calls alone keeps its order; of any other plan calls are told in the order in which they were sent, and of those
+        A plan of calls alone keeps its order; of any other plan calls come in the order in which they were sent, and of those
         that were never reached the outermost ones.
 
         Args:
@@ -119,7 +119,8 @@ class CallResults:
             return tuple(results)
         reached = [one for one in (*self.rounds, *results) if one.kind is not CallOutcome.WAITING]
         others = [one for one in results if one.kind is CallOutcome.WAITING and one.call.index in self._outermost]
-        return (*sorted(reached, key=lambda one: (_first(one), one.call.index)), *others)
+        reached.sort(key=lambda one: (next((time for time in (one.started, one.ended) if time is not None), 0.0), one.call.index))
+        return (*reached, *others)
 
     def answered(self, call: int, outcome: Outcome) -> None:
         """Keep the message of a request of the call that has ended."""
@@ -194,7 +195,3 @@ class CallResults:
         if isinstance(call, ActionCall):
             self.current[step] = replace(self.current[step], kind=CallOutcome.FAILED, cause=failure.cause, ended=now)
         return failure
-
-
-def _first(result: CallResult) -> float:
-    return next((time for time in (result.started, result.ended) if time is not None), 0.0)

@@ -6,12 +6,12 @@ fluent is sensed and has the value; effects on assumed fluents cannot be checked
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import statement_text
-from pnm.core.logic.conditions import TRUE, Condition, conjuncts, names
+from pnm.core.logic.conditions import TRUE, conjuncts, names
 from pnm.core.logic.effects import Changes, Effects, changes, decided, facts, is_fixed, names_written
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.explain import failing
@@ -76,15 +76,10 @@ def finished(action: GroundAction, intended: Intention, knowledge: EvaluationCon
 def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: EvaluationContext) -> tuple[str, ...]:
     """Return, as PDDL, which expected facts are not reported and which end conditions and expectations do not hold."""
     missing = (statement_text(fluent, value) for fluent, value in wanted.items() if not same_value(knowledge.world.value(fluent), value))
-    return (*missing, *map(str, _end_denied(action, knowledge)), *map(str, failing(action.expected, knowledge)))
-
-
-def _end_denied(action: GroundAction, knowledge: EvaluationContext) -> Iterator[Condition]:
-    """Yield the parts of the end condition that do not hold; those the end itself changes cannot be told any more."""
-    changed = names_written(action.end_effects)
-    for part in conjuncts(action.end_condition):
-        if not knowledge.world.rules.base(names(part)) & changed and evaluate(part, knowledge) is not True:
-            yield part
+    base, changed = knowledge.world.rules.base, names_written(action.end_effects)  # what the end itself changes cannot be checked any more
+    checked = (part for part in conjuncts(action.end_condition) if not base(names(part)) & changed)
+    denied = (part for part in checked if evaluate(part, knowledge) is not True)
+    return (*missing, *map(str, denied), *map(str, failing(action.expected, knowledge)))
 
 
 def lag_of_effects(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: EvaluationContext) -> float:

@@ -1,6 +1,6 @@
-"""Σ and its answer: what a run is told, and what it asks for.
+"""Σ and its answer: the events that a run handles, and the commands that it returns.
 
-A run is told *events* (reports about requests besides) and answers with *commands*. All times
+A run handles *events* (reports about requests besides) and returns *commands*. All times
 are seconds on the clock of its caller.
 
 Who listens to a run: one empty method per moment. Progress, traces and journals are observers.
@@ -49,7 +49,7 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class Pause:
-    """Start nothing more until told to resume; let what runs come to its end, or have it cancelled and begin anew later."""
+    """Start nothing more until `Resume`; let what runs come to its end, or have it cancelled and begin anew later."""
 
     at_once: bool = False
 

@@ -80,19 +80,20 @@ class Guards:
                 return _now_if(self._holds(condition, self.context(rule.call, place)))
             case ConditionFalse(condition):
                 context = self.context(rule.call, place)
-                return self._after_lag(transition, self._holds(condition, context), context.world.lag(names(condition)))
+                return self._after(self._false_since, transition, not self._holds(condition, context), context.world.lag(names(condition)))
             case AlreadyTrue(call):
                 context = self.context(call, place)
                 return _now_if(already_true(self._calls.ready(call, context), context))
             case DataMissing(call):
                 return _now_if(bool(self._calls.goal(call, self.context(call, place))[1]))
             case Withheld():
-                return self._after_wait(transition, bool(self.withheld(rule.guard, place)), rule.guard.seconds)
+                is_withheld = bool(self.withheld(rule.guard, place)) and not state.pause  # a pause stops this clock
+                return self._after(self._withheld_since, transition, is_withheld, rule.guard.seconds)
             case EffectsSeen(call):
                 return _now_if(not self.unseen(call, place))
             case EffectsMissing(call):
                 lag = self._calls.lag_of_effects(call, self.context(call, place))
-                return self._after_lag(transition, not self.unseen(call, place), lag)
+                return self._after(self._false_since, transition, bool(self.unseen(call, place)), lag)
             case Adopted(call):
                 return _now_if(call in state.adopted)
             case Accepts() | Ends():
@@ -105,17 +106,12 @@ class Guards:
             case _:
                 assert_never(rule.guard)
 
-    def _after_lag(self, transition: int, holds: bool, lag: float) -> float:
-        if holds:
-            self._false_since.pop(transition, None)
-            return NEVER
-        return self._false_since.setdefault(transition, self._state.now) + lag
-
-    def _after_wait(self, transition: int, is_withheld: bool, seconds: float) -> float:
-        if not is_withheld or self._state.pause:  # a pause stops this clock
-            self._withheld_since.pop(transition, None)
-            return NEVER
-        return self._withheld_since.setdefault(transition, self._state.now) + seconds
+    def _after(self, since: dict[int, float], transition: int, is_pending: bool, seconds: float) -> float:
+        """Return when the transition has been pending for so long; `NEVER`, and from the beginning next time, if it is not."""
+        if is_pending:
+            return since.setdefault(transition, self._state.now) + seconds
+        since.pop(transition, None)
+        return NEVER
 
     def forget(self, place: int) -> Iterator[UUID]:
         """Forget since when guards at the place have been waiting; yield its questions, whose answers are no longer needed."""

@@ -42,7 +42,7 @@ class Handover:
 
     run: UUID
     is_ending: bool
-    """It is over, or was told to stop."""
+    """The run is over, or was stopped."""
     settling: tuple[ActionCall, ...]
     """Calls that have succeeded, and whose effects are still to be looked for: no other run can do that."""
     open_calls: Mapping[UUID, ActionCall]

@@ -79,15 +79,11 @@ class EvaluationContext:
         if found is MISSING:
             found = self.answer(Question(name, Layer.GLOBAL, "null"))
         if found is MISSING and name in self.binding.ask:
-            found = self.answer(Question(name, Layer.PERSON, json.dumps(self._wording(name))))
+            words = self.binding.ask[name]
+            for parameter, value in zip(self.action.parameters, self.action.arguments, strict=True):
+                words = words.replace(f"{{{parameter}}}", value)
+            found = self.answer(Question(name, Layer.PERSON, json.dumps(words)))
         return found
-
-    def _wording(self, name: str) -> str:
-        """Return what a person is asked for a variable, with the arguments of the call for parameters in braces."""
-        words = self.binding.ask[name]
-        for parameter, value in zip(self.action.parameters, self.action.arguments, strict=True):
-            words = words.replace(f"{{{parameter}}}", value)
-        return words
 
     def parameter(self, name: str, /) -> object:
         """Return what the call gives a parameter of its action, named with ``?``; or `MISSING`."""

@@ -85,20 +85,29 @@ class Resources:
     def is_free(self, claim: Claim) -> bool:
         """Return whether the claim would be granted now."""
         taken = self._used.copy()
-        for other in self._ahead(claim):
-            taken.update(other.names)
+        stands = claim in self._line
+        for other in self._line:
+            if other == claim or (not stands and other.priority < claim.priority):
+                break
+            if other.request != claim.request:
+                taken.update(other.names)
         return self._fits(claim, taken)
 
     def take(self, claim: Claim) -> bool:
         """Grant the claim and return True, or keep it in line, once."""
         if claim.request in self._held:
             return True
-        if not self.is_free(claim):
-            self._queue(claim)
+        is_free = self.is_free(claim)
+        if not is_free and claim in self._line:
             return False
         self._line = [one for one in self._line if one.request != claim.request]
-        self._hold(claim)
-        return True
+        if is_free:
+            self._hold(claim)
+        else:
+            self._line.insert(sum(other.priority >= claim.priority for other in self._line), claim)
+            if self.outranked():
+                self._call()
+        return is_free
 
     def keep(self, claim: Claim) -> None:
         """Grant what a request already holds elsewhere, whatever is free; a claim granted before stays as it is."""
@@ -153,12 +162,12 @@ class Resources:
 
     def outranked(self) -> frozenset[UUID]:
         """Return the tasks that have what a claim of higher priority waits for."""
-        return frozenset(
-            one.task
-            for claim in self._line
-            for one in self._held.values()
-            if one.task != claim.task and one.priority < claim.priority and self._is_short(claim, one) and self.gives(one)
-        )
+        found: set[UUID] = set()
+        for claim in self._line:
+            short = {name for name in claim.names if self._used[name] >= self.capacity(name)}
+            lower = (one for one in self._held.values() if one.task != claim.task and one.priority < claim.priority)
+            found |= {one.task for one in lower if not short.isdisjoint(one.names) and self.gives(one)}
+        return frozenset(found)
 
     def gives(self, claim: Claim) -> bool:
         """Return False if the request of the claim was given up: what it holds may never be released."""
@@ -183,26 +192,6 @@ class Resources:
 
     def _fits(self, claim: Claim, taken: Mapping[str, int]) -> bool:
         return all(taken[name] < self.capacity(name) for name in claim.names)
-
-    def _is_short(self, claim: Claim, holder: Claim) -> bool:
-        return any(name in holder.names and self._used[name] >= self.capacity(name) for name in claim.names)
-
-    def _ahead(self, claim: Claim) -> Iterator[Claim]:
-        """Yield the claims that are served before this one, which may stand in line or not."""
-        stands = any(one == claim for one in self._line)
-        for other in self._line:
-            if other == claim or (not stands and other.priority < claim.priority):
-                return
-            if other.request != claim.request:
-                yield other
-
-    def _queue(self, claim: Claim) -> None:
-        if claim not in self._line:
-            self._line = [one for one in self._line if one.request != claim.request]
-            place = sum(other.priority >= claim.priority for other in self._line)
-            self._line.insert(place, claim)
-            if self.outranked():
-                self._call()
 
     def _hold(self, claim: Claim) -> None:
         self._held[claim.request] = claim

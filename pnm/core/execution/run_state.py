@@ -79,7 +79,6 @@ class MachineIndex:
         return [any(isinstance(self.rules[one].guard, _KNOWING) for one, _ in found) for found in self.machine.compiled.consumers]
 
     def _touching(self, arcs: list[list[tuple[int, int]]]) -> frozenset[int]:
-        """Return the transitions that are connected to resources."""
         if not self.resources:
             return frozenset()
         return frozenset(transition for transition, found in enumerate(arcs) if any(place in self.resources for place, _ in found))

@@ -50,12 +50,12 @@ class RunView:
 
     @property
     def ending(self) -> bool:
-        """Whether nothing more is started: a failure or restart place is marked, or the run was told to stop."""
+        """Whether nothing more is started: a failure or restart place is marked, or the run was stopped."""
         return self._state.ending
 
     @property
     def stopped(self) -> bool:
-        """Whether the run was told to stop."""
+        """Whether the run was stopped."""
         return self._state.stop is not None
 
     @property
@@ -65,7 +65,7 @@ class RunView:
 
     @property
     def paused(self) -> bool:
-        """Whether the run was told to pause, and nothing is under way any more."""
+        """Whether the run is paused: nothing starts, and nothing is under way any more."""
         return self._state.pause is not None and self._state.idle
 
     @property
@@ -92,7 +92,16 @@ class RunView:
         if not self.over:
             raise RunError(f"the run is not over: {self.marking}")
         goal = bool(self._engine.tokens[self._index.goal])
-        return RunResult(goal, self._reason(goal), self._results.calls(), tuple(self._results.failures), self.stopped)
+        if goal:
+            reason = "the goal holds"
+        elif self._state.stop:
+            reason = self._state.stop.reason
+        elif self._results.failures:
+            reason = str(self._results.failures[0])
+        else:
+            expected, seen = self._guards.explain(self.machine.plan.goal, None, None)
+            reason = f"every call is done but the goal does not hold: expected {expected}; observed {seen}"
+        return RunResult(goal, reason, self._results.calls(), tuple(self._results.failures), self.stopped)
 
     def under_way(self) -> tuple[UnderWay, ...]:
         """Return the requests that were accepted and are not being cancelled: a successor can take them over."""
@@ -113,16 +122,6 @@ class RunView:
         handed = {one.call.index for one in self.under_way()}
         calls, failures = self._results.calls(handed), tuple(self._results.failures)
         return RunResult(False, "another run goes on", calls, failures, self.stopped)
-
-    def _reason(self, goal: bool) -> str:
-        if goal:
-            return "the goal holds"
-        if self._state.stop:
-            return self._state.stop.reason
-        if self._results.failures:
-            return str(self._results.failures[0])
-        expected, seen = self._guards.explain(self.machine.plan.goal, None, None)
-        return f"every call is done but the goal does not hold: expected {expected}; observed {seen}"
 
     def __repr__(self) -> str:
         state = "over" if self.over else "ending" if self.ending else "going on"

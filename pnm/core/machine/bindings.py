@@ -109,7 +109,6 @@ def is_open(resource: str) -> bool:
 
 
 def _filled(pattern: str, action: GroundAction, what: str) -> str:
-    """Put the arguments of the action in the place of parameters in braces."""
     own = dict(zip(action.parameters, action.arguments, strict=True))
     for name in placeholders(pattern):
         if name not in own:

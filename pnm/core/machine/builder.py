@@ -90,7 +90,14 @@ class Builder:
             end: how the owner's taking of the last places is called.
             context: of the steps.
         """
-        self._connect(flow)
+        steps = {step.index: step for step in flow.steps}
+        for number, ordering in enumerate(flow.orderings):
+            before, after = ordering.before, ordering.after
+            name = f"{before.moment.value} {steps[before.call]} < {after.moment.value} {steps[after.call]} ({number})"
+            place = self.net.place(name)
+            self.orderings[place] = ordering
+            self.out_of.setdefault(before, []).append(place)
+            self.into.setdefault(after, []).append(place)
         first: list[str] = []
         last: list[str] = []
         for step in flow.steps:
@@ -107,14 +114,3 @@ class Builder:
         self.regions.append(region)
         self.waiting.extend((step, context) for step in flow.steps)
         return region
-
-    def _connect(self, flow: Flow) -> None:
-        """Make a place for every ordering."""
-        steps = {step.index: step for step in flow.steps}
-        for number, ordering in enumerate(flow.orderings):
-            before, after = ordering.before, ordering.after
-            name = f"{before.moment.value} {steps[before.call]} < {after.moment.value} {steps[after.call]} ({number})"
-            place = self.net.place(name)
-            self.orderings[place] = ordering
-            self.out_of.setdefault(before, []).append(place)
-            self.into.setdefault(after, []).append(place)

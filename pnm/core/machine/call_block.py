@@ -107,17 +107,14 @@ class CallBlock(Block[ActionCall]):
             was_alive, is_alive = (not self._alive.isdisjoint(places) for places in (taken, marked))
             if is_alive and not was_alive and not isinstance(rule.guard, Adopted):
                 name = title or rule.name
+                out = [self.name("done"), *(self._announced if name == "start" else []), self.name("failed")]
+                unserved = self._after(Cause.UNAVAILABLE, out) if name.endswith("start") else out  # as if the server were not there
+                marked_then = unserved if self._alive.isdisjoint(unserved) else out
                 withheld = check_rule(Cause.WITHHELD, Withheld(self.step.index, self.binding.accept, rule.action), self.step.index)
-                super().add(withheld, taken, self._if_withheld(name), title=f"{withheld.name} before {name}")
+                super().add(withheld, taken, marked_then, title=f"{withheld.name} before {name}")
             inputs = {**taken, **dict.fromkeys(self._resources, 1)} if is_alive and not was_alive else taken
             outputs = [*marked, *self._resources] if was_alive and not is_alive else marked
         super().add(rule, inputs, outputs, title=title)
-
-    def _if_withheld(self, what: str) -> list[str]:
-        """Return what is marked when this cannot be done for want of resources: as if the server were not there, if that is a way out."""
-        out = [self.name("done"), *(self._announced if what == "start" else []), self.name("failed")]
-        found = self._after(Cause.UNAVAILABLE, out) if what.endswith("start") else out
-        return found if self._alive.isdisjoint(found) else out
 
     def place(self, name: str) -> str:
         """Make a place of this block."""
@@ -129,7 +126,6 @@ class CallBlock(Block[ActionCall]):
 
     @cached_property
     def _announced(self) -> list[str]:
-        """Places that the start of the call marks."""
         return self.builder.out_of.get(PlanEvent(self.step.index, Moment.START), [])
 
     @cached_property

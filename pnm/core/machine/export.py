@@ -32,26 +32,23 @@ _DOTS = 5
 
 def to_dot(machine: PetriNetMachine) -> str:
     """Return the machine as a directed graph."""
-    return "\n".join(("digraph machine {", '  rankdir=LR; node [fontname="sans-serif", fontsize=10];', *_body(machine), "}", ""))
-
-
-def _body(machine: PetriNetMachine) -> Iterator[str]:
+    lines = ["digraph machine {", '  rankdir=LR; node [fontname="sans-serif", fontsize=10];']
     transitions: dict[int | None, list[str]] = {}
     for name, rule in machine.rules.items():
         transitions.setdefault(rule.call, []).append(name)
     for step in machine.plan.steps:
-        yield from _cluster(machine, step, transitions, "  ")
+        lines += _cluster(machine, step, transitions, "  ")
     inside = {place for places in machine.blocks.values() for place in places}
     inside |= {place for region in machine.regions if region.owner is not None for place in (*region.first, *region.last)}
-    yield from (f"  {_place(machine, place)}" for place in machine.net.places if place not in inside)
-    yield from (f"  {_transition(machine, name)}" for name in transitions[None])
+    lines += (f"  {_place(machine, place)}" for place in machine.net.places if place not in inside)
+    lines += (f"  {_transition(machine, name)}" for name in transitions[None])
     for arc in machine.net.arcs:
         weight = f" [label={arc.weight}]" if arc.weight > 1 else ""
-        yield f"  {_quote(arc.source)} -> {_quote(arc.target)}{weight};"
+        lines.append(f"  {_quote(arc.source)} -> {_quote(arc.target)}{weight};")
+    return "\n".join((*lines, "}", ""))
 
 
 def _cluster(machine: PetriNetMachine, step: Step, transitions: Mapping[int | None, list[str]], indent: str) -> Iterator[str]:
-    """Yield a frame around a step and all that it holds."""
     yield f'{indent}subgraph cluster_{step.index} {{ label={_quote(str(step))}; color=gray; fontname="sans-serif";'
     yield from (f"{indent}  {_place(machine, place, f'{step} ')}" for place in machine.blocks[step.index])
     yield from (f"{indent}  {_transition(machine, name)}" for name in transitions[step.index])

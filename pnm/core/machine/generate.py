@@ -37,7 +37,13 @@ def generate(
     start, end = builder.net.place("start"), builder.net.place("end")
     goal, failed = builder.net.place("goal"), builder.net.place("failed")
     builder.initial[start] = 1
-    _add_resources(builder, plan.capacities if capacities is None else capacities)
+    users = Counter(name for call in plan.calls for name in builder.bindings.resources(call.action))
+    shared = plan.capacities if capacities is None else capacities
+    for name, count in users.items():
+        place = builder.net.place(f"resource {name}")
+        builder.resource_places[place] = name
+        # calls may turn out to need different resources under an open name: the net must not be stricter than what runs share
+        builder.initial[place] = count if is_open(name) else shared.get(name, 1)
     whole = builder.region(plan.flow, None, "begin", "finish", Context(repeated=builder.starts_anew))
     builder.transition("begin", Rule("begin"), [start], whole.first)
     while builder.waiting:
@@ -55,16 +61,6 @@ def generate(
     builder.transition("goal_holds", Rule("goal_holds", ConditionTrue(plan.goal)), [end], [goal])
     builder.transition("goal_missing", Rule("goal_missing", ConditionFalse(plan.goal)), [end], [failed])
     return builder.machine(goal, failed, on_failure)
-
-
-def _add_resources(builder: Builder, capacities: Mapping[str, int]) -> None:
-    """Add a place for every resource, with a token for every call that may have it at the same time."""
-    users = Counter(name for call in builder.plan.calls for name in builder.bindings.resources(call.action))
-    for name, count in users.items():
-        place = builder.net.place(f"resource {name}")
-        builder.resource_places[place] = name
-        # calls may turn out to need different resources under an open name: the net must not be stricter than what runs share
-        builder.initial[place] = count if is_open(name) else capacities.get(name, 1)
 
 
 def _build(builder: Builder, step: Step, context: Context) -> None:

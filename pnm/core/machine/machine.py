@@ -34,22 +34,22 @@ class Always:
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """Open when nothing more is started: a failure place or a restart place is marked, or the run was told to stop."""
+    """Open when nothing more is started: a failure place or a restart place is marked, or the run was stopped."""
 
 
 @dataclass(frozen=True, slots=True)
 class Failing:
-    """Open when the run can no longer succeed: a failure place is marked, or it was told to stop."""
+    """Open when the run can no longer succeed: a failure place is marked, or it was stopped."""
 
 
 @dataclass(frozen=True, slots=True)
 class CancelAsked:
-    """Open when running calls shall be cancelled: the run was told so, or is ending under policy `CANCEL`."""
+    """Open when running calls shall be cancelled: it was stopped so, or is ending under policy `CANCEL`."""
 
 
 @dataclass(frozen=True, slots=True)
 class PauseAsked:
-    """Open when the run was told to pause at once: running calls shall be cancelled, to begin anew later."""
+    """Open when the run was paused at once: running calls shall be cancelled, to begin anew later."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ class DataMissing:
 
 @dataclass(frozen=True, slots=True)
 class Withheld:
-    """Open when the call has waited so many seconds for resources of requests that were given up and are not known to be over."""
+    """Open when the call has waited `seconds` for withheld resources, those of abandoned requests that may still go on."""
 
     call: int
     seconds: float
@@ -128,18 +128,18 @@ class Ends:
 
 @dataclass(frozen=True, slots=True)
 class After:
-    """Open when the token has been in the place for so many seconds."""
+    """Open when the token has been in the place for `seconds`."""
 
     seconds: float
 
 
 @dataclass(frozen=True, slots=True)
 class Due:
-    """Open when so many seconds have passed since the origin of the run, the moment it was planned from."""
+    """Open `seconds` after the origin of the run, the moment it was planned from."""
 
     seconds: float
     since: tuple[tuple[str, float], ...] = ()
-    """And for each of these places, so many seconds since it was marked."""
+    """And for each of these places, its seconds after the place was marked."""
 
 
 Guard: TypeAlias = (

@@ -31,13 +31,20 @@ class Recoveries:
     """Checks of the plan's own, before or after: their names, conditions, and what is marked when they hold."""
 
 
+_DIRECT: Final = {Then.CONTINUE: ("finished",), Then.SKIP: ("done",), Then.FAIL: ("done", "failed")}
+"""Places that are marked by recoveries which have nothing to do first."""
+
+
 def build_recoveries(block: Block[ActionCall]) -> Recoveries:
     """Add the plan's own recoveries to the block of a call."""
     places: dict[Cause, list[str]] = {}
     kept: set[Cause] = set()
     checks: list[tuple[Cause, str, Condition, list[str]]] = []
     for number, recovery in enumerate(block.step.recoveries):
-        entered = _direct(block, recovery) or _chained(block, recovery, number)
+        if recovery.chain == EMPTY and recovery.then in _DIRECT:
+            entered = [block.name(place) for place in _DIRECT[recovery.then]]
+        else:
+            entered = _chained(block, recovery, number)
         for cause in recovery.causes:
             if recovery.then is Then.CONTINUE and cause in _UNSENT | {Cause.AFTER, Cause.EFFECTS_MISSING}:
                 raise PlanGraphError(
@@ -49,21 +56,6 @@ def build_recoveries(block: Block[ActionCall]) -> Recoveries:
                 places[cause] = entered
                 kept |= {cause} if recovery.then is Then.CONTINUE else set()
     return Recoveries(places, frozenset(kept), tuple(checks))
-
-
-def _direct(block: Block[ActionCall], recovery: Recovery) -> list[str] | None:
-    """Return what is marked when there is nothing to do first."""
-    if recovery.chain != EMPTY:
-        return None
-    match recovery.then:
-        case Then.CONTINUE:
-            return [block.name("finished")]
-        case Then.SKIP:
-            return [block.name("done")]
-        case Then.FAIL:
-            return [block.name("done"), block.name("failed")]
-        case _:
-            return None
 
 
 def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> list[str]:

@@ -84,8 +84,15 @@ def read_quantified(found: Form, inner: str, scope: FormulaScope) -> tuple[tuple
 def _comparison(found: Form, operator: Node, left: Node, right: Node, scope: FormulaScope) -> Condition:
     """Compare numbers or objects as PDDL does if both sides are of its kinds, and any values else."""
     name = read_operator(operator)
-    if scope.strict:
-        return _typed_comparison(operator, name, left, right, scope)
+    if scope.strict:  # two numbers, or two objects for equality, as planners do
+        if name not in COMPARISONS:
+            raise operator.wrong(f"PDDL does not compare with {shown(operator)}; expected one of {', '.join(COMPARISONS.values())}")
+        one, other = read_expression(left, scope), read_expression(right, scope)
+        if scope.is_object(one) != scope.is_object(other):
+            raise right.wrong(f"a number and an object cannot be compared: {one}, {other}")
+        if scope.is_object(one) and name not in ("eq", "ne"):
+            raise operator.wrong(f"objects are equal or they are not; expected = or !=, found {shown(operator)}")
+        return _compared(name, one, other)
     first, second = _expression(left), _expression(right)
     if isinstance(first, ValueOf) or isinstance(second, ValueOf):
         _check_truth(left)
@@ -101,18 +108,6 @@ def _compared(name: str, left: Expression, right: Expression) -> Condition:
     return Not(Compare("=", left, right)) if name == "ne" else Compare(COMPARISONS[name], left, right)
 
 
-def _typed_comparison(operator: Node, name: str, left: Node, right: Node, scope: FormulaScope) -> Condition:
-    """Compare two numbers, or two objects for equality, as planners do."""
-    if name not in COMPARISONS:
-        raise operator.wrong(f"PDDL does not compare with {shown(operator)}; expected one of {', '.join(COMPARISONS.values())}")
-    first, second = read_expression(left, scope), read_expression(right, scope)
-    if scope.is_object(first) != scope.is_object(second):
-        raise right.wrong(f"a number and an object cannot be compared: {first}, {second}")
-    if scope.is_object(first) and name not in ("eq", "ne"):
-        raise operator.wrong(f"objects are equal or they are not; expected = or !=, found {shown(operator)}")
-    return _compared(name, first, second)
-
-
 def _check_truth(node: Node) -> None:
     """Refuse an ``on`` without quotes beside a function: an object is meant, and YAML takes it for a truth value."""
     written = node.written.lower()
@@ -124,16 +119,19 @@ def _comparable(name: str, sides: tuple[Expression, Expression]) -> bool:
     """Whether PDDL compares the two: numbers, or objects for equality. It does not count with parameters."""
     if any(_counts_with_names(side) for side in sides):
         return False
-    objects = any(isinstance(side, Constant) and isinstance(side.value, str) for side in sides)
-    numbers = any(not isinstance(side, ValueOf) and not (isinstance(side, Constant) and isinstance(side.value, str)) for side in sides)
+    objects = any(map(_is_name, sides))
+    numbers = any(not isinstance(side, ValueOf) and not _is_name(side) for side in sides)
     return not objects or (name in ("eq", "ne") and not numbers)
+
+
+def _is_name(expression: Expression) -> bool:
+    return isinstance(expression, Constant) and isinstance(expression.value, str)
 
 
 def _counts_with_names(expression: Expression) -> bool:
     match expression:
         case Arithmetic(_, operands):
-            names = [operand for operand in operands if isinstance(operand, Constant) and isinstance(operand.value, str)]
-            return bool(names) or any(map(_counts_with_names, operands))
+            return any(_is_name(operand) or _counts_with_names(operand) for operand in operands)
         case _:
             return False
 
@@ -174,7 +172,14 @@ def _expression(node: Node) -> Expression | None:
             return None
         return ValueOf(read_fluent(found.items(1)[0])) if found.word == "value" else _arithmetic(found)
     if node.text is not None:
-        return _named(node.text)
+        fluent = fluent_in(node.text)
+        if fluent is not None:
+            return ValueOf(fluent)
+        if node.text == DURATION[0]:
+            return ValueOf(DURATION)
+        if _NUMBER.match(node.text):  # YAML 1.1 takes 1e5 for a text
+            return Constant(float(node.text)) if abs(float(node.text)) <= sys.float_info.max else None
+        return Constant(node.text) if _NAME.match(node.text) else None
     value = None if node.items is not None else node.plain()
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
@@ -183,28 +188,13 @@ def _expression(node: Node) -> Expression | None:
     return Constant(float(value))
 
 
-def _named(text: str) -> Expression | None:
-    fluent = fluent_in(text)
-    if fluent is not None:
-        return ValueOf(fluent)
-    if text == DURATION[0]:
-        return ValueOf(DURATION)
-    if _NUMBER.match(text):  # YAML 1.1 takes 1e5 for a text
-        return Constant(float(text)) if abs(float(text)) <= sys.float_info.max else None
-    return Constant(text) if _NAME.match(text) else None
-
-
 def _arithmetic(found: Form) -> Expression | None:
     operator, operands = operation_parts(found)
     symbol = ARITHMETIC.get(read_operator(operator))
     parts = [_expression(operand) for operand in operands]
-    known = [part for part in parts if part is not None and not _is_name(part)]
+    known = [part for part in parts if part is not None and not (_is_name(part) and not is_variable(str(part)))]
     if symbol is None or len(known) < len(parts):
         return None
     if len(known) not in _OPERANDS.get(symbol, range(2, sys.maxsize)):
         raise found.argument.wrong(f"{symbol} does not take {len(known)} operands")
     return Arithmetic(symbol, tuple(known))
-
-
-def _is_name(expression: Expression) -> bool:
-    return isinstance(expression, Constant) and isinstance(expression.value, str) and not is_variable(expression.value)

@@ -26,18 +26,6 @@ def read_data(node: Node, scope: FormulaScope = ANYTHING) -> Data:
     if node.is_mapping:
         entries = node.mapped().entries()
         return _whole(tuple(read_data(value, scope) for _, _, value in entries), tuple(key for key, _, _ in entries))
-    return _scalar(node, scope)
-
-
-def _whole(items: tuple[Data, ...], keys: tuple[str, ...] | None) -> Data:
-    """Return a literal if all parts are."""
-    values = [item.value for item in items if isinstance(item, Literal)]
-    if len(values) < len(items):
-        return Compound(items, keys)
-    return Literal.of(values if keys is None else dict(zip(keys, values, strict=True)))
-
-
-def _scalar(node: Node, scope: FormulaScope) -> Data:
     text = node.text
     if text is None:
         return read_literal(node)
@@ -49,6 +37,14 @@ def _scalar(node: Node, scope: FormulaScope) -> Data:
         scope.check_fluent(fluent, node)
         return _truth(ValueOf(fluent)) if fluent[0] in scope.declared.domain.predicates else ValueOf(fluent)
     return Literal.of(text)
+
+
+def _whole(items: tuple[Data, ...], keys: tuple[str, ...] | None) -> Data:
+    """Return a literal if all parts are."""
+    values = [item.value for item in items if isinstance(item, Literal)]
+    if len(values) < len(items):
+        return Compound(items, keys)
+    return Literal.of(values if keys is None else dict(zip(keys, values, strict=True)))
 
 
 def read_literal(node: Node) -> Literal:
@@ -82,7 +78,11 @@ def read_form(found: Form, scope: FormulaScope) -> Data:
         case "operation":
             return _operation(found, scope)
         case "booleanAssertion":
-            return _assertion(found, scope)
+            inner, wanted = found.items(2)
+            value = wanted.plain()
+            if not isinstance(value, bool):
+                raise wanted.wrong("expected true or false")
+            return Operation("eq", _compared_values(read_data(inner, scope), Literal.of(value)))
         case "holds":
             return _truth(ValueOf(read_fluent(found.items(1)[0], scope)))
         case "value":
@@ -149,15 +149,6 @@ def _operation(found: Form, scope: FormulaScope, *, changing: bool = False) -> O
     return Operation(name, operands)
 
 
-def _assertion(found: Form, scope: FormulaScope) -> Operation:
-    """Read ``BooleanAssertion: [e, true]``: e is true; with false, that it is false."""
-    inner, wanted = found.items(2)
-    value = wanted.plain()
-    if not isinstance(value, bool):
-        raise wanted.wrong("expected true or false")
-    return Operation("eq", _compared_values(read_data(inner, scope), Literal.of(value)))
-
-
 def read_operation(node: Node, scope: FormulaScope = ANYTHING) -> KnowledgeOperation:
     """Read an operation on knowledge: an update, a query, or an operator that changes it."""
     found = needed_form(node, (*UPDATES, *QUERIES, "operation"), "an update, a query or an operation")
@@ -166,10 +157,6 @@ def read_operation(node: Node, scope: FormulaScope = ANYTHING) -> KnowledgeOpera
         return Update(_name(name, scope), read_data(value, scope), UPDATES[found.word], *(read_data(option, scope) for option in meta))
     if found.word in QUERIES:
         return _query(found, scope)
-    return _changing(found, scope)
-
-
-def _changing(found: Form, scope: FormulaScope) -> Operation:
     operation = _operation(found, scope, changing=True)
     sizes = {"setitem": 3, "delitem": 2}
     if operation.operator in sizes:

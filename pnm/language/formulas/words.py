@@ -82,16 +82,12 @@ def form(node: Node, words: Collection[str], *, in_value: bool = False) -> Form 
                 raise InputError(f"{key!r} stands beside other keys; expected it alone, or a list of such entries", position)
             return Form(word, position, argument, key)
     if in_value and len(entries) == 1:
-        _check_spelling(*entries[0][:2], words)
+        ((key, position, _),) = entries
+        near = get_close_matches(_word(key), sorted(_CAPITAL & frozenset(words)), 1, 0.8)
+        if near and key[:1].isupper() and key not in _FIELDS:
+            suggestion = f"did you mean {_spelled(near[0])!r}? A mapping that stands for itself is {{Literal: ...}}"
+            raise InputError(f"unknown word {key!r}; {suggestion}", position)
     return None
-
-
-def _check_spelling(key: str, position: Position, words: Collection[str]) -> None:
-    """Refuse what can hardly be meant as a mapping that stands for itself."""
-    near = get_close_matches(_word(key), sorted(_CAPITAL & frozenset(words)), 1, 0.8)
-    if near and key[:1].isupper() and key not in _FIELDS:
-        suggestion = f"did you mean {_spelled(near[0])!r}? A mapping that stands for itself is {{Literal: ...}}"
-        raise InputError(f"unknown word {key!r}; {suggestion}", position)
 
 
 def needed_form(node: Node, words: Collection[str], what: str) -> Form:

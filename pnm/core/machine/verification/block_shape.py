@@ -28,25 +28,16 @@ def shape_of(part: Part) -> object:
             arcs[place].append((number, -weight))
         for place, weight in step.outputs.items():
             arcs[place].append((number, weight))
-    special = frozenset(part.initial).union(*_sets(part), *part.supplies)
-    places = frozenset(
-        (tuple(found), _roles(part, place, number) if place in special else None) for number, (place, found) in enumerate(arcs.items())
-    )
-    return guards, places, bool(part.finals), part.cancels, part.others_restart, part.repeats
-
-
-def _roles(part: Part, place: str, number: int) -> object:
-    return (
-        part.initial.get(place, 0),
-        tuple(place in supply for supply in part.supplies),
-        tuple(place in role for role in _sets(part)),
-        number if place in part.records | part.finals else None,
-    )
-
-
-def _sets(part: Part) -> tuple[frozenset[str], ...]:
-    """Return the sets of places that have a role."""
-    return part.records, part.counters, part.failures, part.outputs, part.finals, part.early, part.restarts, part.resources
+    sets = part.records, part.counters, part.failures, part.outputs, part.finals, part.early, part.restarts, part.resources
+    special = frozenset(part.initial).union(*sets, *part.supplies)
+    places: set[object] = set()
+    for number, (place, connected) in enumerate(arcs.items()):
+        roles: object = None
+        if place in special:
+            memberships = tuple(place in members for members in (*part.supplies, *sets))
+            roles = part.initial.get(place, 0), memberships, number if place in part.records | part.finals else None
+        places.add((tuple(connected), roles))
+    return guards, len(part.supplies), frozenset(places), bool(part.finals), part.cancels, part.others_restart, part.repeats
 
 
 def _kind(guard: Guard | Inside, conditions: list[Condition]) -> object:

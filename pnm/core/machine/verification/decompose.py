@@ -56,7 +56,14 @@ class Anatomy:
         self.first: dict[str, Region] = {}
         self.last: dict[str, Region] = {}
         for region in machine.regions:
-            self._add(region)
+            for step in region.steps:
+                if step in self.region_of:
+                    raise Unsound(f"step {step} stands in two regions")
+                self.region_of[step] = region
+            if region.steps:
+                self.regions.setdefault(region.owner, []).append(region)
+                self.first |= dict.fromkeys(region.first, region)
+                self.last |= dict.fromkeys(region.last, region)
         self._check_nesting()
         self.between = frozenset(filter(self._is_between, machine.net.places))
         """Places that connect blocks, or should."""
@@ -66,7 +73,6 @@ class Anatomy:
             self._check_entry(region)
 
     def _owners(self, weights: Mapping[str, Weights]) -> dict[str, set[Owner]]:
-        """Return, for every place, the blocks whose transitions write it, or read it."""
         found: dict[str, set[Owner]] = {place: set() for place in self.machine.net.places}
         for transition, connected in weights.items():
             owner = self.machine.rules[transition].call
@@ -80,16 +86,6 @@ class Anatomy:
         readers = self.readers[place]
         between = len(readers) != 1 or readers != self.writers[place]
         return between or place in self.machine.orderings or place in self.first or place in self.last
-
-    def _add(self, region: Region) -> None:
-        for step in region.steps:
-            if step in self.region_of:
-                raise Unsound(f"step {step} stands in two regions")
-            self.region_of[step] = region
-        if region.steps:
-            self.regions.setdefault(region.owner, []).append(region)
-            self.first |= dict.fromkeys(region.first, region)
-            self.last |= dict.fromkeys(region.last, region)
 
     # --- checks -------------------------------------------------------------------------------
 
@@ -129,7 +125,6 @@ class Anatomy:
             raise Unsound(f"{place} connects steps that do not stand beside each other")
 
     def _check_entry(self, region: Region) -> None:
-        """Check that the owner enters all of the region at once, and leaves it so."""
         for name in self.transitions[region.owner]:
             marked = self.machine.net.outputs[name].keys() & set(region.first)
             taken = self.machine.net.inputs[name].keys() & set(region.last)
@@ -148,10 +143,12 @@ class Anatomy:
         steps = (*(one for one in own if left_out.isdisjoint(one.inputs)), *self._inside(regions)) if owner is None or regions else (*own,)
         places = dict.fromkeys(chain.from_iterable(connected for step in steps for connected in (step.inputs, step.outputs)))
         held = {place for region in regions for place in (*region.first, *region.last)}
-        finals = frozenset((machine.goal_place, machine.failed_place)) if owner is None else frozenset[str]()
+        ends = frozenset((machine.goal_place, machine.failed_place))
+        finals = ends if owner is None else frozenset[str]()
         between = [one for one in places if one in self.between and one not in held and one not in machine.restart_places]
         inputs = [one for one in between if owner in self.readers[one] and self.writers[one] - {owner}]
-        outputs = [one for one in between if self._is_output(one, owner) and one not in finals]
+        written = [one for one in between if owner in self.writers[one] and one not in finals]
+        outputs = [one for one in written if one in ends or self.readers[one] - {owner}]
         given = frozenset(chain.from_iterable(step.outputs for step in steps))
         first = tuple(one for one in inputs if one not in given)
         rest = tuple(one for one in inputs if one in given)
@@ -180,10 +177,6 @@ class Anatomy:
             resources=resources,
         )
         return Block(owner, part, first, rest, early)
-
-    def _is_output(self, place: str, owner: Owner) -> bool:
-        final = place in (self.machine.goal_place, self.machine.failed_place)
-        return owner in self.writers[place] and (final or bool(self.readers[place] - {owner}))
 
     @cached_property
     def _restarts(self) -> tuple[str, ...]:

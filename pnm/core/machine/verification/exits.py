@@ -16,8 +16,16 @@ def missing_exit(guards: Collection[Guard]) -> str:
     outcomes = [guard.kinds for guard in guards if isinstance(guard, Ends)]
     if outcomes and (others := _ANY.difference(*outcomes)):
         return f"has no exit for {set(others)}"
-    if any(is_timed(guard) or _completes(guard, guards) for guard in guards):
-        return ""
+    for guard in guards:
+        match guard:
+            case ConditionFalse(condition) if ConditionTrue(condition) in guards:
+                return ""
+            case EffectsMissing(call) if EffectsSeen(call) in guards:
+                return ""
+            case _ if is_timed(guard):
+                return ""
+            case _:
+                pass
     for guard in guards:
         match guard:
             case ConditionTrue(condition):
@@ -38,16 +46,5 @@ def is_timed(guard: object) -> bool:
             return isfinite(seconds)
         case Due(seconds, since):
             return all(map(isfinite, (seconds, *(delay for _, delay in since))))
-        case _:
-            return False
-
-
-def _completes(guard: Guard, guards: Collection[Guard]) -> bool:
-    """Return whether the guard opens, in finite time, whenever another one does not."""
-    match guard:
-        case ConditionFalse(condition):
-            return ConditionTrue(condition) in guards
-        case EffectsMissing(call):
-            return EffectsSeen(call) in guards
         case _:
             return False

@@ -61,7 +61,7 @@ class Part:
     outputs: frozenset[str] = frozenset()
     """Places that are marked in the end, each once: others take from them."""
     finals: frozenset[str] = frozenset()
-    """Places of which exactly one is marked in the end, if there are any."""
+    """Final places: exactly one is marked in the end, if there are any."""
     early: frozenset[str] = frozenset()
     """Places that must be marked once nothing more can happen without the last supply."""
     restarts: frozenset[str] = frozenset()
@@ -78,7 +78,7 @@ class Part:
 class _State:
     tokens: Tokens
     stop: int = 0
-    """0: going on, 1: another part asks for the plan to begin anew, 2: told to end, 3: told to cancel."""
+    """0: going on, 1: another part asks for the plan to begin anew, 2: a stop, 3: a stop that cancels."""
     supplied: int = 0
     """How many of the supplies have come."""
 
@@ -111,35 +111,31 @@ class _Explorer:
     def successors(self, state: _State) -> Iterator[tuple[str, _State]]:
         """Yield everything that can happen next."""
         for step in self._possible(state):
-            yield step.name, _State(self._fired(state.tokens, step), state.stop, state.supplied)
+            tokens = list(state.tokens)
+            for place, weight in step.inputs.items():
+                tokens[self.index[place]] -= weight
+            for place, weight in step.outputs.items():
+                tokens[self.index[place]] += weight
+            yield step.name, _State(tuple(tokens), state.stop, state.supplied)
         if state.supplied < len(self.part.supplies):
             tokens = list(state.tokens)
             for place in self.part.supplies[state.supplied]:
                 tokens[self.index[place]] += 1
             yield _SUPPLY, _State(tuple(tokens), state.stop, state.supplied + 1)
-        elif self.part.repeats and self._is_left(state):
-            kept = tuple(
-                tokens if place in self.counters and place not in self.restarts else 0 for place, tokens in enumerate(state.tokens)
-            )
-            yield _AGAIN, _State(self._with_resources(kept), 0 if state.stop == 1 else state.stop)
+        elif self.part.repeats and not self._possible(state):
+            tokens = [
+                (0 if number in self.restarts else state.tokens[number]) if number in self.counters else self.part.initial.get(place, 0)
+                for place, number in self.index.items()
+            ]
+            yield _AGAIN, _State(tuple(tokens), 0 if state.stop == 1 else state.stop)
         for stop in self.stops:
             if stop > state.stop:
                 yield _STOPS[stop], _State(state.tokens, stop, state.supplied)
 
     def _moods(self, state: _State) -> tuple[bool, bool, bool]:
-        """Return whether the run is failing, ending, and cancelling what runs."""
         failing = state.stop > 1 or any(state.tokens[place] for place in self.failures)
         ending = failing or state.stop > 0 or any(state.tokens[place] for place in self.restarts)
         return failing, ending, state.stop == 3 or (ending and self.part.cancels)
-
-    def _is_left(self, state: _State) -> bool:
-        return not self._possible(state)
-
-    def _with_resources(self, tokens: Tokens) -> Tokens:
-        own = self.part.initial
-        return tuple(
-            own.get(place, 0) if place in own and number not in self.counters else tokens[number] for place, number in self.index.items()
-        )
 
     def _possible(self, state: _State) -> list[Step]:
         """Return the enabled steps whose guards may be open, as `pnm.core.execution.run` asks them: in order, at each marked place."""
@@ -214,17 +210,6 @@ class _Explorer:
         lacking = {place for place, weight in own if state.tokens[place] < weight}
         return bool(lacking) and lacking <= self.resources.keys()
 
-    def _fired(self, tokens: Tokens, step: Step) -> Tokens:
-        after = list(tokens)
-        for place, weight in step.inputs.items():
-            after[self.index[place]] -= weight
-        for place, weight in step.outputs.items():
-            after[self.index[place]] += weight
-        return tuple(after)
-
-    def _keeps(self, state: _State) -> bool:
-        return any(state.tokens[place] < tokens for place, tokens in self.resources.items())
-
     def check(self, state: _State, stuck: bool) -> str:
         """Return what is wrong with a state; empty when nothing is."""
         for number, tokens in enumerate(state.tokens):
@@ -233,7 +218,8 @@ class _Explorer:
         for number in self.asking:
             if state.tokens[number] and (wrong := self._unanswered(number, state)):
                 return f"{self.part.places[number]} {wrong}"
-        if self._keeps(state) and (stuck or any(isinstance(step.guard, Inside) for step in self._possible(state))):
+        keeps = any(state.tokens[place] < tokens for place, tokens in self.resources.items())
+        if keeps and (stuck or any(isinstance(step.guard, Inside) for step in self._possible(state))):
             return "it waits for others while it keeps resources that they may need"
         if self.resources and self._starves(state):
             return "it waits for resources that nobody gives back"
