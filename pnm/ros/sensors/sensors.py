@@ -99,6 +99,7 @@ class Sensors:
         settled = asyncio.ensure_future(self._ros.settled())
         try:
             await asyncio.wait((all_heard, settled), return_when=asyncio.FIRST_COMPLETED)
+            await self._ros.ask(self._look)  # the timer's last look may be older than the publishers that are there
             sensors: list[TopicSensor | ServiceSensor] = [*self._topics, *self._polls]
             if [sensor for sensor in sensors if not sensor.recorder.heard.is_set() and await sensor.is_there()]:
                 await asyncio.wait((all_heard,), timeout=FIRST)
