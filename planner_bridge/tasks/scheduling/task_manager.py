@@ -35,7 +35,7 @@ from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.net.net import Marking
 from pnm.errors import InputError
 from pnm.knowledge.sources.source import Asker, Source
-from pnm.language.runner import Performer
+from pnm.language.runner import PlanRunner
 from pnm.tasks import Code, OnConflict, TaskEnding, TaskListener, TaskRefused, TaskState, TaskStatus, TaskStep, Wanted
 
 _REMEMBERED: Final = 20
@@ -72,7 +72,7 @@ class TaskManager:
         read_goal: reads a goal; raises InputError.
         source: answers what runs do not know.
         limits: how many tasks there may be.
-        performer: carries out the plans that are loaded; all tasks share its resources.
+        runner: carries out the plans that are loaded; all tasks share its resources.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class TaskManager:
         *,
         source: Source | None = None,
         limits: TaskLimits | None = None,
-        performer: Performer | None = None,
+        runner: PlanRunner | None = None,
     ) -> None:
         self._problem = problem
         self._knowledge = knowledge
@@ -94,9 +94,9 @@ class TaskManager:
         self._read_goal = read_goal
         self._source = source
         self._limits = limits or TaskLimits()
-        self._performer = performer
-        self._resources = performer.resources if performer else Resources()
-        self._prefix = performer.prefix if performer else os.urandom(4)
+        self._runner = runner
+        self._resources = runner.resources if runner else Resources()
+        self._prefix = runner.prefix if runner else os.urandom(4)
         self._loop = asyncio.get_running_loop()
         self._began = self._loop.time()
         # state
@@ -259,9 +259,9 @@ class TaskManager:
 
     def _plan_start(self, task: Task) -> StartTask:
         """Return what carries out the plan of a task: one that is loaded, or a text of calls."""
-        programs = self._performer.programs if self._performer else {}
-        if self._performer and (task.wanted.text in programs or (programs and "(" not in task.wanted.text)):
-            return PlanTask(self._performer, self._context(task, TRUE)).carry_out
+        programs = self._runner.programs if self._runner else {}
+        if self._runner and (task.wanted.text in programs or (programs and "(" not in task.wanted.text)):
+            return PlanTask(self._runner, self._context(task, TRUE)).carry_out
         if not self._problem.domain.actions:
             raise InputError("a plan that is sent as a text needs a domain with actions, and none is loaded")
         if task.wanted.parameters:
