@@ -270,7 +270,7 @@ class GoalLoop:
         self._monitor.limit.allow(limits.allowed(plan.makespan if plan.temporal else 0.0))
         self._context.observer.planned(plan)
         with self._context.task.stopwatch.of("translate"):
-            return plan_graph(self._monitor.now(), plan, [one.call for one in execution.run.under_way()] if execution else [])
+            return plan_graph(self._monitor.now(), plan, [running.call for running in execution.run.under_way()] if execution else [])
 
     # --- the end --------------------------------------------------------------------------------
 

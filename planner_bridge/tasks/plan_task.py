@@ -111,7 +111,7 @@ class PlanTask:
         context.observer.resigned(result.reason)
         asking = (failure.call for failure in result.failures if failure.replan)  # for another plan: they are given up
         given_up = {ForbiddenCall.of(call.action): context.settings.limits.forbid_after for call in asking if isinstance(call, ActionCall)}
-        unconfirmed = (one.call.action for one in result.calls if one.kind is CallOutcome.UNCONFIRMED)
+        unconfirmed = (call_result.call.action for call_result in result.calls if call_result.kind is CallOutcome.UNCONFIRMED)
         history = History(given_up, frozenset(map(ForbiddenCall.of, unconfirmed)))
         try:
             problem = await self._problem()

@@ -132,18 +132,18 @@ class PlanRun:
     @property
     def running(self) -> tuple[str, ...]:
         """The calls that are under way, those in a plan that this one calls behind the name of the call."""
-        found: list[str] = []
+        names: list[str] = []
         for request, call in self.executor.run.open_calls.items():
             called = self.client.plan_run(request)
-            found += [f"{call.action}: {inner}" for inner in called.running] if called and called.running else [str(call.action)]
-        return tuple(found)
+            names += [f"{call.action}: {inner}" for inner in called.running] if called and called.running else [str(call.action)]
+        return tuple(names)
 
     @property
     def awaits_answers(self) -> bool:
         """Whether nothing goes on before a person has answered, neither here nor in plans that this one calls."""
         run = self.executor.run
         called = [self.client.plan_run(request) for request in run.open_requests]
-        return run.awaits_answers or (bool(called) and all(one is not None and one.awaits_answers for one in called))
+        return run.awaits_answers or (bool(called) and all(plan_run is not None and plan_run.awaits_answers for plan_run in called))
 
     @property
     def variables(self) -> dict[str, object]:
@@ -153,8 +153,8 @@ class PlanRun:
     @property
     def results(self) -> dict[str, object]:
         """The result variables of the plan; those without a value are left out."""
-        found = {name: self.executor.run.knowledge.local.variable(name) for name in self.program.plan.results}
-        return {name: value for name, value in found.items() if value is not MISSING}
+        known = {name: self.executor.run.knowledge.local.variable(name) for name in self.program.plan.results}
+        return {name: value for name, value in known.items() if value is not MISSING}
 
 
 @dataclass

@@ -41,27 +41,27 @@ class Preemption(TaskListener):
         others = self._others(task)
         if not others:
             return ()
-        found, needed = list[Conflict](), footprint()
+        conflicts, needed = list[Conflict](), footprint()
         for other in others:
             its = other.control.footprint
             if its is not None and (why := interference(needed, its)):
-                found.append(Conflict(other.id, other.name, its, why, other.wanted.priority < task.wanted.priority))
-        return tuple(found)
+                conflicts.append(Conflict(other.id, other.name, its, why, other.wanted.priority < task.wanted.priority))
+        return tuple(conflicts)
 
     def new_conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
         """Return the conflicts in which neither task has been preempted for the other yet."""
         settled = task.preempted_by | {other.id for other in self._others(task) if task.id in other.preempted_by}
-        return tuple(one for one in self.conflicts(task, footprint) if one.task not in settled)
+        return tuple(conflict for conflict in self.conflicts(task, footprint) if conflict.task not in settled)
 
     def running_calls(self, task: Task) -> tuple[RunningCalls, ...]:
         """Return the calls of other tasks that have begun and not ended; tasks that are being paused or cancelled are among them."""
-        found: list[RunningCalls] = []
+        running: list[RunningCalls] = []
         for other in self._tasks.values():
             run = other.control.run if other is not task else None
             if run is not None and (calls := (*run.open_calls.values(), *run.settling)):
                 yields = other.is_active and other.wanted.priority < task.wanted.priority
-                found.append(RunningCalls(other.id, other.name, calls, yields))
-        return tuple(found)
+                running.append(RunningCalls(other.id, other.name, calls, yields))
+        return tuple(running)
 
     def _others(self, task: Task) -> list[Task]:
         return [other for other in self._tasks.values() if other is not task and other.is_active]
@@ -78,7 +78,7 @@ class Preemption(TaskListener):
 
     async def preempt(self, task: Task, conflicts: tuple[Conflict, ...]) -> None:
         """Have the tasks of lower priority pause until this task is over; return when nothing of theirs is under way."""
-        yielding = {one.task for one in conflicts if one.yields}
+        yielding = {conflict.task for conflict in conflicts if conflict.yields}
         await asyncio.gather(*(self._pause_for(other, task) for other in self._others(task) if other.id in yielding))
 
     async def _pause_for(self, task: Task, other: Task) -> None:
@@ -120,8 +120,8 @@ class Preemption(TaskListener):
             self._pausing[task.id] = asyncio.get_running_loop().create_task(self._pause(task))
 
     def _why_preempted(self, task: Task) -> str:
-        others = [self._tasks[one] for one in task.preempted_by if one in self._tasks]
-        names = [other.name for other in sorted(others, key=lambda one: one.rank) if other.goes_on]
+        others = [self._tasks[identity] for identity in task.preempted_by if identity in self._tasks]
+        names = [other.name for other in sorted(others, key=lambda other: other.rank) if other.goes_on]
         return f"makes way for {', '.join(names)}" if names else ""
 
     async def _pause(self, task: Task) -> None:

@@ -147,46 +147,48 @@ class TaskManager:
         if task is None:
             self._is_held = True
         chosen = self._chosen(task)
-        reasons = [one.control.reason if one.is_held else why for one in chosen]
-        for one in chosen:
-            one.is_held = True
-            self._queue.leave(one)
-        await asyncio.gather(*(one.control.pause(reason, at_once=at_once) for one, reason in zip(chosen, reasons, strict=True)))
+        reasons = [active_task.control.reason if active_task.is_held else why for active_task in chosen]
+        for active_task in chosen:
+            active_task.is_held = True
+            self._queue.leave(active_task)
+        await asyncio.gather(
+            *(active_task.control.pause(reason, at_once=at_once) for active_task, reason in zip(chosen, reasons, strict=True))
+        )
         self._queue.changed()
 
     async def resume(self, task: UUID | None, /, *, but: Collection[UUID] = ()) -> None:
         """Let a task that was paused go on, or all but these."""
-        chosen = [one for one in self._chosen(task) if one.id not in but]
+        chosen = [active_task for active_task in self._chosen(task) if active_task.id not in but]
         if task is None:
             self._is_held = False
         elif not chosen[0].is_held:
             raise TaskRefused(f"the task {task} was not paused")
-        for one in chosen:
-            one.is_held = False
-            self._preemption.update(one)
+        for active_task in chosen:
+            active_task.is_held = False
+            self._preemption.update(active_task)
         self._admit()
 
     async def cancel(self, task: UUID | None, /, *, why: str = "somebody has cancelled it") -> None:
         """End a task, or all; return when what was under way has confirmed it, or the limit for that has passed."""
         chosen = self._chosen(task)
-        for one in chosen:
-            self._stop(one, Code.CANCELLED, why)
-        for one in chosen:
-            await one.control.over.wait()
+        for active_task in chosen:
+            self._stop(active_task, Code.CANCELLED, why)
+        for active_task in chosen:
+            await active_task.control.over.wait()
 
     def status(self) -> tuple[TaskStatus, ...]:
         """Return the status of all tasks that are not over, in the order in which they are served, and of those that ended last."""
-        return tuple(one.status for one in (*sorted(self._tasks.values(), key=lambda one: one.rank), *self._past))
+        return tuple(task.status for task in (*sorted(self._tasks.values(), key=lambda task: task.rank), *self._past))
 
     def plan(self, task: UUID, /) -> tuple[int, tuple[TaskStep, ...]]:
         """Return the number of plans that the task has had before, and the steps of its plan; none when it has none."""
-        found = self._tasks.get(task)
-        return (max(0, found.plans - 1), found.steps) if found else (0, ())
+        active_task = self._tasks.get(task)
+        return (max(0, active_task.plans - 1), active_task.steps) if active_task else (0, ())
 
     def net(self, task: UUID, /) -> tuple[int, PetriNetMachine, Marking] | None:
         """Return the number of nets that the task has had before, the net that it has now, and its marking."""
-        found = self._tasks.get(task)
-        return found.net if found else None
+        active_task = self._tasks.get(task)
+        return active_task.net if active_task else None
 
     def listen(self, listener: TaskListener, /) -> Callable[[], None]:
         """Have a listener listen from now on; return what stops that."""
@@ -231,7 +233,7 @@ class TaskManager:
     # --- beginning ------------------------------------------------------------------------------
 
     def _begin(self, task: Task) -> None:
-        waiting = sum(not one.control.has_begun for one in self._tasks.values())
+        waiting = sum(not other.control.has_begun for other in self._tasks.values())
         if task.id in self._tasks:
             self._end(task, TaskEnding(Code.ERROR, "there is a task of this id already"))
             return
@@ -288,10 +290,10 @@ class TaskManager:
 
     @property
     def _is_full(self) -> bool:
-        return sum(one.control.has_begun for one in self._tasks.values()) >= self._limits.active
+        return sum(task.control.has_begun for task in self._tasks.values()) >= self._limits.active
 
     def _admit(self) -> None:
-        for task in sorted(self._tasks.values(), key=lambda one: one.rank):
+        for task in sorted(self._tasks.values(), key=lambda task: task.rank):
             if task.start and not task.control.has_begun and not task.is_held and not self._is_full:
                 task.control.begin(TaskState.RUNNING if task.wanted.is_plan else TaskState.PLANNING)
                 self._work[task.id] = self._loop.create_task(self._carry_out(task, task.start()))
@@ -335,6 +337,6 @@ class TaskManager:
         if task is None:
             return list(self._tasks.values())
         if task not in self._tasks:
-            over = any(one.id == task for one in self._past)
+            over = any(past.id == task for past in self._past)
             raise TaskRefused(f"the task {task} is over" if over else f"there is no task {task}")
         return [self._tasks[task]]

@@ -54,7 +54,7 @@ def intention(call: ActionCall, knowledge: EvaluationContext) -> Intention:
     ending = decided(action.end_effects, knowledge)
     start, end = changes(action.start_effects, knowledge), changes(ending, knowledge)
     lasting = {fluent: value for fluent, value in start.items() if fluent in call.lasting}
-    late = names_written(tuple(one for one in ending if not is_fixed(one))) if action.duration is not None else frozenset()
+    late = names_written(tuple(effect for effect in ending if not is_fixed(effect))) if action.duration is not None else frozenset()
     wanted = {fluent: value for fluent, value in (lasting | end).items() if fluent[0] not in late}
     seen = {fluent: value for fluent, value in wanted.items() if isinstance(value, bool | str) and knowledge.world.is_sensed(fluent)}
     return Intention(start, end, ending, seen)

@@ -102,7 +102,7 @@ class Guards:
                 return state.marked_at[place] + seconds
             case Due(seconds, since):
                 ids = state.engine.compiled.place_id
-                return max([(state.origin or 0.0) + seconds, *(state.marked_at[ids[one]] + delay for one, delay in since)])
+                return max([(state.origin or 0.0) + seconds, *(state.marked_at[ids[earlier]] + delay for earlier, delay in since)])
             case _:
                 assert_never(rule.guard)
 

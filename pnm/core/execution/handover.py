@@ -66,7 +66,7 @@ def check_adoption(machine: PetriNetMachine, adopted: Mapping[int, UnderWay], re
     expected = {call.index for call in plan.calls if call.under_way}
     if expected != adopted.keys():
         raise RunError(f"the calls {sorted(expected)} of the plan are under way; requests are taken over for {sorted(adopted)}")
-    used = Counter(name for one in adopted.values() for name in one.resources)
+    used = Counter(name for taken in adopted.values() for name in taken.resources)
     for name, count in used.items():
         if count > capacities.get(name, 1):
             raise RunError(f"{count} requests that are taken over have {name}")
@@ -90,7 +90,7 @@ def check_succession(old: Handover, new: Handover) -> None:
     left = [str(call) for request, call in old.open_calls.items() if request not in new.open_calls]
     if left:
         raise RunError(f"the other run does not take over {', '.join(left)}")
-    there = {one.request for one in old.under_way}
+    there = {running.request for running in old.under_way}
     gone = [str(call) for request, call in new.open_calls.items() if request not in there]
     if gone:
         raise RunError(f"{', '.join(gone)} cannot be taken over: it is over, or being cancelled")

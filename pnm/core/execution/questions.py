@@ -75,15 +75,15 @@ class EvaluationContext:
 
     def find(self, name: str, /) -> object:
         """Return a variable that is needed: local, global, or asked for if the binding says so; or `MISSING`."""
-        found = self.variable(name)
-        if found is MISSING:
-            found = self.answer(Question(name, Layer.GLOBAL, "null"))
-        if found is MISSING and name in self.binding.ask:
+        known = self.variable(name)
+        if known is MISSING:
+            known = self.answer(Question(name, Layer.GLOBAL, "null"))
+        if known is MISSING and name in self.binding.ask:
             words = self.binding.ask[name]
             for parameter, value in zip(self.action.parameters, self.action.arguments, strict=True):
                 words = words.replace(f"{{{parameter}}}", value)
-            found = self.answer(Question(name, Layer.PERSON, json.dumps(words)))
-        return found
+            known = self.answer(Question(name, Layer.PERSON, json.dumps(words)))
+        return known
 
     def parameter(self, name: str, /) -> object:
         """Return what the call gives a parameter of its action, named with ``?``; or `MISSING`."""
@@ -91,8 +91,8 @@ class EvaluationContext:
         given = dict(self.action.given)
         if bare in given:
             return compute(given[bare], self)
-        told = dict(zip(self.action.parameters, self.action.arguments, strict=True)).get(bare, name)
-        return self.find(bare) if told.startswith("?") else told
+        argument = dict(zip(self.action.parameters, self.action.arguments, strict=True)).get(bare, name)
+        return self.find(bare) if argument.startswith("?") else argument
 
     def given(self) -> dict[str, object]:
         """Return the values that the plan gives to goal fields, or leaves open for knowledge to fill, as far as there are any."""
@@ -184,7 +184,7 @@ class Questions:
         """Forget all that concerns the place; yield the questions whose answers are no longer needed."""
         self._answers.pop(place, None)
         self._silence.pop(place, None)
-        for identity in [one for one, (where, _) in self._asked.items() if where == place]:
+        for identity in [question for question, (where, _) in self._asked.items() if where == place]:
             del self._asked[identity]
             yield identity
 
@@ -192,7 +192,7 @@ class Questions:
 
     def inherit(self, old: Questions, subjects: frozenset[str]) -> frozenset[UUID]:
         """Take over the answers of people for the sake of these subjects; return the questions that they are still being asked."""
-        given = [(old._subjects[place], *one) for place, answers in old._answers.items() for one in answers.items()]
+        given = [(old._subjects[place], *answer) for place, answers in old._answers.items() for answer in answers.items()]
         for subject, question, value in (*given, *old._inherited):
             if subject in subjects:
                 self._keep(subject, question, value)

@@ -100,7 +100,7 @@ class Resources:
         is_free = self.is_free(claim)
         if not is_free and claim in self._line:
             return False
-        self._line = [one for one in self._line if one.request != claim.request]
+        self._line = [waiting for waiting in self._line if waiting.request != claim.request]
         if is_free:
             self._hold(claim)
         else:
@@ -146,28 +146,28 @@ class Resources:
 
     def withheld_from(self, names: Iterable[str]) -> Mapping[str, str]:
         """Return which of the names are withheld altogether, and by whom."""
-        found: dict[str, str] = {}
+        keepers: dict[str, str] = {}
         for name in names if self._withheld else ():
             by = [known for request, known in self._withheld.items() if name in self._held[request].names]
             if len(by) >= self.capacity(name):
-                found[name] = ", ".join(by)
-        return found
+                keepers[name] = ", ".join(by)
+        return keepers
 
     def withdraw(self, request: UUID) -> None:
         """Take the claim of the request out of the line."""
-        left = [one for one in self._line if one.request != request]
+        left = [waiting for waiting in self._line if waiting.request != request]
         if len(left) < len(self._line):
             self._line = left
             self._tell()
 
     def outranked(self) -> frozenset[UUID]:
         """Return the tasks that have what a claim of higher priority waits for."""
-        found: set[UUID] = set()
+        tasks: set[UUID] = set()
         for claim in self._line:
             short = {name for name in claim.names if self._used[name] >= self.capacity(name)}
-            lower = (one for one in self._held.values() if one.task != claim.task and one.priority < claim.priority)
-            found |= {one.task for one in lower if not short.isdisjoint(one.names) and self.gives(one)}
-        return frozenset(found)
+            lower = (held for held in self._held.values() if held.task != claim.task and held.priority < claim.priority)
+            tasks |= {held.task for held in lower if not short.isdisjoint(held.names) and self.gives(held)}
+        return frozenset(tasks)
 
     def gives(self, claim: Claim) -> bool:
         """Return False if the request of the claim was given up: what it holds may never be released."""

@@ -140,12 +140,12 @@ def goal_data(
     With a `goal` mapping only its fields are needed; others are filled if a value of their name exists.
     As long as the fields of the goal are not known, parameters without a value are needed.
     """
-    told = dict(zip(action.parameters, action.arguments, strict=True))
+    arguments = dict(zip(action.parameters, action.arguments, strict=True))
     own: dict[str, object] = {
         "action": action.name,
         "arguments": list(action.arguments),
         "duration": action.duration or 0.0,
-        **{name: value for name, value in told.items() if not value.startswith("?")},
+        **{name: value for name, value in arguments.items() if not value.startswith("?")},
         **knowledge.given(),
     }
     needed = binding.goal if binding.goal is not None else dict.fromkeys(fields if fields is not None else open_parameters(action))

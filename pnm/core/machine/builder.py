@@ -50,7 +50,7 @@ class Builder:
     def starts_anew(self) -> bool:
         """Whether some recovery has the whole plan begin anew."""
         calls = self.plan.calls
-        return any(one.then is Then.RESTART_PLAN for call in calls for one in call.recoveries)
+        return any(recovery.then is Then.RESTART_PLAN for call in calls for recovery in call.recoveries)
 
     def machine(self, goal: str, failed: str, on_failure: OnFailure) -> PetriNetMachine:
         """Return what was collected."""

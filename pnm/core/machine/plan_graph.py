@@ -296,8 +296,8 @@ class PlanGraph:
         if sorted(others) != [*range(len(self.calls), len(self.calls) + len(others))]:
             raise PlanGraphError("the steps that are not calls are numbered after the calls, each once")
         outermost = {step.index for step in self.steps}
-        for call in (one for one in self.calls if one.under_way):
-            waits = any(one.after == PlanEvent(call.index, Moment.START) for one in self.orderings)
+        for call in (running for running in self.calls if running.under_way):
+            waits = any(ordering.after == PlanEvent(call.index, Moment.START) for ordering in self.orderings)
             if waits or call.index not in outermost:
                 raise PlanGraphError(f"{call} is under way: it cannot wait for others, or be part of another step")
         inside = tuple(inner for step in self.every_step for inner in flows(step))

@@ -77,9 +77,9 @@ class Block(Generic[AnyStep]):
 
     def place(self, name: str) -> str:
         """Make a place of this block."""
-        found = self.builder.net.place(self.name(name))
-        self.builder.blocks.setdefault(self.step.index, []).append(found)
-        return found
+        place = self.builder.net.place(self.name(name))
+        self.builder.blocks.setdefault(self.step.index, []).append(place)
+        return place
 
     def name(self, name: str) -> str:
         """Return the full name of a place or transition of this block."""

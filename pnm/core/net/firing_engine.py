@@ -22,8 +22,8 @@ class CompiledNet:
         self.transitions = net.transitions
         self.transition_id = {transition: index for index, transition in enumerate(self.transitions)}
         ids = self.place_id
-        self.inputs = [[(ids[place], weight) for place, weight in net.inputs[one].items()] for one in self.transitions]
-        self.outputs = [[(ids[place], weight) for place, weight in net.outputs[one].items()] for one in self.transitions]
+        self.inputs = [[(ids[place], weight) for place, weight in net.inputs[transition].items()] for transition in self.transitions]
+        self.outputs = [[(ids[place], weight) for place, weight in net.outputs[transition].items()] for transition in self.transitions]
         self.consumers: list[list[tuple[int, int]]] = [[] for _ in net.places]
         for transition, inputs in enumerate(self.inputs):
             for place, weight in inputs:

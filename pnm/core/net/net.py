@@ -101,11 +101,11 @@ class PetriNet:
 
 
 def _neighbours(places: Iterable[str], weights: Mapping[str, Weights]) -> dict[str, tuple[str, ...]]:
-    found: dict[str, list[str]] = {place: [] for place in places}
+    by_place: dict[str, list[str]] = {place: [] for place in places}
     for transition, connected in weights.items():
         for place in connected:
-            found[place].append(transition)
-    return {place: tuple(transitions) for place, transitions in found.items()}
+            by_place[place].append(transition)
+    return {place: tuple(transitions) for place, transitions in by_place.items()}
 
 
 @dataclass

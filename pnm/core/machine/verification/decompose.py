@@ -73,12 +73,12 @@ class Anatomy:
             self._check_entry(region)
 
     def _owners(self, weights: Mapping[str, Weights]) -> dict[str, set[Owner]]:
-        found: dict[str, set[Owner]] = {place: set() for place in self.machine.net.places}
+        owners: dict[str, set[Owner]] = {place: set() for place in self.machine.net.places}
         for transition, connected in weights.items():
             owner = self.machine.rules[transition].call
             for place in connected:
-                found[place].add(owner)
-        return found
+                owners[place].add(owner)
+        return owners
 
     def _is_between(self, place: str) -> bool:
         if place in self.machine.resource_places:
@@ -140,20 +140,24 @@ class Anatomy:
         own_records = self._restarts if owner is None else ()
         left_out = machine.restart_places.keys() - set(own_records) if owner is None else frozenset[str]()
         own = [step_of(machine, name) for name in self.transitions[owner]]
-        steps = (*(one for one in own if left_out.isdisjoint(one.inputs)), *self._inside(regions)) if owner is None or regions else (*own,)
+        steps = (
+            (*(step for step in own if left_out.isdisjoint(step.inputs)), *self._inside(regions)) if owner is None or regions else (*own,)
+        )
         places = dict.fromkeys(chain.from_iterable(connected for step in steps for connected in (step.inputs, step.outputs)))
         held = {place for region in regions for place in (*region.first, *region.last)}
         ends = frozenset((machine.goal_place, machine.failed_place))
         finals = ends if owner is None else frozenset[str]()
-        between = [one for one in places if one in self.between and one not in held and one not in machine.restart_places]
-        inputs = [one for one in between if owner in self.readers[one] and self.writers[one] - {owner}]
-        written = [one for one in between if owner in self.writers[one] and one not in finals]
-        outputs = [one for one in written if one in ends or self.readers[one] - {owner}]
+        between = [place for place in places if place in self.between and place not in held and place not in machine.restart_places]
+        inputs = [place for place in between if owner in self.readers[place] and self.writers[place] - {owner}]
+        written = [place for place in between if owner in self.writers[place] and place not in finals]
+        outputs = [place for place in written if place in ends or self.readers[place] - {owner}]
         given = frozenset(chain.from_iterable(step.outputs for step in steps))
-        first = tuple(one for one in inputs if one not in given)
-        rest = tuple(one for one in inputs if one in given)
+        first = tuple(place for place in inputs if place not in given)
+        rest = tuple(place for place in inputs if place in given)
         _check_together((first, rest), steps)
-        early = frozenset(one for one in outputs if one in machine.orderings and machine.orderings[one].before.moment is Moment.START)
+        early = frozenset(
+            place for place in outputs if place in machine.orderings and machine.orderings[place].before.moment is Moment.START
+        )
         resources = frozenset(place for place in places if place in machine.resource_places)
         taken = _resources(steps, resources)
         initial = {place: machine.initial[place] for place in places if machine.initial[place] and place not in resources}
@@ -162,7 +166,7 @@ class Anatomy:
         part = Part(
             places=tuple(places),
             steps=steps,
-            initial={**initial, **taken, **{_may_come(one): ENOUGH for one in own_records}},
+            initial={**initial, **taken, **{_may_come(record): ENOUGH for record in own_records}},
             supplies=tuple(together for together in (first, rest) if together),
             failures=frozenset(place for place in counters if place in machine.failure_places),
             records=counters,
@@ -196,7 +200,7 @@ class Anatomy:
                 numbers.append(number)
             if len(touched) > 1 or any(place in taking for place in outputs):
                 return tuple(places)
-        are_alike = all(one == next(iter(taking.values())) for one in taking.values())
+        are_alike = all(taken == next(iter(taking.values())) for taken in taking.values())
         stand_together = not numbers or numbers == [*range(numbers[0], numbers[-1] + 1)]
         return tuple(places)[:ENOUGH] if are_alike and stand_together else tuple(places)
 

@@ -140,38 +140,38 @@ class _Explorer:
     def _possible(self, state: _State) -> list[Step]:
         """Return the enabled steps whose guards may be open, as `pnm.core.execution.run` asks them: in order, at each marked place."""
         moods = self._moods(state)
-        found: dict[int, None] = {}
+        possible: dict[int, None] = {}
         enabled: dict[int, bool] = {}
         for place, tokens in enumerate(state.tokens):
             if tokens and place not in self.records:
-                found |= dict.fromkeys(self._exits(place, state, moods, enabled)[0])
-        return [self.part.steps[number] for number in found]
+                possible |= dict.fromkeys(self._exits(place, state, moods, enabled)[0])
+        return [self.part.steps[number] for number in possible]
 
     def _exits(self, place: int, state: _State, moods: tuple[bool, bool, bool], enabled: dict[int, bool]) -> tuple[list[int], bool]:
         """Return which steps may be open at a place, and whether those after them wait for resources."""
-        found: list[int] = []
+        exits: list[int] = []
         for number in self.consumers[place]:
             step = self.part.steps[number]
             if number not in enabled:
                 enabled[number] = self._is_enabled(step, state)
             if not enabled[number]:
                 if self._lacks_resources(step, state) and not isinstance(step.guard, Adopted):
-                    return found, True
+                    return exits, True
                 continue
             is_open = _is_open(step.guard, *moods)
             if is_open is not False:
-                found.append(number)
+                exits.append(number)
             if is_open is True:
                 break
-        return found, False
+        return exits, False
 
     def _starves(self, state: _State) -> bool:
         """Return whether resources are waited for, and nothing else is sure to happen."""
         moods, waits, enabled = self._moods(state), False, dict[int, bool]()
         for place, tokens in enumerate(state.tokens):
             if tokens and place not in self.records:
-                found, waiting = self._exits(place, state, moods, enabled)
-                steps = (self.part.steps[number] for number in found)
+                exits, waiting = self._exits(place, state, moods, enabled)
+                steps = (self.part.steps[number] for number in exits)
                 if any(not waiting or isinstance(step.guard, After | Due) or _is_open(step.guard, *moods) for step in steps):
                     return False
                 waits = waits or waiting
@@ -200,13 +200,13 @@ class _Explorer:
         return missing_exit(asking)
 
     def _is_enabled(self, step: Step, state: _State) -> bool:
-        return all(state.tokens[self.index[one]] >= weight for one, weight in step.inputs.items())
+        return all(state.tokens[self.index[name]] >= weight for name, weight in step.inputs.items())
 
     def _lacks_resources(self, step: Step, state: _State) -> bool:
         """Return whether the step would be enabled if all resources were free."""
-        if self.resources.keys().isdisjoint(self.index[one] for one in step.inputs):
+        if self.resources.keys().isdisjoint(self.index[name] for name in step.inputs):
             return False
-        own = ((self.index[one], weight) for one, weight in step.inputs.items())
+        own = ((self.index[name], weight) for name, weight in step.inputs.items())
         lacking = {place for place, weight in own if state.tokens[place] < weight}
         return bool(lacking) and lacking <= self.resources.keys()
 
@@ -319,12 +319,12 @@ def _walk(explorer: _Explorer, root: _Reached, seen: set[_State], apart: Set[str
     enter(root)
     while path:
         (state, trace), nexts = path[-1]
-        found = next(nexts, None)
-        if found is None:
+        successor = next(nexts, None)
+        if successor is None:
             path.pop()
             on_path.remove(state)
             continue
-        name, following = found
+        name, following = successor
         if name in apart:
             if following not in seen:
                 left.setdefault(following, (following, (trace, name)))
@@ -336,8 +336,8 @@ def _walk(explorer: _Explorer, root: _Reached, seen: set[_State], apart: Set[str
 
 
 def _names(trace: _Trace) -> list[str]:
-    found: list[str] = []
+    names: list[str] = []
     while trace is not None:
         trace, name = trace
-        found.append(name)
-    return found[::-1]
+        names.append(name)
+    return names[::-1]

@@ -97,19 +97,21 @@ def verify(machine: PetriNetMachine) -> Proof:
 def _proved(part: Part) -> _Proved:
     """Prove a block, unless one of its shape was found good before: a task proves many machines of the same few shapes."""
     shape = shape_of(part)
-    found = _FOUND_GOOD.get(shape)
-    if found is None:
+    proved = _FOUND_GOOD.get(shape)
+    if proved is None:
         for number, step in enumerate(part.steps):
             rest = {place: weight for place, weight in step.inputs.items() if place not in part.resources}
             if rest != step.inputs and not isinstance(step.guard, Adopted):
                 before = part.steps[:number]
-                if not any(isinstance(one.guard, Withheld) and isfinite(one.guard.seconds) and one.inputs == rest for one in before):
+                if not any(
+                    isinstance(way_out.guard, Withheld) and isfinite(way_out.guard.seconds) and way_out.inputs == rest for way_out in before
+                ):
                     raise Unsound(f"{step.name} has no way out for when resources that it needs are withheld")
-        found = _Proved(explore_part(part))
+        proved = _Proved(explore_part(part))
         if len(_FOUND_GOOD) == _REMEMBERED:
             _FOUND_GOOD.pop(next(iter(_FOUND_GOOD)))
-        _FOUND_GOOD[shape] = found
-    return found
+        _FOUND_GOOD[shape] = proved
+    return proved
 
 
 def explore(machine: PetriNetMachine) -> int:
