@@ -110,7 +110,7 @@ def carry_out(
         faults: what goes wrong in simulation.
         settings: bindings that come before those of the files, limits, and the planner, for when the plan asks for one.
         observer: notified of every event.
-        on_failure: what running actions do when one has failed, in place of what the plans say.
+        on_failure: what running actions do when one has failed, in place of the plans' own policy.
         knowledge: the file in which global knowledge is kept, in place of what the plan chose.
         warn: called with the warnings about the files.
 

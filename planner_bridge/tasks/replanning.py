@@ -32,7 +32,7 @@ class Limits:
     replans: int = 10
     """New nets after the first, whether or not a planner was asked."""
     seconds: float | None = None
-    """From the start of the task, pauses left out, on the clock of its runs. By default an hour, or what `allowed` says."""
+    """From the start of the task, pauses left out, on the clock of its runs. By default an hour, or the result of `allowed`."""
     forbid_after: int = 2
     """A ground action that failed so often since it last succeeded is not planned with any more."""
     backoff: float = 0.5
@@ -40,7 +40,7 @@ class Limits:
     longest_backoff: float = 30.0
 
     def allowed(self, planned: float = 0.0) -> float:
-        """Return how many seconds a task may take whose plan takes so many: three times as long if nothing else is said."""
+        """Return how many seconds a task may take, given the seconds of its plan: three times as long by default."""
         return max(3600.0, 3.0 * planned) if self.seconds is None else self.seconds
 
 
@@ -200,7 +200,7 @@ def decide(
 
 
 def times_that_matter(now: Problem) -> str:
-    """Say why only a planner knows what a delay means; empty when times do not matter."""
+    """Return why only a planner can judge a delay; empty when times do not matter."""
     if now.timed:
         return "facts will change by themselves, so the times of the plan matter"
     timed = [str(constraint) for constraint in (*now.domain.constraints, *now.constraints) if constraint.times]

@@ -82,7 +82,7 @@ def imported(file: Path) -> Imported:
     """
     contents = read(file)
     texts = {"domain.pddl": domain_text(contents.domain, contents.of("domain"))}
-    domain = parse_domain(texts["domain.pddl"], "domain.pddl")  # which tells of requirements that other planners will miss
+    domain = parse_domain(texts["domain.pddl"], "domain.pddl")  # which warns of requirements that other planners will miss
     warnings = (*contents.domain.warnings, *domain.warnings)
     if contents.problem:
         texts["problem.pddl"] = problem_text(contents.problem, contents.of("problem"))

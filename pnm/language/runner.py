@@ -52,7 +52,7 @@ async def check_values(plan: HandWrittenPlan, knowledge: Layered, source: Source
     """See to it that every parameter has a value, or that a person may be asked for it when it is needed.
 
     Args:
-        plan: which says what its parameters are; if it does not, nothing is expected.
+        plan: has the parameters; if it declares none, nothing is expected.
         knowledge: of the run, before it begins; what is null in it need not have a value.
         source: has the global knowledge, in which there may be a value as well.
         asker: who asks.
@@ -76,7 +76,7 @@ async def check_values(plan: HandWrittenPlan, knowledge: Layered, source: Source
 async def _is_known(name: str, source: Source | None, asker: Asker) -> bool:
     try:
         return source is not None and await source.query(Question(name, Layer.GLOBAL, "null"), asker) not in (MISSING, None)
-    except Exception:  # a knowledge base that cannot be asked: the run tells of it if it needs the value
+    except Exception:  # a knowledge base that cannot be asked: the run reports that if it needs the value
         return True
 
 
@@ -96,7 +96,7 @@ class Program:
         """Generate the machine and prove it; `capacities` are those of shared resources, in the place of the plan's own.
 
         Raises:
-            InputError: it is said that a call of another plan has resources.
+            InputError: a call of another plan is given resources.
         """
         for call in plan.graph.calls:
             if call.action.name in plan.calls and (names := plan.bindings.resources(call.action)):
@@ -189,7 +189,7 @@ class PlanRunner:
         self.programs = {name: program.sharing(self.resources) for name, program in self.programs.items()}
 
     async def prepare(self) -> tuple[str, ...]:
-        """Get ready to carry out everything that is in the plans, as far as the plans tell who does it.
+        """Prepare the backend for all actions of the plans whose servers the bindings name.
 
         Returns the names of servers that are not there yet.
         """

@@ -51,7 +51,7 @@ class TaskLimits:
     Args:
         active: the number of tasks that go on at the same time.
         queue: the number of tasks that wait besides.
-        on_conflict: what to do about a goal that is in conflict with those of other tasks, if it does not say.
+        on_conflict: what to do about a goal that is in conflict with those of other tasks, if the goal does not specify it.
     """
 
     active: int = 20
@@ -142,7 +142,7 @@ class TaskManager:
             raise task.error or InputError(task.control.reason)
         return task.result
 
-    async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "somebody has paused it") -> None:
+    async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "paused on request") -> None:
         """Start nothing more of a task, or of all; return when nothing of it is under way."""
         if task is None:
             self._is_held = True
@@ -168,7 +168,7 @@ class TaskManager:
             self._preemption.update(active_task)
         self._admit()
 
-    async def cancel(self, task: UUID | None, /, *, why: str = "somebody has cancelled it") -> None:
+    async def cancel(self, task: UUID | None, /, *, why: str = "cancelled on request") -> None:
         """End a task, or all; return when what was under way has confirmed it, or the limit for that has passed."""
         chosen = self._chosen(task)
         for active_task in chosen:
@@ -219,7 +219,7 @@ class TaskManager:
         """Cancel all tasks, and wait until they are over; leave them alone when this is cancelled."""
         tasks = tuple(self._tasks.values())
         for task in tasks:
-            self._stop(task, Code.CANCELLED, "whoever does the task is being shut down")
+            self._stop(task, Code.CANCELLED, "the task manager is being shut down")
         try:
             for task in tasks:
                 await task.control.over.wait()
@@ -299,7 +299,7 @@ class TaskManager:
                 self._work[task.id] = self._loop.create_task(self._carry_out(task, task.start()))
 
     async def _carry_out(self, task: Task, work: Coroutine[None, None, TaskResult]) -> None:
-        ending = TaskEnding(Code.ERROR, "an error of whoever does the task; its log says more")
+        ending = TaskEnding(Code.ERROR, "an internal error; the log says more")
         try:
             task.result = await work
             ending = task.result.ending()

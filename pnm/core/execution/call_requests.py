@@ -1,6 +1,6 @@
 """Requests of the calls of a run: sent, cancelled, and with the effects that they assume.
 
-Decides nothing: `pnm.core.execution.run` says when, and is returned what has to be done outside.
+Decides nothing: `pnm.core.execution.run` decides when, and gets the commands that have to be carried out outside.
 """
 
 from __future__ import annotations
@@ -222,7 +222,7 @@ class Calls:
         self.open.pop(self._requests[call], None)
 
     def store(self, call: int, outcome: Outcome) -> None:
-        """Store the fields of the result, by their own names or as the binding says."""
+        """Store the fields of the result, under their own names or those of the binding."""
         store = {**self.binding(call).store, **dict(self._plan.calls[call].store)}
         self._knowledge.local.store({store.get(name, name): value for name, value in outcome.result.items()})
 
@@ -310,4 +310,4 @@ def _unknown_values(operation: KnowledgeOperation, context: EvaluationContext) -
                 compute(operation, context)
                 return ()
     except Uncomputable:
-        return ()  # the operation itself will say so
+        return ()  # the operation itself will report that

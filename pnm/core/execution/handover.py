@@ -1,6 +1,6 @@
 """Handover: a run that is succeeded by another while requests are out hands them over.
 
-The new run is made with the requests that its plan says are under way (`check_adoption`); then it takes the place of the old one
+The new run is made with the requests that its plan marks as under way (`check_adoption`); then it takes the place of the old one
 if nothing is lost or invented by that (`check_succession`). Both checks are made before anything changes.
 """
 
@@ -52,7 +52,7 @@ class Handover:
 
 
 def check_adoption(machine: PetriNetMachine, adopted: Mapping[int, UnderWay], resources: Callable[[GroundAction], tuple[str, ...]]) -> None:
-    """Refuse to make a run that takes over other requests than those that its plan says are under way.
+    """Refuse to make a run that takes over other requests than those that its plan marks as under way.
 
     Args:
         machine: of the new run.

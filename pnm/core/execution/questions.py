@@ -34,7 +34,7 @@ class EvaluationContext:
     binding: Binding = DEFAULT
     answers: Mapping[Question, object] = field(default_factory=dict)
     asks: bool = False
-    """Whether there is anybody to ask."""
+    """Whether questions can be asked outside."""
 
     @property
     def world(self) -> KnowledgeBase:
@@ -74,7 +74,7 @@ class EvaluationContext:
         return self.answers[question]
 
     def find(self, name: str, /) -> object:
-        """Return a variable that is needed: local, global, or asked for if the binding says so; or `MISSING`."""
+        """Return a variable that is needed: local, global, or asked for if the binding has a question for it; or `MISSING`."""
         known = self.variable(name)
         if known is MISSING:
             known = self.answer(Question(name, Layer.GLOBAL, "null"))
@@ -127,7 +127,7 @@ class EvaluationContext:
 class Questions:
     """The questions that a run has asked outside, and their answers.
 
-    What people have said to a run is known to the one that succeeds it, once for every call of the same action that asks the
+    Answers of people to a run are known to the one that succeeds it, once for every call of the same action that asks the
     same; knowledge bases are asked again, for what they know may have changed, and no person is troubled by that.
 
     The mutable state is the dictionaries and the list.

@@ -7,7 +7,7 @@ overtaken for ever by equals, and as long as resources are given back, every cla
 A request that was given up keeps what it has: its server may still be at work. It is *withheld* until the server reports
 the end of the request, or is gone; so waits for it have a limit.
 
-`RunClaims` are the claims of one run. It decides nothing: `pnm.core.execution.run` says when.
+`RunClaims` are the claims of one run. It decides nothing: `pnm.core.execution.run` decides when.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class Resources:
         else:
             self._line.insert(sum(other.priority >= claim.priority for other in self._line), claim)
             if self.outranked():
-                self._call()
+                self._notify()
         return is_free
 
     def keep(self, claim: Claim) -> None:
@@ -120,7 +120,7 @@ class Resources:
         claim = self._held.pop(request, None)
         if claim is not None:
             self._used.subtract(claim.names)
-            self._tell()
+            self._notify_if_servable()
 
     def withhold(self, request: UUID, name: str) -> None:
         """Keep the resources of a request that was given up until its end is confirmed.
@@ -132,7 +132,7 @@ class Resources:
         if request in self._held:
             self._withheld[request] = name
             if any(self.withheld_from(claim.names) for claim in self._line):
-                self._call()
+                self._notify()
 
     def confirm(self, request: UUID) -> None:
         """Release what a request that was given up has kept: its server has confirmed the end."""
@@ -158,7 +158,7 @@ class Resources:
         left = [waiting for waiting in self._line if waiting.request != request]
         if len(left) < len(self._line):
             self._line = left
-            self._tell()
+            self._notify_if_servable()
 
     def outranked(self) -> frozenset[UUID]:
         """Return the tasks that have what a claim of higher priority waits for."""
@@ -197,12 +197,12 @@ class Resources:
         self._held[claim.request] = claim
         self._used.update(claim.names)
 
-    def _tell(self) -> None:
+    def _notify_if_servable(self) -> None:
         """Notify the listeners if a claim in line could be granted."""
         if any(True for _ in self._servable()):
-            self._call()
+            self._notify()
 
-    def _call(self) -> None:
+    def _notify(self) -> None:
         for listener in tuple(self._listeners):
             listener()
 

@@ -52,7 +52,7 @@ from pnm.errors import RunError
 _NONE: Final[Mapping[int, UnderWay]] = {}
 
 _BEFORE_ACCEPTANCE: Final = frozenset({OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE, OutcomeKind.LOST})
-"""Ends that do not tell whether the goal was accepted before."""
+"""Ends that leave open whether the goal was accepted before."""
 
 
 def _unknown_fields(action: GroundAction) -> None:
@@ -74,7 +74,7 @@ class Run(RunView):
         resources: what its calls share with other runs, for whose capacities the machine was generated; its own when not given.
         task: on whose behalf resources are claimed; its own when not given.
         priority: how its claims stand among those of others.
-        adopted: for the number of every call that the plan says is under way, the request that it takes over.
+        adopted: for the number of every call that the plan marks as under way, the request that it takes over.
 
     The mutable state is what the constructor sets under "state".
 

@@ -45,7 +45,7 @@ class Binding:
     retries: int = 1
     """How often the action is tried again within one plan."""
     ask: Mapping[str, str] = field(default_factory=dict)
-    """Variables, and what a person is asked when nobody knows them; ``{shop}`` stands for the argument of parameter ``?shop``."""
+    """Variables, and what a person is asked when their values are unknown; ``{shop}`` stands for the argument of parameter ``?shop``."""
     resources: tuple[str, ...] = ()
     """Resources that the action has for itself while it runs, such as ``{robot}/base``."""
 
@@ -162,7 +162,7 @@ def goal_data(
 
 
 def open_parameters(action: GroundAction) -> tuple[str, ...]:
-    """Return the parameters whose values the plan does not tell, without ``?``."""
+    """Return the parameters whose values the plan leaves open, without ``?``."""
     return tuple(name for name, value in zip(action.parameters, action.arguments, strict=True) if value.startswith("?"))
 
 

@@ -8,7 +8,7 @@ attempts before its start was announced and for those after.
 
 An end that must wait for other events (`awaited`) is reached by the robot when it likes; its checks and its `fork`
 wait. A retry moves a token from *budget* to *spent*; giving up takes all of *spent*, by an arc whose weight is the
-whole budget. Where the plan says itself what is done about a cause, that comes in the place of retrying.
+whole budget. A recovery that the plan gives for a cause replaces retrying.
 
 A call that is under way already, sent by another run, is taken over as it is: its first attempt begins at `running`.
 A run that is paused at once has its calls cancelled: they begin anew later, and none of their budget is spent.
@@ -16,7 +16,7 @@ A run that is paused at once has its calls cancelled: they begin anew later, and
 The call has its resources as long as a request may be alive and until its effects have been looked for, unless that
 must wait for other events: whatever leads from outside into those places takes all of them at once, and whatever
 leads out of them gives all back. That is so in the net; outside of it a request that was given up keeps them until its
-server says that it is over (`pnm.core.execution.resources`). So wherever they are waited for there is a way out, `withheld`, after as
+server reports the end (`pnm.core.execution.resources`). So wherever they are waited for there is a way out, `withheld`, after as
 long as a server may take to answer.
 """
 
@@ -198,7 +198,7 @@ class CallBlock(Block[ActionCall]):
         """Whether the call is made even if all that it would change is so already.
 
         What comes while it runs relies on its start; time may still undo what seems to be done; and when it is
-        repeated, what it has made itself the last time says nothing.
+        repeated, effects of its own last round prove nothing.
         """
         repeats = self.context.repeated and self.step.action.expected != TRUE
         relied_on = bool(self.awaited or self._announced)
@@ -263,7 +263,7 @@ class CallBlock(Block[ActionCall]):
     # --- recovery -----------------------------------------------------------------------------
 
     def _after(self, cause: Cause, otherwise: list[str]) -> list[str]:
-        """Return the places that are marked for this cause: what the plan says about it, or else these."""
+        """Return the places that are marked for this cause: the plan's own recovery, or else these."""
         return self.recoveries.places.get(cause, otherwise)
 
     def _outcome(

@@ -27,11 +27,11 @@ def generate(
     """Build the machine of a plan.
 
     Args:
-        plan: its steps, with what it says of their retries and limits.
+        plan: its steps, with their retries and limits.
         bindings: what retries, limits and resources of calls are taken from besides.
         on_failure: what happens to running calls once a step has failed.
         capacities: how many calls may have a resource at the same time, one for those not listed: those of the `Resources` that the
-            machine's runs share with others; what the plan says when not given.
+            machine's runs share with others; the plan's own when not given.
     """
     builder = Builder(plan, bindings or Bindings())
     start, end = builder.net.place("start"), builder.net.place("end")

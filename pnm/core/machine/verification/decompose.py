@@ -1,6 +1,6 @@
 """A machine taken apart for its proof: blocks, one per step, the regions they stand in, and what connects them.
 
-Nothing that a machine says of its regions is believed: it is compared with the net.
+The regions that a machine declares are not trusted: they are compared with the net.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Owner: TypeAlias = int | None
 Event: TypeAlias = tuple[Owner, str]
 """The start or the end of a block, or the marking of one of its places."""
 ENOUGH: Final = 2
-"""A counter of more is explored as one of so many: whether none, some or all of it is spent is all that matters."""
+"""Counters larger than two are verified as two: guards only distinguish none, some and all spent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Anatomy:
     """The blocks and regions of a machine.
 
     Raises:
-        Unsound: a place connects what it must not connect, or regions are not what the machine says.
+        Unsound: a place connects what it must not connect, or regions are not what the machine declares.
     """
 
     def __init__(self, machine: PetriNetMachine) -> None:

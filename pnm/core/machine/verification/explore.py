@@ -222,7 +222,7 @@ class _Explorer:
         if keeps and (stuck or any(isinstance(step.guard, Inside) for step in self._possible(state))):
             return "it waits for others while it keeps resources that they may need"
         if self.resources and self._starves(state):
-            return "it waits for resources that nobody gives back"
+            return "it waits for resources that no call gives back"
         if not stuck:
             return ""
         missing = len(self.part.supplies) - state.supplied

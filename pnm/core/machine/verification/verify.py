@@ -1,9 +1,9 @@
 """Is the machine sound? Proved before it runs, block by block; or by its whole state space.
 
-*Sound* means: whatever its servers and the world answer, and whenever it is told to stop, the
+*Sound* means: whatever its servers and the world answer, and whenever it is stopped, the
 machine ends, with exactly one token on its goal place or on its failed place and none elsewhere
 but on record places; no place ever holds two tokens, a budget never more than it began with. A run
-that is paused goes on when it is told to, and each pause may have calls begin anew: so it ends if it
+that is paused goes on when it is resumed, and each pause may have calls begin anew: so it ends if it
 is paused finitely often.
 
 `explore` walks through all states: the oracle, for machines of a few calls. `verify` is linear
