@@ -69,6 +69,7 @@ class Executor:
 
     def stop(self, *, cancel: bool = True, reason: str = "cancelled") -> None:
         """End the run: start nothing more; cancel what runs, or wait for it."""
+        # Through the inbox like everything else: observers may call this while the run handles an event.
         self._inbox.put_nowait(Stop(cancel, reason))
 
     def pause(self, *, at_once: bool = False) -> None:
@@ -94,16 +95,19 @@ class Executor:
             RunError: this run is not being carried out, or is to stop; or something of it is under way that
                 the other does not take over.
         """
+        # Before `Begin` is handled the old run has sent nothing that could be taken over, and after the end nothing is listened to.
         if not self._leaving or not self.run.begun:
             raise RunError("the run that is to be succeeded is not being carried out")
-        check_succession(self.run.handover, run.handover)
+        check_succession(self.run.handover, run.handover)  # before anything changes: a refusal leaves the old run going on
+        # From here on reports that wait in the inbox are handled by the new run; they name the request, not the run.
         old, self.run = self.run, run
         self._asker = replace(self._asker, run=run.id)
         self._leave(run.inherit(old))
-        old.retire(run.open_requests)
-        if old.pausing:
+        old.retire(run.open_requests)  # after the new run has claimed what it adopts, which is therefore kept and not free for a moment
+        if old.pausing:  # before `Begin`, so that the new run starts nothing during a pause of the old one
             run.handle(old.pausing, asyncio.get_running_loop().time())
         self._enter()
+        # At once and not through the inbox: events that wait there concern requests that it must have adopted by then.
         self._handle(Begin())
         self._inbox.put_nowait(Tick())  # so that `paused` is looked at again once the inbox is empty
 
@@ -132,12 +136,13 @@ class Executor:
             self.ended = True
             self._leave()
             self.run.retire()
+            # Reports that came with the last event would be lost, and with them the resources that their requests keep.
             while not self._inbox.empty():
                 self._heard_late(self._inbox.get_nowait())
         return self.run.result()
 
     def _hear(self, report: Report) -> None:
-        if self._leaving:
+        if self._leaving:  # after the end no one reads the inbox, but a server may still confirm what was given up
             self._inbox.put_nowait(report)
         else:
             self._heard_late(report)
@@ -164,12 +169,12 @@ class Executor:
         self._announce()
 
     def _announce(self) -> None:
-        self._progress.set()
+        self._progress.set()  # wakes all that wait now; those that begin to wait later wait for the next event
         self._progress = asyncio.Event()
 
     def _handle(self, event: Event) -> None:
         if isinstance(event, KnowledgeChanged | ResourcesChanged):
-            self._waiting.discard(event)
+            self._waiting.discard(event)  # before it is handled: a change that its own commands cause has to be looked at again
         for command in self.run.handle(event, asyncio.get_running_loop().time()):
             match command:
                 case Send(request):
@@ -231,6 +236,7 @@ class Executor:
         self._put_once(KnowledgeChanged())
 
     def _put_once(self, event: KnowledgeChanged | ResourcesChanged) -> None:
+        # Many facts change at once; asking the guards once after all of them is enough, and keeps the inbox short.
         if event not in self._waiting:
             self._waiting.add(event)
             self._inbox.put_nowait(event)

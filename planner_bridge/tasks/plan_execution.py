@@ -145,7 +145,7 @@ class PlanExecution(Observer):
             await asyncio.wait((self._future, attention), return_when=asyncio.FIRST_COMPLETED)
         finally:
             attention.cancel()
-        self._attention.clear()
+        self._attention.clear()  # after the wait: whatever calls for attention from now on is seen in the next round
 
     def call_attention_at(self, time: float) -> None:
         """Call for attention at a time, on the clock of the event loop."""
@@ -159,6 +159,7 @@ class PlanExecution(Observer):
 
     def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
         """Call for attention when facts change otherwise than the calls change them."""
+        # During a pause the plan is compared with the world once, when it is resumed.
         if not self.is_eager or self._context.control.is_paused:
             return
         progress = self.progress
@@ -171,6 +172,7 @@ class PlanExecution(Observer):
         """Go on after a pause; if the plan does not work any more, or is in conflict with others, call for attention first."""
         if self._context.scheduler.new_conflicts(self._context.task, lambda: self.footprint):
             self.is_blocked = True
+        # The run stays paused in these cases, so that nothing starts before it is decided what to do.
         if self.is_blocked or self.result.failures or (self.is_eager and self.obstacle()):
             self._attention.set()
         elif not self._is_held:
@@ -195,6 +197,7 @@ class PlanExecution(Observer):
     async def at_rest(self) -> bool:
         """Wait until everything that is under way can be handed over; return whether the run is still going on then."""
         while not self.executor.ended:
+            # A request that is out but not accepted, or that is being cancelled, cannot be handed over yet.
             is_settled = all(result.kind is not CallOutcome.RUNNING for result in self.run.interim_result().calls)
             if is_settled and set(self.run.open_requests) == {running.request for running in self.run.under_way()}:
                 return True

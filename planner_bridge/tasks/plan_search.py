@@ -74,7 +74,7 @@ class PlanSearch:
         """
         context, control, task = self._context, self._control, self._context.task
         while True:
-            await control.unpaused()
+            await control.unpaused()  # before the turn is asked for: a paused task would keep the others from planning
             await control.until(context.scheduler.begin_turn(task))
             blocking: tuple[Conflict, ...] = ()
             try:
@@ -84,6 +84,7 @@ class PlanSearch:
                         break  # the plan may not work any more when the task goes on
                     if plan is not None:
                         return plan
+                    # Tried again at once after preempting them: they have stopped somewhere, and the world is another one now.
                     if all(conflict.yields for conflict in conflicts):
                         await control.until(context.scheduler.preempt(task, conflicts))
                     else:
@@ -119,7 +120,7 @@ class PlanSearch:
             self._begin()
         now = forbid(self._monitor.now(projected_state(context.world, under_way or ())), forbidden)
         going_on = [open_request.call for open_request in under_way or ()]
-        self._control.reserved = None
+        self._control.reserved = None  # while it plans anew, the last plan must not keep others away
         context.observer.planning(context.settings.planner)
         running = context.scheduler.running_calls(context.task)  # now, and not when the planner has answered
         result = await self._solve(now)
@@ -145,6 +146,7 @@ class PlanSearch:
     async def rest(self, rest: PlanGraph) -> tuple[PlanGraph | None, tuple[Conflict, ...]]:
         """Attempt to carry out the rest of a plan."""
         context = self._context
+        # Reserved before conflicts are looked for, with no await in between: of two tasks one always sees the other.
         self._control.reserved = needed = cache(partial(read_write_sets, rest.calls, rest.goal, context.world))
         return self._unless_in_conflict(rest, context.scheduler.new_conflicts(context.task, needed))
 
@@ -196,6 +198,7 @@ class PlanSearch:
     async def _solve(self, problem: Problem) -> PlanningResult:
         """Ask the planner, in a thread, and leave needless calls of its plan out."""
         settings, stop = self._context.settings, self._control.planner_stop
+        # The planner may not take longer than the task has left.
         timeout = max(0.01, min(settings.planner_timeout, self._monitor.limit.left))
         search = partial(solve, problem, planner=settings.planner, timeout=timeout, cancel=stop, executor=settings.executor)
         try:

@@ -39,7 +39,7 @@ class Preemption(TaskListener):
     def conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
         """Return the active tasks that conflict with a plan of the task. `footprint` is called only if there are any."""
         others = self._others(task)
-        if not others:
+        if not others:  # the footprint is computed only when needed: it walks through the whole plan
             return ()
         conflicts, needed = list[Conflict](), footprint()
         for other in others:
@@ -50,6 +50,7 @@ class Preemption(TaskListener):
 
     def new_conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
         """Return the conflicts in which neither task has been preempted for the other yet."""
+        # Between these the order is decided already; asking again would preempt them in a circle.
         settled = task.preempted_by | {other.id for other in self._others(task) if task.id in other.preempted_by}
         return tuple(conflict for conflict in self.conflicts(task, footprint) if conflict.task not in settled)
 
@@ -82,15 +83,17 @@ class Preemption(TaskListener):
         await asyncio.gather(*(self._pause_for(other, task) for other in self._others(task) if other.id in yielding))
 
     async def _pause_for(self, task: Task, other: Task) -> None:
-        if task.control.state is TaskState.CANCELLING:
+        if task.control.state is TaskState.CANCELLING:  # it cannot be paused any more, but ends soon; waiting for that has the same effect
             await task.control.over.wait()
         self._set_preempted(task, other)
         if pausing := self._pausing.get(task.id):
+            # Shielded: the other task may be cancelled while this one is being paused, which must be completed.
             await asyncio.shield(pausing)
 
     def preempt_holders(self) -> None:
         """Preempt the tasks that have what a claim of higher priority waits for."""
         outranked = self._resources.outranked()
+        # Only holders of something that this very claim needs: others of lower priority stay undisturbed.
         for claim in self._resources.line:
             for held in self._resources.held:
                 is_outranked = held.task in outranked and held.priority < claim.priority and self._resources.gives(held)
@@ -112,6 +115,7 @@ class Preemption(TaskListener):
     def update(self, task: Task) -> None:
         """Pause a task if it is preempted; resume it if it is not, and no operator has paused it."""
         control = task.control
+        # An operator's pause is stronger than preemption, and a task that is being cancelled is past both.
         if task.is_held or task.id not in self._tasks or control.state is TaskState.CANCELLING:
             return
         if not (why := self._why_preempted(task)):
@@ -126,11 +130,12 @@ class Preemption(TaskListener):
 
     async def _pause(self, task: Task) -> None:
         try:
+            # A turn of the event loop has passed since it was decided.
             if (why := self._why_preempted(task)) and not task.is_held:  # still
                 self._queue.leave(task)
                 await task.control.pause(why, at_once=True)
         finally:
             del self._pausing[task.id]
-        self._queue.changed()
+        self._queue.changed()  # what the paused task kept from others is free now, so those that failed may try again
         if task.is_active:
             self.update(task)  # another task may have preempted it meanwhile

@@ -144,9 +144,10 @@ class TaskManager:
 
     async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "paused on request") -> None:
         """Start nothing more of a task, or of all; return when nothing of it is under way."""
-        if task is None:
+        if task is None:  # tasks that come later begin paused as well
             self._is_held = True
         chosen = self._chosen(task)
+        # A task that is paused already keeps its reason: it is not this request that stops it.
         reasons = [active_task.control.reason if active_task.is_held else why for active_task in chosen]
         for active_task in chosen:
             active_task.is_held = True
@@ -165,13 +166,13 @@ class TaskManager:
             raise TaskRefused(f"the task {task} was not paused")
         for active_task in chosen:
             active_task.is_held = False
-            self._preemption.update(active_task)
+            self._preemption.update(active_task)  # not resumed directly: another task may have preempted it meanwhile
         self._admit()
 
     async def cancel(self, task: UUID | None, /, *, why: str = "cancelled on request") -> None:
         """End a task, or all; return when what was under way has confirmed it, or the limit for that has passed."""
         chosen = self._chosen(task)
-        for active_task in chosen:
+        for active_task in chosen:  # all are asked to end before the first is waited for, so that they end side by side
             self._stop(active_task, Code.CANCELLED, why)
         for active_task in chosen:
             await active_task.control.over.wait()
@@ -251,7 +252,7 @@ class TaskManager:
             task.error = error
             self._end(task, TaskEnding(Code.INVALID_GOAL, str(error)))
             return
-        self._tasks[task.id] = task
+        self._tasks[task.id] = task  # from here on the task is listed, and its deadline can end it even before it is admitted
         if task.wanted.deadline is not None:
             reason = f"the goal was not reached within {task.wanted.deadline:g} s"
             task.deadline = self._loop.call_later(task.wanted.deadline, self._stop, task, Code.DEADLINE_MISSED, reason)
@@ -324,11 +325,11 @@ class TaskManager:
             self._end(task, TaskEnding(code, reason))
 
     def _end(self, task: Task, ending: TaskEnding) -> None:
-        if self._tasks.get(task.id) is task:
+        if self._tasks.get(task.id) is task:  # a task refused for its id must not remove the one that has this id
             del self._tasks[task.id]
         self._queue.leave(task)
         self._past = [*self._past[1 - _REMEMBERED :], task]
-        task.end(ending)
+        task.end(ending)  # listed as past before its listeners know, so that they find it when they ask
         self._queue.changed()
         self._preemption.changed(task.id)
         self._admit()

@@ -25,6 +25,7 @@ def already_true(action: GroundAction, knowledge: EvaluationContext) -> bool:
     An action of which nothing is expected and that changes nothing is never done already.
     """
     at_start, at_end = facts(action.start_effects, knowledge), facts(decided(action.end_effects, knowledge), knowledge)
+    # Numbers and conditional effects cannot be seen to be done already, so such a call is always made.
     if at_start is None or at_end is None or not (at_start or at_end or action.expected != TRUE):
         return False
     if evaluate(action.expected, knowledge) is not True:

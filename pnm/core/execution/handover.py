@@ -66,6 +66,7 @@ def check_adoption(machine: PetriNetMachine, adopted: Mapping[int, UnderWay], re
     expected = {call.index for call in plan.calls if call.under_way}
     if expected != adopted.keys():
         raise RunError(f"the calls {sorted(expected)} of the plan are under way; requests are taken over for {sorted(adopted)}")
+    # The resources of adopted requests are not claimed but kept: nothing else checks that there are enough of them.
     used = Counter(name for taken in adopted.values() for name in taken.resources)
     for name, count in used.items():
         if count > capacities.get(name, 1):
@@ -85,12 +86,14 @@ def check_succession(old: Handover, new: Handover) -> None:
         raise RunError("a run that is over, or was told to stop, is not succeeded by another")
     if old.run == new.run:
         raise RunError("the run that succeeds another has an id of its own")
-    if old.settling:
+    if old.settling:  # the old run looks for effects that it computed when the call was sent; they are not handed over
         raise RunError(f"the effects of {', '.join(map(str, old.settling))} are still to be looked for")
+    # A request that nobody takes over would go on unobserved, with its resources free for others.
     left = [str(call) for request, call in old.open_calls.items() if request not in new.open_calls]
     if left:
         raise RunError(f"the other run does not take over {', '.join(left)}")
     there = {running.request for running in old.under_way}
+    # The other way round, the new run would wait for an end that has already been reported, or is about to be.
     gone = [str(call) for request, call in new.open_calls.items() if request not in there]
     if gone:
         raise RunError(f"{', '.join(gone)} cannot be taken over: it is over, or being cancelled")

@@ -63,11 +63,12 @@ class EvaluationContext:
 
     def answer(self, question: Question, /) -> object:
         """Return what the question is answered with: by what all runs share in memory, or from outside."""
+        # All layers but people have the same answer outside, so one question serves local and global lookups alike.
         if question.layer is not Layer.PERSON:
             question = Question(question.name, Layer.GLOBAL, question.meta)
             if (known := self.world.variable(question.name)) is not MISSING:
                 return known
-        if not self.asks:
+        if not self.asks:  # not the same as an answer that is still to come: with nobody to ask, the variable is missing for good
             return MISSING
         if question not in self.answers:
             raise Unanswered(question)
@@ -171,7 +172,7 @@ class Questions:
 
     def answered(self, identity: UUID, value: object, message: str) -> int | None:
         """Record an answer, or why there is none; return the place that waits for it, if any still does."""
-        if identity in self._open:
+        if identity in self._open:  # the run before has asked; this run may come to the same question later, so the answer is kept for it
             self._keep(*self._open.pop(identity), value)
         place, question = self._asked.pop(identity, (None, None))
         if place is not None and question is not None:
@@ -184,6 +185,7 @@ class Questions:
         """Forget all that concerns the place; yield the questions whose answers are no longer needed."""
         self._answers.pop(place, None)
         self._silence.pop(place, None)
+        # Answers that come later find no place, and are ignored.
         for identity in [question for question, (where, _) in self._asked.items() if where == place]:
             del self._asked[identity]
             yield identity
@@ -204,6 +206,7 @@ class Questions:
 
     def take_up(self, place: int, subject: str, question: Question) -> bool:
         """Return whether the run before has asked the question; if so, its answer, or the open question, is taken over for the place."""
+        # Each inherited answer is used once: the second call of an action asks again, as it would have without the change of runs.
         for number, (its, known, value) in enumerate(self._inherited):
             if (its, known) == (subject, question):
                 del self._inherited[number]

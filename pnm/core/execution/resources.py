@@ -85,10 +85,12 @@ class Resources:
     def is_free(self, claim: Claim) -> bool:
         """Return whether the claim would be granted now."""
         taken = self._used.copy()
+        # A claim that is not in line yet is judged as if it had joined: behind its equals, before lower priorities.
         stands = claim in self._line
         for other in self._line:
             if other == claim or (not stands and other.priority < claim.priority):
                 break
+            # What those ahead wait for counts as taken, even if it is free now: or small claims would overtake a large one for ever.
             if other.request != claim.request:
                 taken.update(other.names)
         return self._fits(claim, taken)
@@ -100,18 +102,19 @@ class Resources:
         is_free = self.is_free(claim)
         if not is_free and claim in self._line:
             return False
+        # An earlier claim of the same request may have had other names, if the values of its parameters have changed since.
         self._line = [waiting for waiting in self._line if waiting.request != claim.request]
         if is_free:
             self._hold(claim)
         else:
             self._line.insert(sum(other.priority >= claim.priority for other in self._line), claim)
-            if self.outranked():
+            if self.outranked():  # nothing has become free, but the task manager may preempt those who hold what this one needs
                 self._notify()
         return is_free
 
     def keep(self, claim: Claim) -> None:
         """Grant what a request already holds elsewhere, whatever is free; a claim granted before stays as it is."""
-        if claim.request not in self._held:
+        if claim.request not in self._held:  # the run that hands it over has the claim in the same pool: it must not be counted twice
             self._hold(claim)
 
     def give(self, request: UUID) -> None:
@@ -131,6 +134,7 @@ class Resources:
         """
         if request in self._held:
             self._withheld[request] = name
+            # Those in line have been waiting for a call to end; from now on their limit for withheld resources counts.
             if any(self.withheld_from(claim.names) for claim in self._line):
                 self._notify()
 
@@ -149,6 +153,7 @@ class Resources:
         keepers: dict[str, str] = {}
         for name in names if self._withheld else ():
             by = [known for request, known in self._withheld.items() if name in self._held[request].names]
+            # With a unit left that is not withheld, the claim will be granted when that one is given back.
             if len(by) >= self.capacity(name):
                 keepers[name] = ", ".join(by)
         return keepers
@@ -203,7 +208,7 @@ class Resources:
             self._notify()
 
     def _notify(self) -> None:
-        for listener in tuple(self._listeners):
+        for listener in tuple(self._listeners):  # a copy, because listeners may come and go while they are called
             listener()
 
     def _servable(self) -> Iterator[Claim]:
@@ -211,7 +216,7 @@ class Resources:
         for claim in self._line:
             if self._fits(claim, taken):
                 yield claim
-            taken.update(claim.names)
+            taken.update(claim.names)  # also when it does not fit: those behind it may not take what it waits for
 
 
 def who_keeps(withheld: Mapping[str, str]) -> str:

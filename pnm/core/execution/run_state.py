@@ -83,7 +83,7 @@ class MachineIndex:
         ]
 
     def _touching(self, arcs: list[list[tuple[int, int]]]) -> frozenset[int]:
-        if not self.resources:
+        if not self.resources:  # most machines have none, and this is made for every machine
             return frozenset()
         return frozenset(transition for transition, touched in enumerate(arcs) if any(place in self.resources for place, _ in touched))
 
