@@ -58,39 +58,35 @@ def show(console: Console) -> int:
     if missing:
         console.print(f"This demo needs ROS 2 and our interfaces: {' && '.join(missing)}", highlight=False, soft_wrap=True, markup=False)
         return 1
-    return asyncio.run(_show(console))
+    return asyncio.run(_play(console))
 
 
-async def _show(console: Console) -> int:
+async def _play(console: Console) -> int:
     console.print("A robot in a mall, over ROS 2. Every request is a task of its own; all share the robot's voice and arm.", soft_wrap=True)
     story = Story(console)
     try:
         async with asyncio.timeout(LIMIT), AsyncExitStack() as stack:
-            await _play(story, stack)
+            folder = stack.enter_context(tempfile.TemporaryDirectory())
+            script = Path(folder) / "script.json"
+            script.write_text(json.dumps(SCRIPT), encoding="utf-8")
+            domain, problem = examples() / "domains" / "mall", examples() / "problems" / "mall" / "p01.pddl"
+            robot = await _start(stack, str(domain / "robot.py"), SPEED)
+            world = ("--world", str(domain / "plans" / "world.yaml"))
+            node = await _start(stack, "-m", "planner_bridge", "serve", str(domain / "domain.pddl"), str(problem), *world)
+            await asyncio.gather(_ready(robot, "the robot"), _ready(node, "the node"))
+            visitor = await _start(stack, str(domain / "visitor.py"), str(script))
+            quiet = asyncio.ensure_future(_drain(node))  # a full pipe would block it
+            stack.callback(quiet.cancel)
+            doing = asyncio.ensure_future(_each(robot, story.done))
+            stack.callback(doing.cancel)
+            await _each(visitor, story.seen)
+            if await visitor.wait():
+                raise ChildProcessError("the visitor has found nobody")
     except (TimeoutError, ChildProcessError) as error:
         console.print(f"[bold red]failed[/]   {escape(str(error) or f'it is not over after {LIMIT:g} s')}", highlight=False, soft_wrap=True)
         return 1
     story.sum_up()
     return 0 if story.is_fine else 1
-
-
-async def _play(story: Story, stack: AsyncExitStack) -> None:
-    folder = stack.enter_context(tempfile.TemporaryDirectory())
-    script = Path(folder) / "script.json"
-    script.write_text(json.dumps(SCRIPT), encoding="utf-8")
-    domain, problem = examples() / "domains" / "mall", examples() / "problems" / "mall" / "p01.pddl"
-    robot = await _start(stack, str(domain / "robot.py"), SPEED)
-    world = ("--world", str(domain / "plans" / "world.yaml"))
-    node = await _start(stack, "-m", "planner_bridge", "serve", str(domain / "domain.pddl"), str(problem), *world)
-    await asyncio.gather(_ready(robot, "the robot"), _ready(node, "the node"))
-    visitor = await _start(stack, str(domain / "visitor.py"), str(script))
-    quiet = asyncio.ensure_future(_drain(node))  # a full pipe would block it
-    stack.callback(quiet.cancel)
-    doing = asyncio.ensure_future(_each(robot, story.done))
-    stack.callback(doing.cancel)
-    await _each(visitor, story.seen)
-    if await visitor.wait():
-        raise ChildProcessError("the visitor has found nobody")
 
 
 async def _start(stack: AsyncExitStack, *arguments: str) -> Process:

@@ -65,8 +65,7 @@ class PlanSimulation:
     def advance(self, events: Iterable[tuple[PlanEvent, GroundAction]], timed: Mapping[Fluent, Value] = _NOTHING) -> Changes:
         """Let actions start and end, each start before its own end, and facts change by themselves; return the changed fluents.
 
-        Raises:
-            NotApplicable: a condition does not hold; nothing has changed unless it is an over-all condition.
+        Raises `NotApplicable` if a condition does not hold; nothing has changed then unless it is an over-all condition.
         """
         effects: list[Effects] = []
         running = dict(self.running)

@@ -179,12 +179,9 @@ def _left(instance: list[_MonitoredConstraint], now: float) -> tuple[Constraint,
 
 
 class TaskMonitor:
-    """The clock of a task, with its time limit and the monitor of its constraints.
+    """The clock of a task, which is stopped when its time is used up, or a constraint of its monitor is violated.
 
     The mutable state is what stands below "state".
-
-    Args:
-        context: of the task, which is stopped when a constraint is violated or its time is used up.
     """
 
     def __init__(self, context: TaskContext) -> None:

@@ -52,8 +52,7 @@ _FALSE: Final = Bare("false")
 def write_original(problem: Problem, plan: Plan) -> str:
     """Write the steps of a plan.
 
-    Raises:
-        InputError: the domain, the problem or the plan has something without a counterpart there; the message names it.
+    Raises `InputError`, which names it, if something in the domain, the problem or the plan has no counterpart there.
     """
     used = [problem.domain.actions[name] for name in dict.fromkeys(step.action for step in plan.steps)]
     impossible = [

@@ -40,14 +40,7 @@ _FORMULAS: Final = ("condition", "at_start", "effects")
 
 
 def comments(text: str, nodes: Iterable[yaml.Node], document: Mapped, domain: Domain) -> Table:
-    """Return the comments in the file of a domain, marked as in PDDL.
-
-    Args:
-        text: of the file.
-        nodes: its documents.
-        document: the one that has the domain.
-        domain: which was read from it.
-    """
+    """Return the comments in the file of a domain, marked as in PDDL, given its documents and the one that has the domain."""
     lines = LineIndex.of(text)
     anchors = [*_Anchors(lines, domain).of_document(document)]
     remarks = [

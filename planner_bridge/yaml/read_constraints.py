@@ -48,13 +48,7 @@ def read_constraint(node: Node, scope: FormulaScope, variables: tuple[Variable, 
 
 
 def read_preference(node: Node, scope: FormulaScope, *, timed: bool = False) -> Preference:
-    """Read a preference.
-
-    Args:
-        node: the preference.
-        scope: the names around it.
-        timed: whether it stands in a durative action, where it needs a moment.
-    """
+    """Read a preference; `timed` if it stands in a durative action, where it needs a moment."""
     entry = node.mapped()
     entry.only("name", "variables", "moment", "condition", "constraints")
     variables: tuple[Variable, ...] = ()

@@ -49,20 +49,12 @@ class Contents:
 
 
 def read(path: Path) -> Contents:
-    """Read a YAML file.
-
-    Raises:
-        InputError: the file cannot be read, is not such YAML, or has what PDDL has not.
-    """
+    """Read a YAML file; raise `InputError` if the file cannot be read, is not such YAML, or has what PDDL has not."""
     return parse(read_text(path, MAX_BYTES), str(path))
 
 
 def parse(text: str, file: str) -> Contents:
-    """Read the text of a YAML file.
-
-    Raises:
-        InputError: it is not such YAML, or has what PDDL has not.
-    """
+    """Read the text of a YAML file; raise `InputError` if it is not such YAML, or has what PDDL has not."""
     nodes = compose(text, file, ANCHORS)
     top = domain_document([Mapped.of(node, file) for node in nodes])
     if top is None:

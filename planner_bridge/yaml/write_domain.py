@@ -36,8 +36,7 @@ def write_domain(domain: Domain, table: Table = NO_COMMENTS) -> str:
 def write_problem(problem: Problem, table: Table = NO_COMMENTS, plan: Iterable[Entry] = ()) -> str:
     """Write a domain and a problem as one YAML file, with the comments of the table, and a plan for the problem.
 
-    Raises:
-        InputError: something is nested deeper than the language allows.
+    Raises `InputError` if something is nested deeper than the language allows.
     """
 
     def write(notes: Notes) -> str:

@@ -116,13 +116,7 @@ def _in_effects(effects: Effects, *, values: bool = False) -> frozenset[str]:
 
 
 def read_schema(name: str, entry: Mapped, scope: FormulaScope) -> ActionSchema:
-    """Read the schema of an action.
-
-    Args:
-        name: of the action.
-        entry: its keys.
-        scope: the names around it; the action's parameters come besides.
-    """
+    """Read the schema of an action from its keys, given the names around it; the action's parameters come besides."""
     entry.only(*ACTION_KEYS)
     params, duration = entry.filled("params"), entry.filled("duration")
     parameters = () if params is None else read_typed(params, scope)
@@ -132,15 +126,7 @@ def read_schema(name: str, entry: Mapped, scope: FormulaScope) -> ActionSchema:
     conditions = read_conditions(entry.filled("preconditions"), inner)
     start_effects, end = read_timed_effects(entry.filled("effects"), inner)
     schema = ActionSchema(
-        name,
-        parameters,
-        conditions.start,
-        conditions.always,
-        conditions.end,
-        start_effects,
-        end.effects,
-        bounds,
-        expected=end.expected,
+        name, parameters, conditions.start, conditions.always, conditions.end, start_effects, end.effects, bounds, expected=end.expected
     )
     if scope.strict:
         timed = (schema.invariant, schema.end_condition) != (TRUE, TRUE), bool(schema.start_effects)

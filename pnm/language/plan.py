@@ -103,8 +103,7 @@ def parse_plans(text: str, file: str = "plan.yaml", domain: LanguageDomain | Non
 def finished(heads: Sequence[PlanHead]) -> dict[str, HandWrittenPlan]:
     """Read plans whose heads are known, so that they may call each other.
 
-    Raises:
-        InputError: two have the same name, they call each other in a circle, or something in them is wrong.
+    Raises `InputError` if two have the same name, they call each other in a circle, or something in them is wrong.
     """
     by_name: dict[str, PlanHead] = {}
     for head in heads:
@@ -241,8 +240,7 @@ def _world(name: str, entry: Mapped, key: str) -> World:
 def chosen_plan(plans: Mapping[str, HandWrittenPlan], name: str | None) -> str:
     """Return the name of the plan to carry out: the only one that no other calls, if none is named.
 
-    Raises:
-        InputError: there is no such plan, or none is named and there are several.
+    Raises `InputError` if there is no such plan, or none is named and there are several.
     """
     called = frozenset(other for plan in plans.values() for other in plan.calls)
     candidates = [candidate for candidate in plans if candidate not in called] if name is None else [name]

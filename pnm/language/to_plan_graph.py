@@ -13,7 +13,7 @@ from graphlib import CycleError, TopologicalSorter
 from typing import Final, NamedTuple, assert_never
 
 from pnm.core.logic.computed_values import Data
-from pnm.core.logic.conditions import TRUE, Condition
+from pnm.core.logic.conditions import TRUE, Condition, ground
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.machine.plan_graph import (
     ActionCall,
@@ -68,10 +68,8 @@ class _Region:
 class PlanGraphBuilder:
     """Makes the graph of one plan. The mutable state is the number of steps so far, where calls stand, and which have recoveries.
 
-    Args:
-        recoveries: gives the recoveries of an action, from the domain.
-        facts: what is so at the beginning.
-        restarts: how often the plan may begin anew, where a recovery gives no number.
+    Recoveries of actions come from the domain, facts are those at the beginning; a plan may begin anew `restarts` times where a recovery
+    gives no number.
     """
 
     def __init__(self, recoveries: Callable[[LanguageAction], tuple[WrittenRecovery, ...]], facts: Facts, restarts: int = 1) -> None:
@@ -85,11 +83,7 @@ class PlanGraphBuilder:
     def graph(
         self, plan: SequenceStep, goal: Condition = TRUE, rules: Rules = NO_RULES, capacities: Mapping[str, int] | None = None
     ) -> PlanGraph:
-        """Return the graph of a plan.
-
-        Raises:
-            InputError: it would be too large, or contradicts itself.
-        """
+        """Return the graph of a plan; raise `InputError` if it would be too large, or contradicts itself."""
         flow = self._flow(plan, _Region({}, 0, ()))
         steps = list(every_step(flow.steps))
         calls = [step.index for step in steps if isinstance(step, ActionCall)]
@@ -229,7 +223,7 @@ class PlanGraphBuilder:
         chain = self._flow(written.chain, _Region(around.outer, around.depth, around.recovering))
         usual = self._restarts if written.then is Then.RESTART_PLAN else 1
         times = usual if written.times is None else written.times
-        return Recovery(written.causes, written.then, chain, times, TRUE if written.when is None else own.condition(written.when))
+        return Recovery(written.causes, written.then, chain, times, TRUE if written.when is None else ground(written.when, own.env))
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,14 +32,7 @@ from pnm.core.logic.expressions import (
 )
 from pnm.core.logic.operators import Uncomputable
 
-_COMPARE: Final[dict[str, Callable[[float, float], bool]]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-}
-
-
+_COMPARE: Final[dict[str, Callable[[float, float], bool]]] = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
 TOLERANCE: Final = 1e-6
 """Numbers closer than this are equal: plans are computed and durations measured in floats."""
 

@@ -6,7 +6,7 @@ import json
 from contextlib import suppress
 from typing import Protocol
 
-from pnm.core.logic.computed_values import MISSING, Answers, Data, Parameter, Query, Unanswered, compute, parts
+from pnm.core.logic.computed_values import MISSING, Answers, Parameter, Query, Unanswered, compute, parts
 from pnm.core.logic.conditions import Computed, Condition, conjuncts, fluents
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import Fluent, State, Unknown, ValueOf, fluent_text
@@ -31,10 +31,17 @@ class Witness(State, Protocol):
 
 
 def observed(condition: Condition, state: Witness) -> str:
-    """Return the value of each fluent in the condition, and why it has it if it is derived."""
-    if isinstance(condition, Computed) and isinstance(state, Answers):
-        return _observed_values(condition.data, state)
-    return ", ".join(sorted(_observed_fluent(fluent, state) for fluent in fluents(condition, state))) or "no fluent involved"
+    """Return the value of each fluent in the condition, and why it has it if it is derived; of a computed condition, of what it reads."""
+    if not isinstance(condition, Computed) or not isinstance(state, Answers):
+        return ", ".join(sorted(_observed_fluent(fluent, state) for fluent in fluents(condition, state))) or "no fluent involved"
+    texts: dict[str, None] = {}
+    for part in parts(condition.data):
+        if isinstance(part, Query | ValueOf | Parameter):
+            name = fluent_text(part.fluent) if isinstance(part, ValueOf) else str(part)
+            with suppress(Unanswered, Uncomputable):
+                value = compute(part, state)
+                texts[f"{name} is {'missing' if value is MISSING else json.dumps(value, ensure_ascii=False, default=str)}"] = None
+    return ", ".join(texts) or "no variable involved"
 
 
 def _observed_fluent(fluent: Fluent, state: Witness) -> str:
@@ -47,17 +54,3 @@ def _observed_fluent(fluent: Fluent, state: Witness) -> str:
         case _:
             text = str(value)
     return f"{fluent_text(fluent)} is {text}{' ' if reason else ''}{reason}"
-
-
-def _observed_values(data: Data, answers: Answers) -> str:
-    """Return the values of the queries, parameters and fluents in the data, without those that cannot be computed."""
-    texts: dict[str, None] = {}
-    for part in parts(data):
-        if isinstance(part, Query | ValueOf | Parameter):
-            name = fluent_text(part.fluent) if isinstance(part, ValueOf) else str(part)
-            try:
-                value = compute(part, answers)
-            except (Unanswered, Uncomputable):
-                continue
-            texts[f"{name} is {'missing' if value is MISSING else json.dumps(value, ensure_ascii=False, default=str)}"] = None
-    return ", ".join(texts) or "no variable involved"

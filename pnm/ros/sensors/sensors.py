@@ -28,14 +28,9 @@ _log = logging.getLogger(__name__)
 class Sensors:
     """The sensors of a file, for every choice of their objects. To be used on the event loop's thread.
 
-    The mutable state is the recorders, and the tasks that poll services.
-
-    Args:
-        lag: seconds that reports may be late, for sensors that do not specify it.
-
-    Raises:
-        InputError: two sensors report the same facts, or one reports derived facts, or a type is not installed or lacks a
-            field of its sensor.
+    The mutable state is the recorders, and the tasks that poll services. `lag` is that of sensors that do not specify it, in seconds.
+    Raises `InputError` if two sensors report the same facts, or one reports derived facts, or a type is not installed or lacks a
+    field of its sensor.
     """
 
     def __init__(self, ros: RosThread, sensing: Sensing, knowledge: KnowledgeBase, lag: float) -> None:
@@ -66,8 +61,7 @@ class Sensors:
     async def open(self) -> None:
         """Subscribe and poll, and wait for the first message of all publishers and services that are there.
 
-        Raises:
-            InputError: a type found in the graph lacks a field of its sensor.
+        Raises `InputError` if a type found in the graph lacks a field of its sensor.
         """
         sensors: list[TopicSensor | ServiceSensor] = [*self._topics, *self._polls]
         for sensor in sensors:
