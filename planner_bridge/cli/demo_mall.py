@@ -86,7 +86,7 @@ async def _play(console: Console) -> int:
         console.print(f"[bold red]failed[/]   {escape(str(error) or f'it is not over after {LIMIT:g} s')}", highlight=False, soft_wrap=True)
         return 1
     story.sum_up()
-    return 0 if story.is_fine else 1
+    return 0 if story.reached == story.requests > 0 and not story.clashes else 1
 
 
 async def _start(stack: AsyncExitStack, *arguments: str) -> Process:
@@ -161,9 +161,8 @@ class Story:
             case "request":
                 self.requests += 1
                 shop = line["about"].startswith("shop")
-                self._print(
-                    line, "[bold magenta]ann  [/]", f'"Where is {line["about"]}?"' if shop else f'"Let us talk about {line["about"]}!"'
-                )
+                said = f"Where is {line['about']}?" if shop else f"Let us talk about {line['about']}!"
+                self._print(line, "[bold magenta]ann  [/]", f'"{said}"')
             case "accepted":
                 self.names[line["task"]] = line["about"]
             case "answer":
@@ -171,18 +170,13 @@ class Story:
                 self._print(line, "[bold magenta]ann  [/]", f'"{line["value"].rpartition(" ")[0]}"  (about {line["about"]})')
             case "result":
                 self.reached += line["reason"] == "goal_reached"
-            case "state":
-                self._state(line)
-
-    def _state(self, line: Mapping[str, Any]) -> None:
-        task, state = line["task"], line["state"]
-        if state not in _STATES or self.states.get(task) == state:
-            return
-        resumed = self.states.get(task) == "PAUSED" and state == "RUNNING"
-        self.states[task] = state
-        self.paused += state == "PAUSED"
-        word = "resumed" if resumed else state.lower()
-        self._print(line, "[bold]task [/]", f"[{_STATES[state]}]{self.names.get(task, line['about'])}: {word}[/]", line["reason"])
+            case "state" if line["state"] in _STATES and self.states.get(line["task"]) != line["state"]:
+                task, state = line["task"], line["state"]
+                resumed = self.states.get(task) == "PAUSED" and state == "RUNNING"
+                self.states[task] = state
+                self.paused += state == "PAUSED"
+                word = "resumed" if resumed else state.lower()
+                self._print(line, "[bold]task [/]", f"[{_STATES[state]}]{self.names.get(task, line['about'])}: {word}[/]", line["reason"])
 
     def _print(self, line: Mapping[str, Any], who: str, text: str, more: str = "") -> None:
         if self.began is None:
@@ -190,11 +184,6 @@ class Story:
         text = text if text.startswith("[") else escape(text)
         text += f", {escape(more)}" if more else ""
         self.console.print(f"  {line['time'] - self.began:6.2f} s  {who}  {text}", highlight=False, soft_wrap=True)
-
-    @property
-    def is_fine(self) -> bool:
-        """Whether everything came to its end as it should."""
-        return self.reached == self.requests > 0 and not self.clashes
 
     def sum_up(self) -> None:
         """Print the sums."""

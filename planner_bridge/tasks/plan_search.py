@@ -149,9 +149,8 @@ class PlanSearch:
         self._control.enter(TaskState.PLANNING)
 
     def _reserve(self, now: Problem, plan: Plan, under_way: list[ActionCall]) -> tuple[Conflict, ...]:
-        self._control.reserved = needed = cache(
-            lambda: read_write_sets((*under_way, *calls_of(now, plan)), now.goal, initial_knowledge(now))
-        )
+        needed = cache(lambda: read_write_sets((*under_way, *calls_of(now, plan)), now.goal, initial_knowledge(now)))
+        self._control.reserved = needed
         return self._context.scheduler.conflicts(self._context.task, needed)
 
     def _unless_in_conflict(self, plan: P | None, conflicts: tuple[Conflict, ...]) -> tuple[P | None, tuple[Conflict, ...]]:

@@ -7,6 +7,7 @@ from typing import Final, Literal
 
 from planner_bridge.model.problem import Metric
 from planner_bridge.pddl.read.symbols import CONSTRAINTS
+from planner_bridge.pddl.syntax.words import TIME_SPECIFIERS, TimeSpecifier
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.domain import Preference
 from pnm.core.logic.expressions import Constant, Variable, expression_fluents
@@ -19,11 +20,7 @@ from pnm.language.formulas.words import needed_form
 
 CONSTRAINT_WORDS: Final[Mapping[str, tuple[int, int]]] = {**CONSTRAINTS, "at_end": (0, 1)}
 """For every operator of a constraint, how many times and how many conditions it takes."""
-_MOMENTS: Final[Mapping[str, Literal["at start", "over all", "at end"]]] = {
-    "at_start": "at start",
-    "over_all": "over all",
-    "at_end": "at end",
-}
+_MOMENTS: Final[Mapping[str, TimeSpecifier]] = {moment.replace(" ", "_"): moment for moment in TIME_SPECIFIERS}
 _DIRECTIONS: Final[Mapping[str, Literal["minimize", "maximize"]]] = {"minimize": "minimize", "maximize": "maximize"}
 _TOTAL_TIME: Final = "total-time"
 _IS_VIOLATED: Final = "is-violated"

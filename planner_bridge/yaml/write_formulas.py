@@ -27,11 +27,7 @@ _LONG: Final = 80
 
 def conditions(condition: Condition, notes: Notes) -> Value:
     """Write what must hold: one condition, or a list of them."""
-    return one_or_list([_noted(part, notes) for part in conjuncts(condition)])
-
-
-def one_or_list(entries: list[Entry]) -> Value:
-    """Return the one value, if it has no comments, or a list."""
+    entries = [_noted(part, notes) for part in conjuncts(condition)]
     return entries[0].value if len(entries) == 1 and not entries[0].note else Sequence(tuple(entries))
 
 
@@ -48,9 +44,8 @@ def _condition(condition: Condition, notes: Notes) -> Value:
         case Holds(fluent):
             return fluent_text(fluent)
         case Compare(operation, left, right):
-            return single(
-                "Comparison", items([operation, items([expression(left), expression(right)], short=True)], short=True), short=True
-            )
+            sides = items([expression(left), expression(right)], short=True)
+            return single("Comparison", items([operation, sides], short=True), short=True)
         case Not(operand):
             entry = _noted(operand, notes)
             return Mapping((Entry(entry.value, "not", entry.note),))

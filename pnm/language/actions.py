@@ -143,6 +143,13 @@ def read_action(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> Lan
     if schema.name in RESERVED:
         raise InputError(f"{schema.name!r} is a word of the language; an action cannot be called so", entry.start)
     is_open = entry.filled("params") is None
+    inner = replace(scope, variables=None if is_open else {}).inside(schema.parameters)
+    returns: list[tuple[str, Data]] = []
+    for name, _, value in entry.section("simulated").entries():
+        data = read_data(value, inner)
+        if any(isinstance(part, Query) for part in parts(data)):
+            raise value.wrong(f"a simulated server knows its goal, not the variables of the run; expected something like ?{name}")
+        returns.append((name, data))
     return LanguageAction(
         schema,
         _kind(entry),
@@ -150,7 +157,7 @@ def read_action(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> Lan
         is_open,
         binding=read_binding(entry, type_key="ros_type", retries=0),
         resources=tuple(entry.strings("resources")),
-        returns=_simulated(entry, replace(scope, variables=None if is_open else {}).inside(schema.parameters)),
+        returns=tuple(returns),
         recoveries=entry.node("recoveries"),
     )
 
@@ -168,17 +175,6 @@ def _kind(entry: Mapped) -> ActionKind:
     if name not in known:
         raise unknown("kind of action", name, known, node.position)
     return known[name]
-
-
-def _simulated(entry: Mapped, scope: FormulaScope) -> tuple[tuple[str, Data], ...]:
-    """Read what a simulated server answers; like a real one it knows its goal and the world, but no variables."""
-    answers: list[tuple[str, Data]] = []
-    for name, _, value in entry.section("simulated").entries():
-        data = read_data(value, scope)
-        if any(isinstance(part, Query) for part in parts(data)):
-            raise value.wrong(f"a simulated server knows its goal, not the variables of the run; expected something like ?{name}")
-        answers.append((name, data))
-    return tuple(answers)
 
 
 def read_class(node: Node) -> tuple[str, str]:

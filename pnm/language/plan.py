@@ -29,7 +29,6 @@ from pnm.language.files import PlanHead, beside, parse_documents, plan_heads, pl
 from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, unknown
 from pnm.language.formulas.values import read_literal
 from pnm.language.ground_calls import Facts
-from pnm.language.plan_tree import WrittenRecovery
 from pnm.language.steps import StepReader
 from pnm.language.to_plan_graph import PlanGraphBuilder
 
@@ -130,9 +129,8 @@ def _plan(head: PlanHead, others: Mapping[str, PlanHead]) -> HandWrittenPlan:
     steps = reader.steps(entry.needed("plan"))
     scope = FormulaScope(domain.model, {})
     facts = {**domain.model.init, **read_facts(entry.listed("facts"), scope)}
-    recoveries: dict[str, tuple[WrittenRecovery, ...]] = {
-        name: reader.recoveries(action, action.recoveries) for name, action in actions.items() if action.recoveries is not None
-    }
+    own = {name: action.recoveries for name, action in actions.items() if action.recoveries is not None}
+    recoveries = {name: reader.recoveries(actions[name], node) for name, node in own.items()}
     builder = PlanGraphBuilder(lambda action: recoveries.get(action.name, ()), Facts(facts), max(1, entry.whole("restarts", 1)))
     goal = read_goal(entry, scope)
     graph = builder.graph(steps, domain.model.goal if goal == TRUE else goal, domain.rules, _capacities(entry))

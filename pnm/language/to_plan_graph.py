@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
+from itertools import product
 from typing import Final, NamedTuple, assert_never
 
 from pnm.core.logic.computed_values import Data
@@ -93,7 +94,7 @@ class PlanGraphBuilder:
 
     def _flow(self, steps: SequenceStep, region: _Region) -> Flow:
         """Return the flow of steps; a call whose start others wait for, or whose end waits itself, can only be tried again or fail."""
-        self._sequence(steps, region)
+        self._ordered(steps.steps, region, in_sequence=True)
         special = {ordering.before.call for ordering in region.orderings if ordering.before.moment is Moment.START}
         special |= {ordering.after.call for ordering in region.orderings if ordering.after.moment is Moment.END}
         placed: list[Step] = []
@@ -117,8 +118,8 @@ class PlanGraphBuilder:
         match step:
             case CallStep():
                 return self._alone(self._call(step, region), region)
-            case SequenceStep():
-                return self._sequence(step, replace(region, depth=region.depth + 1))
+            case SequenceStep(_, steps):
+                return self._ordered(steps, replace(region, depth=region.depth + 1), in_sequence=True)
             case ConcurrentStep(_, branches):
                 return self._ordered(branches, replace(region, depth=region.depth + 1), in_sequence=False)
             case LoopStep(_, condition, body, limit):
@@ -131,9 +132,6 @@ class PlanGraphBuilder:
 
     def _inside(self, steps: SequenceStep, region: _Region) -> Flow:
         return self._flow(steps, _Region(region.outer, region.depth + 1, region.recovering))
-
-    def _sequence(self, sequence: SequenceStep, region: _Region) -> PartEnds:
-        return self._ordered(sequence.steps, region, in_sequence=True)
 
     def _ordered(self, steps: tuple[WrittenStep, ...], region: _Region, *, in_sequence: bool) -> PartEnds:
         """Put the steps of a list into the flow: in the order that ``after`` gives, or else in sequence or at the same time."""
@@ -151,19 +149,12 @@ class PlanGraphBuilder:
                 if not wait.is_plain:
                     earlier = parts[wait.step].last if wait.moment is Moment.END else parts[wait.step].first
                     own = part.first if wait.own is Moment.START else part.last
-                    region.orderings += [
-                        Ordering(PlanEvent(first, wait.moment), PlanEvent(second, wait.own), delay=wait.delay)
-                        for first in earlier
-                        for second in own
-                    ]
+                    for first, second in product(earlier, own):
+                        region.orderings.append(Ordering(PlanEvent(first, wait.moment), PlanEvent(second, wait.own), delay=wait.delay))
         waited = {wait.step for before in waits for wait in before if wait.moment is Moment.END}
+        free = [part for part, before in zip(parts, waits, strict=True) if all(after.own is Moment.END for after in before)]
         return PartEnds(
-            tuple(
-                first
-                for part, before in zip(parts, waits, strict=True)
-                if all(after.own is Moment.END for after in before)
-                for first in part.first
-            ),
+            tuple(first for part in free for first in part.first),
             tuple(last for number, part in enumerate(parts) if number not in waited for last in part.last),
         )
 
@@ -174,9 +165,8 @@ class PlanGraphBuilder:
             self._link(before, meeting, region)
             self._link(meeting, after, region)
         else:
-            region.orderings += [
-                Ordering(PlanEvent(first, Moment.END), PlanEvent(second, Moment.START)) for first in before for second in after
-            ]
+            pairs = product(before, after)
+            region.orderings += [Ordering(PlanEvent(first, Moment.END), PlanEvent(second, Moment.START)) for first, second in pairs]
 
     def _junction(self, position: Position | None, region: _Region) -> PartEnds:
         return self._alone(Junction(self._number(position)), region)
