@@ -21,7 +21,7 @@ def about(name: str, layer: Layer = Layer.GLOBAL, meta: object = None) -> Questi
     return Question(name, layer, json.dumps(meta))
 
 
-def run(main: Coroutine[Any, Any, Any], *, virtual: bool = True) -> Any:
+def run_questions(main: Coroutine[Any, Any, Any], *, virtual: bool = True) -> Any:
     async def bounded() -> Any:
         return await asyncio.wait_for(main, 1000.0)
 

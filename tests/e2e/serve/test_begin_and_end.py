@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.e2e.deployment import Run
+from tests.support.e2e.deployment import RunProgram
 from tests.support.e2e.plan_deployment import ABORTED
 from tests.support.e2e.plan_files import DOMAIN, FILES, PLANS, shared
 from tests.support.files import ROOT
 
 
-def refused(deployment, *options: str) -> tuple[int, str]:
+def serve_refused(deployment, *options: str) -> tuple[int, str]:
     """Serve a world that cannot be served; return the exit status and what is said."""
     serving = deployment.serve(*options)
     status = serving.ended()
@@ -49,14 +49,14 @@ def refused(deployment, *options: str) -> tuple[int, str]:
 )
 def test_a_world_that_is_wrong_is_refused_before_anything_starts(deployment, files, options, said):
     deployment.write({**FILES, **files})
-    status, told = refused(deployment, *options)
+    status, told = serve_refused(deployment, *options)
     assert (status, said in told) == (2, True), told
 
 
 def test_without_ros_there_is_advice(deployment):
     deployment.write({**FILES, "rclpy.py": "raise ImportError('no rclpy')"})
     deployment.environment["PYTHONPATH"] = f"{deployment.folder}:{ROOT}"
-    status, told = refused(deployment)
+    status, told = serve_refused(deployment)
     assert status == 1
     assert told == ("ROS 2 is not there (no rclpy); `pip install 'petri-net-machines[ros2]'`, or source a ROS 2 installation"), (
         "one line, no traceback"
@@ -76,7 +76,7 @@ def test_without_ros_there_is_advice(deployment):
 )
 def test_names_that_cannot_be_are_refused(deployment, files, said):
     deployment.write({**FILES, **files})
-    status, told = refused(deployment)
+    status, told = serve_refused(deployment)
     assert (status, said in told) == (2, True), told
 
 
@@ -85,7 +85,7 @@ def test_a_signal_cancels_what_runs_and_tells_the_clients(deployment, number):
     deployment.write(FILES)
     workers = deployment.workers("wait").ready()
     serving = deployment.serve().ready()
-    status, told = refused(deployment)
+    status, told = serve_refused(deployment)
     assert status == 1
     assert "already" in told
     client = deployment.client("waits", {"time": 1000}, {"time": 2000})
@@ -127,7 +127,7 @@ def test_a_plan_of_pnm_run_is_in_touch_with_its_action_servers_too(deployment):
     knowing = deployment.workers(script="asking_servers").ready()
     file = str(deployment.folder / "all.yaml")
     options = ["--name", "knows", "--set", "value=7", "--actions", "ros2", "--json", "--knowledge", str(deployment.knowledge)]
-    run = deployment.start(Run(["-m", "planner_bridge", "run", "--plan", file, *options], deployment.environment))
+    run = deployment.start(RunProgram(["-m", "planner_bridge", "run", "--plan", file, *options], deployment.environment))
     status, result = run.result()
     assert (status, result["results"]) == (0, {"spam": 7, "eggs": 107, "time": 7})
     assert {"event": "found", "server": "remember", "value": [7, 107]} in knowing.objects()

@@ -144,7 +144,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def started(folder: Path, engine: str, cancel: threading.Event | None = None, timeout: float = 60) -> Future[PlanningResult]:
+def started_engine(folder: Path, engine: str, cancel: threading.Event | None = None, timeout: float = 60) -> Future[PlanningResult]:
     """Start on a hard problem, and wait until the engine itself is at work."""
     pool = ThreadPoolExecutor(1)
     found = pool.submit(solve, hard(), planner=engine, timeout=timeout, cancel=cancel)
@@ -162,7 +162,7 @@ def test_an_engine_leaves_nothing_behind(folder: Path, monkeypatch: pytest.Monke
 
 @needs_java
 def test_at_its_limit_an_engine_is_stopped(folder: Path) -> None:
-    found = started(folder, "enhsp", timeout=2.0).result(timeout=60)
+    found = started_engine(folder, "enhsp", timeout=2.0).result(timeout=60)
     assert found.status is PlanningStatus.TIMED_OUT
     assert not working_in(folder)
     assert os.listdir(folder) == []
@@ -171,14 +171,14 @@ def test_at_its_limit_an_engine_is_stopped(folder: Path) -> None:
 @pytest.mark.parametrize("engine", ["fast-downward", pytest.param("enhsp", marks=needs_java)])
 def test_a_search_that_is_cancelled_ends_at_once(folder: Path, engine: str) -> None:
     cancel = threading.Event()
-    searching = started(folder, engine, cancel)
+    searching = started_engine(folder, engine, cancel)
     cancel.set()
     assert searching.result(timeout=10).status is PlanningStatus.CANCELLED
     assert not working_in(folder)
 
 
 def test_an_engine_that_the_system_kills_was_out_of_memory(folder: Path) -> None:
-    searching = started(folder, "aries")
+    searching = started_engine(folder, "aries")
     (child,) = working_in(folder, "planner_bridge.planning.unified_planning")
     os.kill(child, signal.SIGKILL)
     assert searching.result(timeout=10).status is PlanningStatus.OUT_OF_MEMORY

@@ -60,7 +60,7 @@ class Elsewhere(Executor):
         return future
 
 
-def started(
+def started_portfolio(
     folder: Path,
     planners: tuple[str, ...],
     timeout: float,
@@ -109,7 +109,7 @@ def test_a_cluster_will_do(folder: Path) -> None:
         found = solve_with_portfolio(rooms(), planners=("kairos", "fast-downward"), timeout=60, executor=executor)
         assert found.plan is not None, found.reason
         cancel = threading.Event()
-        racing = started(folder, ("aries",), 60, cancel, executor)
+        racing = started_portfolio(folder, ("aries",), 60, cancel, executor)
         cancel.set()
         assert racing.result(timeout=10).status is PlanningStatus.CANCELLED
         until(lambda: not working_in(folder, "up-aries_"), 10)
@@ -226,7 +226,7 @@ def test_who_is_not_installed_cannot_take_part(monkeypatch: pytest.MonkeyPatch, 
 
 def test_a_race_can_be_cancelled(folder: Path) -> None:
     cancel = threading.Event()
-    found = started(folder, ("kairos", "aries"), 60, cancel)
+    found = started_portfolio(folder, ("kairos", "aries"), 60, cancel)
     cancel.set()
     assert found.result(timeout=10).status is PlanningStatus.CANCELLED
     assert not working_in(folder)
@@ -235,7 +235,7 @@ def test_a_race_can_be_cancelled(folder: Path) -> None:
 
 
 def test_a_process_that_dies_takes_nobody_with_it(folder: Path) -> None:
-    found = started(folder, ("kairos", "aries"), 3)
+    found = started_portfolio(folder, ("kairos", "aries"), 3)
     (engine,) = working_in(folder, "planner_bridge.planning.unified_planning")
     os.kill(parent(engine), signal.SIGKILL)
     result = found.result(timeout=60)

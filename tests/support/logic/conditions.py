@@ -15,7 +15,7 @@ OBJECTS = ("a", "b")
 
 
 @dataclass
-class Picture:
+class GivenState:
     """A state given by its facts; absent fluents are not recorded."""
 
     facts: Facts = field(default_factory=dict)
