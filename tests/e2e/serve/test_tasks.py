@@ -36,17 +36,15 @@ def test_what_is_wrong_is_said_and_nothing_is_served(deployment, arguments, stat
 
 def test_a_second_node_of_the_same_name_offers_nothing(deployment):
     serving = serve(deployment, DOMAIN, PROBLEM).ready()
-    second = serve(deployment, DOMAIN, PROBLEM)
-    assert second.ended() == 1
-    assert "there is an action server /achieve_goal already" in "\n".join(second.err)
     deployment.write(FILES)
-    third = serve(deployment, "--world", str(deployment.folder / "world.yaml"))
-    assert third.ended() == 1
-    assert "there is an action server /achieve_goal already" in "\n".join(third.err)
-    fourth = serve(deployment, DOMAIN, PROBLEM, "--ros-args", "-r", "__ns:=/r1").ready()
-    assert "ready: 3 action servers: /r1/achieve_goal, /r1/execute_plan, /r1/plan" in fourth.out
+    second, third = serve(deployment, DOMAIN, PROBLEM), serve(deployment, "--world", str(deployment.folder / "world.yaml"))
+    elsewhere = serve(deployment, DOMAIN, PROBLEM, "--ros-args", "-r", "__ns:=/r1").ready()
+    for refused in (second, third):
+        assert refused.ended() == 1
+        assert "there is an action server /achieve_goal already" in "\n".join(refused.err)
+    assert "ready: 3 action servers: /r1/achieve_goal, /r1/execute_plan, /r1/plan" in elsewhere.out
     assert goals(deployment, "goal_reached").result()["status"] == SUCCEEDED
-    for one in (serving, fourth):
+    for one in (serving, elsewhere):
         one.stop()
 
 

@@ -103,7 +103,7 @@ SAME = {
 
 def outcome(domain: str, problem: str) -> tuple[object, object]:
     parsed = kairos.parse_problem(problem, kairos.parse_domain(domain))
-    result = kairos.Planner().solve(parsed, timeout=10, anytime=False, threads=1)
+    result = kairos.Planner().solve(parsed, timeout=60, anytime=False, threads=1)
     return result.status, result.plan.cost if result.plan else None
 
 
