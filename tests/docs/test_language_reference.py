@@ -32,9 +32,7 @@ TEXT = PAGE.read_text(encoding="utf-8")
 FILES = example_files(TEXT)
 COMMANDS_SHOWN = [command_shown(body) for _, body in blocks_of("console", TEXT)]
 FACTS: dict[Fluent, Value | Unknown] = {("at", "r1", "kitchen"): True, ("battery", "r1"): 80.0}
-KNOWN = EvaluationContext(
-    Layered(KnowledgeBase(FACTS, objects={"robot": ("r1", "r2")}), KnowledgeBase(variables={"v": 3, "list": [1, 2]})),
-)
+KNOWN = EvaluationContext(Layered(KnowledgeBase(FACTS, objects={"robot": ("r1", "r2")}), KnowledgeBase(variables={"v": 3, "list": [1, 2]})))
 
 
 def items(kind: str) -> list[tuple[Node, str]]:

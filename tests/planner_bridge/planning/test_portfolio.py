@@ -61,11 +61,7 @@ class Elsewhere(Executor):
 
 
 def started_portfolio(
-    folder: Path,
-    planners: tuple[str, ...],
-    timeout: float,
-    cancel: threading.Event | None = None,
-    executor: Executor | None = None,
+    folder: Path, planners: tuple[str, ...], timeout: float, cancel: threading.Event | None = None, executor: Executor | None = None
 ) -> Future[PlanningResult]:
     """Start a race on a hard problem in which Aries takes part, and wait until it is at work."""
     pool = ThreadPoolExecutor(1)

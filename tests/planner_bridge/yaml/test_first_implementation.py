@@ -127,11 +127,7 @@ def expected(problem: Problem, plan: Plan) -> dict[tuple[str, ...], object]:
     return {fluent: knowledge.value(fluent) or False for fluent in known}
 
 
-PLANS = {
-    "rooms": (rooms(), None),
-    "tanks": (tanks(), None),
-    "everything": (EVERYTHING, Plan((PlanStep("swap-over", ("a", "b")),))),
-}
+PLANS = {"rooms": (rooms(), None), "tanks": (tanks(), None), "everything": (EVERYTHING, Plan((PlanStep("swap-over", ("a", "b")),)))}
 
 
 @pytest.mark.parametrize("name", PLANS)

@@ -12,10 +12,7 @@ from uuid import UUID
 import pytest
 
 from pnm.core.logic.computed_values import MISSING
-from pnm.knowledge.sources import (
-    Asker,
-    SourceError,
-)
+from pnm.knowledge.sources import Asker, SourceError
 from pnm.knowledge.sources import sqlite as sqlite_source
 from pnm.knowledge.sources.sqlite import SqliteKnowledge, default_path
 from tests.support.people import about, run_questions

@@ -193,12 +193,7 @@ def test_starts_ends_and_times_are_waited_for(read: Read) -> None:
     )
     start, end = Moment.START, Moment.END
     told = [((one.before.call, one.before.moment), (one.after.call, one.after.moment), one.delay) for one in plan.graph.orderings]
-    assert told == [
-        ((1, end), (0, end), 0.0),
-        ((2, start), (0, end), 0.0),
-        ((0, start), (1, start), 0.0),
-        ((1, end), (2, start), 2.5),
-    ]
+    assert told == [((1, end), (0, end), 0.0), ((2, start), (0, end), 0.0), ((0, start), (1, start), 0.0), ((1, end), (2, start), 2.5)]
     assert [(call.release, call.deadline, bool(call.recoveries)) for call in plan.graph.calls] == [
         (0.0, inf, False),
         (3.0, 60.0, True),
@@ -209,10 +204,7 @@ def test_starts_ends_and_times_are_waited_for(read: Read) -> None:
 
 @pytest.mark.parametrize(
     ("steps", "message"),
-    [
-        *refused(BAD_INPUT / "orderings.yaml"),
-        ("{go: , id: a, end_after: [b]}, {go: , id: b, after: [a]}", "steps wait for each other: "),
-    ],
+    [*refused(BAD_INPUT / "orderings.yaml"), ("{go: , id: a, end_after: [b]}, {go: , id: b, after: [a]}", "steps wait for each other: ")],
 )
 def test_what_cannot_be_waited_for(read: Read, steps: str, message: str) -> None:
     with pytest.raises(InputError) as raised:

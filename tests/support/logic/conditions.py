@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from pnm.core.logic.expressions import (
-    Fluent,
-    Unknown,
-    Value,
-)
+from pnm.core.logic.expressions import Fluent, Unknown, Value
 
 Facts = dict[Fluent, Value | Unknown]
 OBJECTS = ("a", "b")

@@ -9,11 +9,7 @@ from hypothesis import strategies as st
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import All, Any, Condition, Holds, Not
 from pnm.core.logic.expressions import Unknown, Variable
-from pnm.core.logic.trajectory import (
-    Constraint,
-    moments,
-    progressed,
-)
+from pnm.core.logic.trajectory import Constraint, moments, progressed
 
 P, Q = Holds(("p",)), Holds(("q",))
 Trace = list[tuple[float, KnowledgeBase]]

@@ -4,19 +4,7 @@ from __future__ import annotations
 
 from pnm.core.logic.computed_values import Data, Layer, Literal, Operation, Query, Update
 from pnm.core.logic.conditions import Computed, Condition, Holds
-from pnm.core.machine.plan_graph import (
-    EMPTY,
-    ActionCall,
-    Cause,
-    Choice,
-    Flow,
-    GroundAction,
-    Junction,
-    Loop,
-    Recovery,
-    Step,
-    Then,
-)
+from pnm.core.machine.plan_graph import EMPTY, ActionCall, Cause, Choice, Flow, GroundAction, Junction, Loop, Recovery, Step, Then
 from tests.support.runs.plan_graphs import ordering, plan_of_steps
 
 OK: Condition = Holds(("ok",))

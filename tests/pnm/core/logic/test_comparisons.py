@@ -5,21 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pnm.core.logic.computed_values import Literal, Parameter
-from pnm.core.logic.conditions import (
-    TRUE,
-    All,
-    Any,
-    Compare,
-    Computed,
-    Condition,
-    Exists,
-    ForAll,
-    Holds,
-    Implies,
-    Not,
-    fluents,
-    ground,
-)
+from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents, ground
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.explain import failing, observed
 from pnm.core.logic.expressions import (
@@ -80,13 +66,7 @@ def test_arithmetic(expression: Expression, expected: Value | Unknown) -> None:
 
 @pytest.mark.parametrize(
     ("operation", "below", "just_below", "equal", "just_above", "above"),
-    [
-        ("=", F, T, T, T, F),
-        ("<", T, F, F, F, F),
-        ("<=", T, T, T, T, F),
-        (">", F, F, F, F, T),
-        (">=", F, T, T, T, T),
-    ],
+    [("=", F, T, T, T, F), ("<", T, F, F, F, F), ("<=", T, T, T, T, F), (">", F, F, F, F, T), (">=", F, T, T, T, T)],
 )
 def test_numbers_are_equal_within_the_tolerance(
     operation: str, below: Truth, just_below: Truth, equal: Truth, just_above: Truth, above: Truth

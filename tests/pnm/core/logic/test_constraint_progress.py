@@ -10,11 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pnm.core.logic.conditions import Any, Not
-from pnm.core.logic.trajectory import (
-    IMPOSSIBLE,
-    Constraint,
-    ConstraintProgress,
-)
+from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, ConstraintProgress
 from tests.support.logic.trajectories import (
     AFTER,
     BEFORE,

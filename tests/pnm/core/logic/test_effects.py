@@ -31,17 +31,7 @@ from pnm.core.logic.effects import (
     written,
 )
 from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.expressions import (
-    UNKNOWN,
-    Constant,
-    Environment,
-    Fluent,
-    Unknown,
-    Value,
-    ValueOf,
-    Variable,
-    bind,
-)
+from pnm.core.logic.expressions import UNKNOWN, Constant, Environment, Fluent, Unknown, Value, ValueOf, Variable, bind
 from tests.support.logic.effects import (
     ALL_FACTS,
     ALL_NUMBERS,

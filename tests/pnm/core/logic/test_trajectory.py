@@ -14,17 +14,7 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import All, Holds, Not
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Variable
-from pnm.core.logic.trajectory import (
-    IMPOSSIBLE,
-    Constraint,
-    instances,
-    is_fulfilled,
-    moments,
-    names_in,
-    observed_of,
-    progressed,
-    shifted,
-)
+from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, moments, names_in, observed_of, progressed, shifted
 from tests.support.logic.trajectories import (
     AFTER,
     BEFORE,

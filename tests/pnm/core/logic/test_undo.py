@@ -30,17 +30,7 @@ from pnm.core.logic.effects import (
     written,
 )
 from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.expressions import (
-    UNDEFINED,
-    UNKNOWN,
-    Constant,
-    Fluent,
-    Unknown,
-    Value,
-    ValueOf,
-    Variable,
-    value_of,
-)
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Unknown, Value, ValueOf, Variable, value_of
 from tests.support.logic.effects import (
     ALL_FACTS,
     ALL_NUMBERS,

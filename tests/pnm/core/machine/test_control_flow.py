@@ -14,15 +14,7 @@ from pnm.core.logic.conditions import Computed
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure
-from pnm.core.machine.plan_graph import (
-    ActionCall,
-    Cause,
-    Choice,
-    Loop,
-    PlanGraph,
-    Recovery,
-    Then,
-)
+from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Loop, PlanGraph, Recovery, Then
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.explore import Unsound
 from pnm.core.machine.verification.verify import explore, verify

@@ -10,11 +10,7 @@ from pnm.core.logic.computed_values import Layer, Literal, Operation, Parameter,
 from pnm.core.logic.conditions import Computed
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
-from pnm.core.machine.plan_graph import (
-    ActionCall,
-    GroundAction,
-    Loop,
-)
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Loop
 from pnm.core.machine.requests import Outcome, OutcomeKind
 from pnm.core.machine.verification.explore import Unsound
 from pnm.core.machine.verification.verify import explore, verify

@@ -85,10 +85,7 @@ def test_numpy_arrays_and_bytes_do_for_lists():
     assert to_message(msg.BasicTypes, {"int32_value": np.int64(5), "bool_value": np.bool_(True)}).int32_value == 5
 
 
-@pytest.mark.parametrize(
-    ("seconds", "sec", "nanosec"),
-    [(2, 2, 0), (1.5, 1, 500_000_000), (-0.25, -1, 750_000_000), (0.9999999999, 1, 0)],
-)
+@pytest.mark.parametrize(("seconds", "sec", "nanosec"), [(2, 2, 0), (1.5, 1, 500_000_000), (-0.25, -1, 750_000_000), (0.9999999999, 1, 0)])
 def test_seconds_do_for_a_time(seconds, sec, nanosec):
     message = to_message(msg.Builtins, {"time_value": seconds, "duration_value": {"sec": 3}})
     assert message.time_value == Time(sec=sec, nanosec=nanosec)

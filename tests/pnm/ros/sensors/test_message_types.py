@@ -27,10 +27,7 @@ BASIC = "test_msgs/msg/BasicTypes"
     ("facts", "said"),
     [
         ("{number: (battery r1), field: percentage}", "BasicTypes has no field 'percentage'; it has bool_value, byte_value"),
-        (
-            "{number: (battery r1), field: flaot64_value}",
-            "has no field 'flaot64_value'; did you mean 'float64_value'? it has bool_value",
-        ),
+        ("{number: (battery r1), field: flaot64_value}", "has no field 'flaot64_value'; did you mean 'float64_value'? it has bool_value"),
         ("{number: (battery r1), field: bool_value}", "bool_value is a boolean; expected a number, or a table"),
         ("{object: (location r1), field: int8_value}", "int8_value is a int8; expected a text, or a table"),
         ("{fact: (dark), field: int8_value}", "int8_value is a int8; expected a boolean, or 'when' and how it compares"),
@@ -56,10 +53,7 @@ def test_a_field_that_the_type_does_not_have_is_refused(ros, sensing, facts, sai
 
 def test_types_found_in_the_graph_are_checked_as_well(ros, names, sensing, sensors):
     topic, service = names(), names()
-    sensors(
-        {"topic": topic, "type": BASIC, "fields": {}},
-        {"service": service, "type": "test_msgs/srv/BasicTypes", "fields": {}},
-    )
+    sensors({"topic": topic, "type": BASIC, "fields": {}}, {"service": service, "type": "test_msgs/srv/BasicTypes", "fields": {}})
 
     async def main(text, said):
         await until_true(ros, lambda: ros.node.count_services(service))
