@@ -112,21 +112,6 @@ def test_a_node_is_led_through_its_states_by_others(deployment):
     assert serving.ended() == 0
 
 
-def test_plans_of_a_world_are_paused_while_the_node_is_inactive(deployment):
-    deployment.write(FILES)
-    workers = deployment.workers("wait").ready()
-    serving = serve(deployment, "--world", str(deployment.folder / "world.yaml")).ready()
-    client = deployment.client("waits", {"time": 0.5}, {"time": 1000})
-    workers.happens("end", "wait", 0.5)
-    assert transitions(deployment, "deactivate") == [True]
-    workers.happens("cancelled", "wait", 1000)
-    assert deployment.client("empty").hears("answered") == {"event": "answered", "goal": 0, "accepted": False}
-    assert transitions(deployment, "activate") == [True]
-    workers.until(lambda: workers.starts("wait").count(1000) == 2)
-    serving.stop()
-    assert [one["reason"] for one in client.results()] == ["goal", "cancelled"]
-
-
 def test_a_configuration_that_fails_can_be_mended(deployment):
     world = deployment.folder / "world.yaml"
     serving = serve(deployment, "--world", str(world), "--no-autostart")

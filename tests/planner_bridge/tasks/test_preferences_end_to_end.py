@@ -36,16 +36,6 @@ def test_preferences_are_planned_for_counted_and_not_enforced() -> None:
     assert result.constraints == ()
 
 
-def test_preferences_of_actions_are_said_not_to_be_monitored() -> None:
-    text = ROOMS.replace(":strips", ":adl :preferences :strips", 1).replace(
-        "(and (at ?r ?a) (way", "(and (preference lit (clean ?b)) (at ?r ?a) (way", 1
-    )
-    wanted = f"(define (problem p) (:domain rooms) (:objects r1 - robot a b c d - room) (:init (at r1 a) {ROUND}) (:goal (at r1 c)))"
-    result, _ = pursued(parse_problem(wanted, parse_domain(text)))
-    assert result.goal_reached
-    assert [(one.name, one.status) for one in result.preferences] == [("lit", "not monitored")]
-
-
 TIDYING = """
 (define (domain tidying) (:requirements :typing :hierarchy :method-preconditions)
   (:types room)

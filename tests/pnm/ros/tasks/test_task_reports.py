@@ -242,16 +242,3 @@ def test_what_is_known_and_the_problem_may_be_asked_for(two):
             assert (await one.client.call("problem/load", problem="(")) == {"success": False, "message": "problem:1:1: expected (define"}
 
     run_bounded(main())
-
-
-def test_a_hundred_goals_at_once_are_all_answered(two):
-    async def main():
-        async with serving_node(two) as one:
-            await one.client.meet("achieve_goal")
-            goals = await asyncio.gather(*(one.goal("running") for _ in range(100)))
-            assert len(one.tasks.open) == 100
-            for goal in goals:
-                one.tasks.end(goal.id, Code.GOAL_REACHED)
-            assert {status for status, _ in await asyncio.gather(*(goal.result() for goal in goals))} == {SUCCEEDED}
-
-    run_bounded(main())

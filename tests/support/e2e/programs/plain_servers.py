@@ -4,7 +4,6 @@
     add_one       answers with one more than the value
     broken        aborts
     wait          waits; until it is cancelled if that takes longer than a minute
-    fragile       the same, and is called fragile/wait
     stubborn      the same, but cannot be cancelled
     four_waits    is called wait, too, and lets its goals go when four of them are there at the same time
 
@@ -84,7 +83,6 @@ KNOWN: dict[str, tuple[str, Any, Callable[[Any], Any]]] = {
     "add_one": ("add_one", EstimateTime, answering("add_one", 1)),
     "broken": ("broken", EstimateTime, broken),
     "wait": ("wait", Wait, Waiting("wait")),
-    "fragile": ("fragile/wait", Wait, Waiting("fragile/wait")),
     "stubborn": ("stubborn", Wait, Waiting("stubborn")),
     "four_waits": ("wait", Wait, FourWaits()),
 }
