@@ -34,7 +34,7 @@ class ProblemFolder:
     initial: Path | None = None
 
     def __post_init__(self) -> None:
-        if self.root is not None and not self.root.is_dir():
+        if self.root is not None and not os.path.isdir(self.root):
             raise InputError(f"there is no folder {str(self.root)!r} for problems; expected one that exists in the parameter 'problems'")
 
     def path_of(self, name: str) -> Path:
