@@ -10,7 +10,21 @@ import sys
 from typing import Final
 
 from pnm.core.logic.computed_values import Parameter
-from pnm.core.logic.conditions import TRUE, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
+from pnm.core.logic.conditions import (
+    TRUE,
+    Any,
+    Compare,
+    Computed,
+    Condition,
+    Exists,
+    ForAll,
+    Holds,
+    Implies,
+    Not,
+    choices_in,
+    conjunction,
+)
+from pnm.core.logic.domain import check_choices
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, ValueOf, Variable
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Node
@@ -55,11 +69,9 @@ def _condition(found: Form, scope: FormulaScope) -> Condition:
         case "holds":
             return Holds(read_fluent(found.items(1)[0], scope, "predicate"))
         case "forall":
-            variables, body = read_quantified(found, "condition", scope)
-            return ForAll(variables, read_condition(body, scope.inside(variables)))
+            return _quantified(ForAll, found, scope)
         case "exists" if found.argument.is_mapping and form(found.argument, QUERIES) is None:
-            variables, body = read_quantified(found, "condition", scope)
-            return Exists(variables, read_condition(body, scope.inside(variables)))
+            return _quantified(Exists, found, scope)
         case "comparison":
             return _comparison(found, *comparison_parts(found), scope)
         case "operation" if len(operation_parts(found)[1]) == 2:
@@ -69,6 +81,13 @@ def _condition(found: Form, scope: FormulaScope) -> Condition:
             raise InputError(f"PDDL has no {found.written!r}: it knows facts and functions, not variables", found.position)
         case _:
             return Computed(read_form(found, scope))
+
+
+def _quantified(kind: type[ForAll | Exists], found: Form, scope: FormulaScope) -> ForAll | Exists:
+    variables, body = read_quantified(found, "condition", scope)
+    condition = kind(variables, read_condition(body, scope.inside(variables)))
+    check_choices(choices_in(condition, scope.declared.count), found.position)
+    return condition
 
 
 def read_quantified(found: Form, inner: str, scope: FormulaScope) -> tuple[tuple[Variable, ...], Node]:
