@@ -160,8 +160,9 @@ def _problem(definition: Definition, domain: Domain, warnings: tuple[Tolerated, 
         words,
         (*domain.warnings, *warnings, *definition.whole.source.tolerated),
     )
+    objects = where((*definition.every(":objects"), definition.whole)[0])
     for what, choices in problem.ranges():
-        check_choices(choices, where(definition.one(":objects") or definition.whole), f"the quantifiers in {what}")
+        check_choices(choices, objects, f"the quantifiers in {what}")
     return problem
 
 
