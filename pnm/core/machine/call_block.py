@@ -47,6 +47,7 @@ from pnm.core.machine.machine import (
     Ending,
     Ends,
     Guard,
+    InvariantFalse,
     PauseAsked,
     Rule,
     TransitionAction,
@@ -219,7 +220,7 @@ class CallBlock(Block[ActionCall]):
         self.fire(Rule("stop", CancelAsked(), call, action=_CANCEL), "running", "stopping")
         self.fire(Rule("suspend", PauseAsked(), call, action=_CANCEL), "running", "suspending")
         if self.step.action.invariant != TRUE:
-            broken = check_rule(Cause.INVARIANT_FALSE, ConditionFalse(self.step.action.invariant), call, _CANCEL)
+            broken = check_rule(Cause.INVARIANT_FALSE, InvariantFalse(self.step.action.invariant), call, _CANCEL)
             self.fire(broken, "running", "stopping", "failed")
         if isfinite(self.step.deadline):
             missed = check_rule(Cause.DEADLINE_MISSED, Due(self.step.deadline), call, _CANCEL)

@@ -1,0 +1,129 @@
+"""Over-all conditions: a report that one is false stops the call at once; only what may not be reported yet has the time for that."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from pnm.core.execution.events import Cancel, Command, KnowledgeChanged, Tick, Wake
+from pnm.core.execution.run import Run
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import All, Any, Condition, Holds, Not
+from pnm.core.logic.effects import Set
+from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Unknown, Value
+from pnm.core.logic.rules import DerivationRule, Rules
+from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.requests import Ended
+from tests.support.runs.handover import CANCELED, SUCCEEDED, going
+
+OPEN, LIT, HELD = ("open",), ("lit",), ("held",)
+LAG = 1.0
+
+
+def adds(*fluents: Fluent) -> tuple[Set, ...]:
+    return tuple(Set(fluent, Constant(True)) for fluent in fluents)
+
+
+def deletes(*fluents: Fluent) -> tuple[Set, ...]:
+    return tuple(Set(fluent, Constant(False)) for fluent in fluents)
+
+
+PASS = GroundAction("pass", invariant=Holds(OPEN), end_effects=adds(("inside",)), duration=5.0)
+LIGHT = GroundAction("light", invariant=Holds(LIT), start_effects=adds(LIT), end_effects=deletes(("match",)), duration=5.0)
+CARRY = GroundAction("carry", invariant=Holds(HELD), end_effects=(*deletes(HELD), *adds(("there",))), duration=5.0)
+
+
+def begun(
+    action: GroundAction, *facts: Fluent, sensed: tuple[str, ...] = ("open", "lit", "held"), rules: tuple[DerivationRule, ...] = ()
+) -> Run:
+    """A run whose one call was accepted at 1 s, and what is reported comes 1 s late at most."""
+    return going(action, world=KnowledgeBase(dict.fromkeys(facts, True), sensed=dict.fromkeys(sensed, LAG), rules=Rules(rules)))
+
+
+def report(run: Run, fluent: Fluent, value: Value | Unknown, now: float) -> list[Command]:
+    run.knowledge.world.update({fluent: value})
+    return run.handle(KnowledgeChanged(), now)
+
+
+def cancels(commands: list[Command]) -> bool:
+    return any(isinstance(command, Cancel) for command in commands)
+
+
+def causes(run: Run) -> list[str]:
+    return [failure.cause for failure in run.result().failures]
+
+
+def test_a_report_that_it_is_false_acts_at_once() -> None:
+    run = begun(PASS, OPEN)
+    assert cancels(report(run, OPEN, False, 2.0))
+    run.handle(Ended(run.open_requests[0], CANCELED), 2.1)
+    assert causes(run) == ["invariant_false"]
+    assert run.result().failures[0].observed == "(open) is false"
+
+
+def test_a_call_that_succeeds_before_the_lag_has_passed_has_failed() -> None:
+    run = begun(PASS, OPEN)
+    request = run.open_requests[0]
+    report(run, OPEN, False, 2.0)
+    run.handle(Ended(request, SUCCEEDED), 2.2)
+    assert causes(run) == ["invariant_false"]
+
+
+def test_what_was_reported_false_between_the_request_and_its_acceptance_acts_at_once() -> None:
+    shut = replace(PASS, start_effects=adds(("moving",)))
+    run = begun(shut, OPEN)
+    assert cancels(report(run, OPEN, False, 1.0))
+
+
+def test_a_fact_that_the_start_of_the_call_makes_true_may_be_reported_late() -> None:
+    run = begun(LIGHT)
+    assert not cancels(report(run, ("other",), True, 1.5))
+    assert not cancels(report(run, LIT, True, 1.9))
+    assert not cancels(run.handle(Tick(), 2.0)), "it has been seen in time"
+    assert cancels(report(run, LIT, False, 2.1)), "and goes out again: that is news"
+
+
+def test_a_fact_that_the_start_should_make_true_and_is_never_reported_counts_as_false_after_the_lag() -> None:
+    run = begun(LIGHT)
+    assert cancels(run.handle(Tick(), 1.0 + LAG))
+
+
+def test_what_the_end_of_the_call_changes_may_be_seen_before_the_end_is_reported() -> None:
+    run = begun(CARRY, HELD)
+    assert report(run, HELD, False, 3.0) == [Wake(3.0 + LAG)]
+    run.handle(Ended(run.open_requests[0], SUCCEEDED), 3.5)
+    assert run.result().goal
+
+
+def test_what_the_end_of_the_call_changes_counts_when_the_end_does_not_come() -> None:
+    run = begun(CARRY, HELD)
+    report(run, HELD, False, 3.0)
+    assert cancels(run.handle(Tick(), 3.0 + LAG))
+
+
+def test_one_part_that_may_be_late_does_not_excuse_another() -> None:
+    both = replace(LIGHT, invariant=All((Holds(LIT), Holds(OPEN))))
+    assert cancels(report(begun(both, OPEN), OPEN, False, 1.2))
+
+
+def test_what_is_no_longer_reported_has_the_lag_to_be_reported_again() -> None:
+    run = begun(PASS, OPEN)
+    assert report(run, OPEN, UNKNOWN, 2.0) == [Wake(2.0 + LAG)]
+    report(run, OPEN, True, 2.5)
+    assert not cancels(run.handle(Tick(), 2.0 + LAG))
+
+
+@pytest.mark.parametrize("condition", [Any((Holds(OPEN), Holds(LIT))), Not(All((Not(Holds(OPEN)), Not(Holds(LIT)))))])
+def test_of_alternatives_one_is_enough(condition: Condition) -> None:
+    run = begun(replace(PASS, invariant=condition), OPEN, LIT)
+    assert not cancels(report(run, OPEN, False, 2.0))
+    assert cancels(report(run, LIT, False, 2.5))
+
+
+def test_a_derived_fact_is_false_as_soon_as_a_report_makes_it_so() -> None:
+    free = DerivationRule("free", (), Holds(OPEN))
+    assert cancels(report(begun(replace(PASS, invariant=Holds(("free",))), OPEN, rules=(free,)), OPEN, False, 2.0))
+    lit = DerivationRule("bright", (), Holds(LIT))
+    run = begun(replace(LIGHT, invariant=Holds(("bright",))), rules=(lit,))
+    assert not cancels(report(run, ("other",), True, 1.5)), "below it is what the start makes true"
