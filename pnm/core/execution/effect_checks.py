@@ -83,6 +83,12 @@ def unseen(wanted: Mapping[Fluent, Value], action: GroundAction, knowledge: Eval
     return (*missing, *map(str, denied), *map(str, failing(action.expected, knowledge)))
 
 
+def denied_at_end(action: GroundAction, knowledge: EvaluationContext) -> tuple[str, ...]:
+    """Return, as PDDL, which parts of the end condition do not hold at the end, of those that nothing reports: no report can come late."""
+    parts = failing(action.end_condition, knowledge)
+    return tuple(str(part) for part in parts if not all(map(knowledge.world.is_sensed, fluents(part, knowledge))))
+
+
 def may_be_late(part: Condition, action: GroundAction, knowledge: EvaluationContext, *, has_held: bool) -> bool:
     """Return whether a part of the over-all condition may look false, while the action is under way, for want of a report alone.
 

@@ -6,7 +6,8 @@ A call whose start others wait for *announces* it once: when the first request i
 replaces that (skip, already true, failure). Therefore such a call has its places up to acceptance twice: for the
 attempts before its start was announced and for those after.
 
-An end that must wait for other events (`awaited`) is reached by the robot when it likes; its checks and its `fork`
+An end that must wait for other events (`awaited`) is reached by the robot when it likes. What nothing reports of it is
+believed then, so that a match that went out too early is out for all who need its light; its checks and its `fork`
 wait. A retry moves a token from *budget* to *spent*; giving up takes all of *spent*, by an arc whose weight is the
 whole budget. Where the plan says itself what is done about a cause, that comes in the place of retrying.
 
@@ -121,7 +122,7 @@ class CallBlock(Block[ActionCall]):
         """Make a place of this block."""
         if name in _ALIVE or (name == "finished" and not self.awaited):
             self.builder.alive_places.add(self.name(name))
-        if name in ("returned", "finished"):
+        if name in ("returned", "ended", "finished"):
             self.builder.settling_places[self.name(name)] = self.step.index
         return super().place(name)
 
@@ -254,9 +255,12 @@ class CallBlock(Block[ActionCall]):
         """From success to done, once the effects are seen."""
         call = self.step.index
         if self.awaited:
-            self.add(Rule("await", call=call), [self.name("returned"), *self.awaited], [self.name("finished"), *self.awaited])
+            self.place("ended")
+            self.fire(Rule("end", call=call, action=TransitionAction.FINISH), "returned", "ended")
+            self.add(Rule("await", call=call), [self.name("ended"), *self.awaited], [self.name("finished"), *self.awaited])
         self._own_checks(Cause.AFTER, "finished")
-        effects_hold = Rule("effects_hold", EffectsSeen(call), call, action=TransitionAction.FINISH, outcome=CallOutcome.SUCCEEDED)
+        finish = None if self.awaited else TransitionAction.FINISH
+        effects_hold = Rule("effects_hold", EffectsSeen(call), call, action=finish, outcome=CallOutcome.SUCCEEDED)
         self.fire(effects_hold, "finished", "done")
         not_so, recover = "the action succeeded, but that is not so", [self.name(phase + "recover")]
         self._outcome(Cause.EFFECTS_MISSING.value, EffectsMissing(call), "finished", Cause.EFFECTS_MISSING, recover, observed=not_so)

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from uuid import UUID
 
 import pytest
 
-from pnm.core.execution.events import Cancel, Command, KnowledgeChanged, Tick, Wake
+from pnm.core.execution.events import Begin, Cancel, Command, KnowledgeChanged, Tick, Wake
 from pnm.core.execution.run import Run
-from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import All, Any, Condition, Holds, Not
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import UNKNOWN, Constant, Fluent, Unknown, Value
 from pnm.core.logic.rules import DerivationRule, Rules
-from pnm.core.machine.plan_graph import GroundAction
-from pnm.core.machine.requests import Ended
+from pnm.core.machine.bindings import Binding, Bindings
+from pnm.core.machine.generate import generate
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.core.machine.requests import Accepted, Ended
+from pnm.core.machine.verification.verify import verify
 from tests.support.runs.handover import CANCELED, SUCCEEDED, going
+from tests.support.runs.plan_graphs import ordering
 
 OPEN, LIT, HELD = ("open",), ("lit",), ("held",)
 LAG = 1.0
@@ -127,3 +132,62 @@ def test_a_derived_fact_is_false_as_soon_as_a_report_makes_it_so() -> None:
     lit = DerivationRule("bright", (), Holds(LIT))
     run = begun(replace(LIGHT, invariant=Holds(("bright",))), rules=(lit,))
     assert not cancels(report(run, ("other",), True, 1.5)), "below it is what the start makes true"
+
+
+MATCH = GroundAction("match", start_effects=adds(LIT), end_effects=deletes(LIT), duration=8.0)
+MEND = GroundAction("mend", precondition=Holds(LIT), invariant=Holds(LIT), end_effects=adds(("mended",)), duration=5.0)
+CELLAR = PlanGraph((ActionCall(0, MATCH), ActionCall(1, MEND)), (ordering("0s<1s"), ordering("1e<0e")), Holds(("mended",)))
+
+
+def in_the_cellar(*sensed: str) -> tuple[Run, UUID, UUID]:
+    """The match burns and the fuse is being mended; and the requests for that."""
+    machine = generate(CELLAR)
+    verify(machine)
+    run = Run(machine, Layered(KnowledgeBase(sensed=dict.fromkeys(sensed, LAG))), id=UUID(int=1))
+    run.handle(Begin(), 0.0)
+    (match,) = run.open_requests
+    run.handle(Accepted(match), 0.0)
+    report(run, LIT, True, 0.1)
+    (mend,) = set(run.open_requests) - {match}
+    run.handle(Accepted(mend), 0.2)
+    return run, match, mend
+
+
+def test_an_end_that_nothing_reports_is_believed_when_it_comes_even_if_it_should_come_later() -> None:
+    run, match, mend = in_the_cellar()
+    assert run.handle(Ended(match, SUCCEEDED), 3.0) == [Cancel(mend), Wake(8.0)], "the match is out"
+    run.handle(Ended(mend, SUCCEEDED), 5.2)
+    assert causes(run) == ["invariant_false"]
+    assert run.result().failures[0].observed == "(lit) is false"
+
+
+def test_an_end_that_sensors_do_not_confirm_yet_has_time_until_it_should_come() -> None:
+    run, match, mend = in_the_cellar("lit")
+    assert not cancels(run.handle(Ended(match, SUCCEEDED), 3.0))
+    run.handle(Ended(mend, SUCCEEDED), 5.2)
+    assert not run.over
+    report(run, LIT, False, 5.3)
+    assert run.result().goal
+
+
+def test_an_end_in_its_time_is_no_failure() -> None:
+    run, match, mend = in_the_cellar()
+    run.handle(Ended(mend, SUCCEEDED), 5.2)
+    run.handle(Ended(match, SUCCEEDED), 8.0)
+    assert run.result().goal
+    assert [call.assumed for call in run.result().calls] == [True, True]
+
+
+def test_what_an_end_relies_on_must_have_been_so_when_it_came() -> None:
+    relying = GroundAction("close", end_condition=Holds(("mended",)), end_effects=adds(("closed",)), duration=8.0)
+    mended = GroundAction("mend", end_effects=adds(("mended",)), duration=5.0)
+    machine = generate(
+        PlanGraph((ActionCall(0, relying), ActionCall(1, mended)), (ordering("1e<0e"),)), Bindings({"close": Binding(retries=0)})
+    )
+    run = Run(machine, Layered(KnowledgeBase()), id=UUID(int=1))
+    run.handle(Begin(), 0.0)
+    close, mend = run.open_requests
+    run.handle(Ended(close, SUCCEEDED), 3.0)
+    run.handle(Ended(mend, SUCCEEDED), 5.0)
+    assert causes(run) == ["effects_missing"]
+    assert run.knowledge.value(("closed",)) is False, "what was believed is taken back"
