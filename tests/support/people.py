@@ -27,7 +27,7 @@ def run_questions(main: Coroutine[Any, Any, Any], *, virtual: bool = True) -> An
     return run_async(bounded(), virtual=virtual)
 
 
-def in_virtual_time(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
+def bounded_in_virtual_time(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
     """Have a test that is a coroutine be run."""
 
     @wraps(test)

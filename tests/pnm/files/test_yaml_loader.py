@@ -25,6 +25,8 @@ BAD_YAML = [
     ("\n  text", "FILE:2:3: expected a mapping (key: value)"),
     ("a: \x07", "FILE:1:1: not YAML: unacceptable character #x0007: special characters are not allowed"),
     ("a: 1" + "0" * 5000, f"FILE:1:4: cannot be read as int: '1{'0' * 39}'"),
+    ("a: 0x" + "f" * 5000, f"FILE:1:4: cannot be read as int: '0x{'f' * 38}'"),
+    ("a: [1" + ":1" * 3000 + "]", f"FILE:1:5: cannot be read as int: '1{':1' * 19}:'"),
     ("a: " + "[" * 20_000, f"FILE:1:1: nested deeper than {MAX_DEPTH}"),
     (b"a: 1\nb: \xff\xfe", "FILE:2:4: not a text file: byte 0xff is not UTF-8"),
     (b"\x7fELF\x00\x00", "FILE:1:1: not a text file: it contains zero bytes"),

@@ -13,7 +13,7 @@ from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.errors import InputError
 from pnm.knowledge.sources import Asker, SourceError, Sources
 from pnm.knowledge.sources.memory import MemoryKnowledge, read_value, write_value
-from tests.support.people import DelayedSource, about, in_virtual_time, run_questions
+from tests.support.people import DelayedSource, about, bounded_in_virtual_time, run_questions
 
 ME = Asker(UUID(int=7), "tour")
 JSON = st.recursive(
@@ -90,7 +90,7 @@ def test_closing_closes_all_whatever_becomes_of_one(caplog: pytest.LogCaptureFix
     assert "<DelayedSource> cannot be closed: gone" in caplog.text
 
 
-@in_virtual_time
+@bounded_in_virtual_time
 async def test_a_question_that_is_withdrawn_is_cancelled() -> None:
     seen: list[str] = []
 
