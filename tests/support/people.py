@@ -8,7 +8,6 @@ import os
 import pty
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
-from functools import wraps
 from typing import Any
 
 from pnm.clock import run_async
@@ -25,16 +24,6 @@ def run_questions(main: Coroutine[Any, Any, Any], *, virtual: bool = True) -> An
         return await asyncio.wait_for(main, 1000.0)
 
     return run_async(bounded(), virtual=virtual)
-
-
-def bounded_in_virtual_time(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
-    """Have a test that is a coroutine be run."""
-
-    @wraps(test)
-    def run(*arguments: Any, **fixtures: Any) -> None:
-        run_questions(test(*arguments, **fixtures))
-
-    return run
 
 
 @dataclass

@@ -13,7 +13,7 @@ from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.errors import InputError
 from pnm.knowledge.sources import Asker, SourceError, Sources
 from pnm.knowledge.sources.memory import MemoryKnowledge, read_value, write_value
-from tests.support.people import DelayedSource, about, bounded_in_virtual_time, run_questions
+from tests.support.people import DelayedSource, about, run_questions
 
 ME = Asker(UUID(int=7), "tour")
 JSON = st.recursive(
@@ -90,24 +90,26 @@ def test_closing_closes_all_whatever_becomes_of_one(caplog: pytest.LogCaptureFix
     assert "<DelayedSource> cannot be closed: gone" in caplog.text
 
 
-@bounded_in_virtual_time
-async def test_a_question_that_is_withdrawn_is_cancelled() -> None:
-    seen: list[str] = []
+def test_a_question_that_is_withdrawn_is_cancelled() -> None:
+    async def main() -> None:
+        seen: list[str] = []
 
-    class Slow(DelayedSource):
-        async def query(self, question: Question, asker: Asker, /) -> object:
-            try:
-                return await super().query(question, asker)
-            except asyncio.CancelledError:
-                seen.append(question.name)
-                raise
+        class Slow(DelayedSource):
+            async def query(self, question: Question, asker: Asker, /) -> object:
+                try:
+                    return await super().query(question, asker)
+                except asyncio.CancelledError:
+                    seen.append(question.name)
+                    raise
 
-    asking = asyncio.ensure_future(Sources([], Slow(seconds=50)).query(about("a", Layer.PERSON), ME))
-    await asyncio.sleep(1)
-    asking.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await asking
-    assert seen == ["a"]
+        asking = asyncio.ensure_future(Sources([], Slow(seconds=50)).query(about("a", Layer.PERSON), ME))
+        await asyncio.sleep(1)
+        asking.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await asking
+        assert seen == ["a"]
+
+    run_questions(main())
 
 
 # --- values ---
