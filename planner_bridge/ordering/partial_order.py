@@ -36,14 +36,26 @@ class PartialOrder:
     def __init__(self, graph: PlanGraph, timed: Sequence[TimedChange]) -> None:
         self._graph = graph
         events = [PlanEvent(call.index, moment) for call in graph.calls for moment in Moment]
-        begun = [event for event in events if event.moment is Moment.START and graph.calls[event.call].under_way]
+        begun = {event for event in events if event.moment is Moment.START and graph.calls[event.call].under_way}
         self._makespan = max(map(self.time, events), default=0.0)
         keys: dict[_Key, Happening] = {event: event for event in events if event not in begun} | dict(enumerate(timed))
         preceding: dict[_Key, list[_Key]] = {key: [] for key in keys}
-        for first, second in _pairs(graph, timed):
+        for first, second in direct_orderings(graph, timed):
             if first not in begun:
                 preceding[second].append(first)
-        in_order = list(self._in_order(keys, preceding))
+        sorter = TopologicalSorter(preceding)
+        try:
+            sorter.prepare()
+        except CycleError as error:
+            raise PlanGraphError("the orderings of the plan and the times at which facts change contradict each other") from error
+        position = {key: number for number, key in enumerate(keys)}
+        in_order: list[_Key] = []
+        ready: list[tuple[float, int, _Key]] = []
+        while sorter.is_active():
+            for key in sorter.get_ready():
+                heappush(ready, (self.time(keys[key]), position[key], key))
+            in_order.append(heappop(ready)[-1])
+            sorter.done(in_order[-1])
         self.happenings: tuple[Happening, ...] = (None, *(keys[key] for key in in_order), None)
         self.number = dict.fromkeys(begun, 0) | {key: number for number, key in enumerate(in_order, 1) if isinstance(key, PlanEvent)}
         numbers: dict[_Key, int] = {key: number for number, key in enumerate(in_order, 1)}
@@ -61,7 +73,6 @@ class PartialOrder:
         for number in range(len(direct) - 1, 0, -1):
             for one in (0, *direct[number]):
                 self.after[one] |= self.after[number] | 1 << number
-
         self.ahead = {
             number: 1
             | sum(1 << event for event in self.number.values() if event and self.time(self.happenings[event]) < change.time - NEAR)
@@ -85,23 +96,8 @@ class PartialOrder:
         """Return whether the first comes before the second, or is the same, in every order."""
         return first == second or bool(self.before[second] >> first & 1)
 
-    def _in_order(self, keys: dict[_Key, Happening], preceding: dict[_Key, list[_Key]]) -> Iterator[_Key]:
-        sorter = TopologicalSorter(preceding)
-        try:
-            sorter.prepare()
-        except CycleError as error:
-            raise PlanGraphError("the orderings of the plan and the times at which facts change contradict each other") from error
-        ready: list[tuple[float, int, _Key]] = []
-        position = {key: number for number, key in enumerate(keys)}
-        while sorter.is_active():
-            for key in sorter.get_ready():
-                heappush(ready, (self.time(keys[key]), position[key], key))
-            _, _, key = heappop(ready)
-            sorter.done(key)
-            yield key
 
-
-def _pairs(graph: PlanGraph, timed: Sequence[TimedChange]) -> Iterator[tuple[_Key, _Key]]:
+def direct_orderings(graph: PlanGraph, timed: Sequence[TimedChange]) -> Iterator[tuple[_Key, _Key]]:
     """Yield which event, or timed change by its number, comes directly before which."""
     yield from ((number - 1, number) for number in range(1, len(timed)))
     for ordering in graph.orderings:

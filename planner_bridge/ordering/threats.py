@@ -29,7 +29,7 @@ from pnm.core.logic.conditions import Condition, conjuncts, fluents
 from pnm.core.logic.effects import Effects, TimedChange, changes, decided, read, read_early, written
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Fluent, Unknown, Value, same_value
-from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent, PlanGraph
+from pnm.core.machine.plan_graph import Moment, PlanEvent, PlanGraph
 
 _Value: TypeAlias = Value | Unknown | None
 _Writers: TypeAlias = dict[_Value, int]
@@ -105,12 +105,24 @@ class _Trace:
                 self.end_effects[call.index] = decided(action.end_effects, self.state)
         for number, happening in enumerate(self.order.happenings):
             match happening:
-                case PlanEvent(index, moment):
-                    self._carry_through(number, index, moment, self.graph.calls[index].action)
+                case PlanEvent(index, Moment.START):
+                    action = self.graph.calls[index].action
+                    early = read_early(action.end_effects, self.links.knowledge)
+                    self._read(number, action.precondition, read(action.start_effects, self.links.knowledge) | early)
+                    self.end_effects[index] = decided(action.end_effects, self.state)
+                    self._write(number, changes(action.start_effects, self.state))
+                case PlanEvent(index):
+                    call, effects = self.graph.calls[index], self.end_effects[index]
+                    self._read(number, call.action.end_condition, read(effects, self.links.knowledge))
+                    if self.projected and call.under_way:  # the state has these effects already
+                        seen = {fluent: self.state.value(fluent) for fluent in written(effects, self.links.knowledge)}
+                        self._write(number, seen, before=UNKNOWN)
+                    else:
+                        self._write(number, changes(effects, self.state))
                 case TimedChange(_, changed):
                     self._write(number, changed)
                 case None if number:
-                    self.needs += self._reads(number, self._relevant(fluents(self.graph.goal, self.links.knowledge)))
+                    self._read(number, self.graph.goal)
                 case None:
                     self._write(number, {})
 
@@ -120,19 +132,8 @@ class _Trace:
     def _reads(self, reader: int, mentioned: frozenset[Fluent], afterwards: bool = False) -> Iterator[_Need]:
         return (_Need(reader, fluent, self.state.value(fluent), afterwards) for fluent in sorted(mentioned))
 
-    def _carry_through(self, number: int, call: int, moment: Moment, action: GroundAction) -> None:
-        known = self.links.knowledge
-        if moment is Moment.START:
-            condition, effects, besides = action.precondition, action.start_effects, read_early(action.end_effects, known)
-            self.end_effects[call] = decided(action.end_effects, self.state)
-        else:
-            condition, effects, besides = action.end_condition, self.end_effects[call], frozenset[Fluent]()
-        self.needs += self._reads(number, self._relevant(fluents(condition, known) | read(effects, known) | besides))
-        if self.projected and self.graph.calls[call].under_way:  # the state has these effects already
-            changed = {fluent: self.state.value(fluent) for fluent in written(effects, known)}
-            self._write(number, changed, before=UNKNOWN)
-        else:
-            self._write(number, changes(effects, self.state))
+    def _read(self, reader: int, condition: Condition, besides: frozenset[Fluent] = frozenset()) -> None:
+        self.needs += self._reads(reader, self._relevant(fluents(condition, self.links.knowledge) | besides))
 
     def _write(self, writer: int, changed: Mapping[Fluent, _Value], before: _Value = None) -> None:
         for fluent, value in changed.items():
@@ -141,7 +142,7 @@ class _Trace:
         self.state.update({fluent: False if value is None else value for fluent, value in changed.items()})
         for span in self.spans.get(writer, ()):
             self.begun[span] = tuple(self._reads(writer, span.fluents, afterwards=True))
-            self.needs += self.begun[span]
+            self.needs += self.begun[span] if writer else ()
         for span in dict.fromkeys(span for fluent in changed for span in self.spans.get(fluent, ())):
             if not (self.order.comes_before(writer, span.first) or self.order.comes_before(span.last, writer)):
                 others = tuple(self._reads(writer, span.fluents - changed.keys()))
@@ -220,13 +221,13 @@ def threats(graph: PlanGraph, problem: Problem, links: CausalLinks, *, projected
             needed = "no value" if need.value is None else statement_text(need.fluent, need.value)
             yield f"{named(need.reader)} needs {needed}, but {named(writer)} may be the last that writes it before"
     for kept in links.kept:
-        points = sorted(_points(graph, order, kept, links.knowledge))
+        points = sorted(points_kept(graph, order, kept, links.knowledge))
         for (_, first), (second, _) in pairwise(points):
             if not order.comes_before(first, second):
                 yield f"{named(second)} may come before {named(first)}, which does not keep {kept.token[0]}"
 
 
-def _points(graph: PlanGraph, order: PartialOrder, kept: OrderKept, state: KnowledgeBase) -> Iterator[tuple[int, int]]:
+def points_kept(graph: PlanGraph, order: PartialOrder, kept: OrderKept, state: KnowledgeBase) -> Iterator[tuple[int, int]]:
     """Yield the events that must keep their order: what of each waits for others, and what others wait for."""
     for call in graph.calls:
         start, end = (order.number[PlanEvent(call.index, moment)] for moment in Moment)
