@@ -12,13 +12,10 @@ import pytest
 
 from planner_bridge.loading import load
 from planner_bridge.model.problem import Problem
-from planner_bridge.simulation import robots_of
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import OnChange, Settings
 from planner_bridge.yaml.reader import read
-from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import Fault, FaultKind, Faults
-from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import OnFailure
 from pnm.language.plan import read_plans
@@ -26,7 +23,9 @@ from pnm.language.runner import Program
 from pnm.tasks import Code, TaskState
 from tests.support.files import ROOT
 from tests.support.pddl.problems import fleet
+from tests.support.runs.simulated import LateBackend
 from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
+from tests.support.yaml.run_plans import BLOCKED, PATROL
 
 NO_RETRY = Bindings({name: Binding(retries=0) for name in ("move", "pick", "drop")})
 SERVED = Settings(bindings=NO_RETRY, on_change=OnChange.EAGER, on_failure=OnFailure.CONTINUE_OTHERS)
@@ -95,20 +94,8 @@ def test_a_task_can_be_paused_and_cancelled_during_the_back_off(goal: str) -> No
     simulate_tasks(scenario, fleet(), faults=Faults((ALWAYS_ABORTED, NEVER_ENDS)), chosen=replace(SERVED, limits=PATIENT))
 
 
-class LateBackend(SimulatedBackend):
-    """Simulated robots whose sensors report 0.3 s late."""
-
-    async def open(self, knowledge: KnowledgeBase) -> None:
-        loop, world = asyncio.get_running_loop(), self.robots.world
-        names = world.reported()
-        knowledge.sense(names, lag=1.0)
-        knowledge.replace(names, world.report(names))
-        world.truth.listen(lambda _: loop.call_later(0.3, lambda: knowledge.replace(names, world.report(names))) and None)
-        self.robots.begin()
-
-
 def late_backend(problem: Problem, bindings: Bindings, faults: Faults) -> LateBackend:
-    return LateBackend(robots_of(problem, bindings, faults))
+    return LateBackend(problem, faults, bindings)
 
 
 @pytest.mark.parametrize("on_change", OnChange)
@@ -141,32 +128,8 @@ def test_a_plan_that_is_sent_as_a_text_is_not_replanned_while_its_other_calls_ar
 
 # --- a hand-written plan whose recovery ends with `replan`, among other tasks --------------------
 
-ROOMS = """
-name: patrol
-types: [robot room - object]
-predicates:
-  - (at ?r - robot ?x - room)
-  - (way ?x ?y - room)
-actions:
-  move:
-    params: ?r - robot ?from ?to - room
-    duration: 3
-    preconditions: {at_start: ["(at ?r ?from)", "(way ?from ?to)"]}
-    effects: {at_start: [not: "(at ?r ?from)"], at_end: ["(at ?r ?to)"]}
-problem:
-  objects: r1 - robot a b c - room
-  init: [(at r1 a), (way a b), (way a c), (way c b)]
-results: [note]
-initial_knowledge: {note: 7}
-goal: (at r1 b)
-plan:
-  - move: {r: r1, from: a, to: b}
-    recoveries: {during: {aborted: [replan]}}
-"""
-BLOCKED = Faults((Fault("move(r1, a, b)", FaultKind.ABORT),))
 
-
-def served(folder: Path, scene_of: object, text: str = ROOMS) -> None:
+def served(folder: Path, scene_of: object, text: str = PATROL) -> None:
     """Simulate tasks of a node that has loaded the plan."""
     file = folder / "plan.yaml"
     file.write_text(text, encoding="utf-8")
@@ -220,5 +183,5 @@ def test_why_no_planner_finds_another_way_for_a_loaded_plan(tmp_path: Path, old:
         assert why in simulation.endings[task].message
         assert simulation.endings[task].cause == "aborted"
 
-    assert old in ROOMS
-    served(tmp_path, scenario, ROOMS.replace(old, new))
+    assert old in PATROL
+    served(tmp_path, scenario, PATROL.replace(old, new))
