@@ -13,8 +13,7 @@ from pnm.core.execution.handover import UnderWay
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.effects import Changes, Effects, changes, decided
-from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.explain import failing, observed
+from pnm.core.logic.evaluation import evaluate, failing, observed
 from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent

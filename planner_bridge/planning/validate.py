@@ -178,7 +178,6 @@ class _Happening:
 
 
 def _happenings(problem: Problem, steps: Sequence[_Step]) -> list[_Happening]:
-    """Return the happenings in the order of time."""
     times = [(step.start, _START, index) for index, step in enumerate(steps)]
     times += [(step.start + step.duration, _END, index) for index, step in enumerate(steps)]
     times += [(change.time, _TIMED, index) for index, change in enumerate(problem.timed)]

@@ -86,7 +86,6 @@ class ConstraintMonitor:
         return tuple(violation for watched in self._hard if (violation := self._see(watched, now)))
 
     def _see(self, watched: _MonitoredConstraint, now: float) -> Violation | None:
-        """Return the violation if this look finds it."""
         before = watched.progress
         watched.progress = before.seen(self._knowledge, now, self._lag(watched))
         if before.violated or not watched.progress.violated:

@@ -10,7 +10,7 @@ from planner_bridge.pddl.read.symbols import CONSTRAINTS
 from planner_bridge.pddl.syntax.words import TIME_SPECIFIERS, TimeSpecifier
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.domain import Preference
-from pnm.core.logic.expressions import Constant, Variable, expression_fluents
+from pnm.core.logic.expressions import Constant, ValueOf, Variable, expression_fluents
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError, suggestion
 from pnm.files.yaml_nodes import Mapped, Node
@@ -92,5 +92,6 @@ def read_metric(entry: Mapped, scope: FormulaScope, preferences: Collection[str]
                     hint = suggestion(name, preferences) or f"expected one of {', '.join(preferences) or 'none at all'}"
                     raise InputError(f"there is no preference {name!r} here; {hint}", argument.position_of(name))
             case _:
-                scope.check_number(fluent, argument)
+                scope.check_fluent(fluent, argument, "function")
+                scope.check_value(ValueOf(fluent), (), argument)
     return Metric(_DIRECTIONS[construct.word], expression)

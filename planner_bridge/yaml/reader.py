@@ -114,7 +114,6 @@ def _problem(model: ProblemModel, domain: Domain, section: Mapped) -> Problem:
 
 
 def _fields(model: DomainModel | ProblemModel) -> Mapping[str, Any]:
-    """Return the fields that the model of planners shares."""
     kind = DomainModel if isinstance(model, DomainModel) else ProblemModel
     return {name: getattr(model, name) for name in kind.__dataclass_fields__}
 

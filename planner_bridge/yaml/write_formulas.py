@@ -32,7 +32,6 @@ def conditions(condition: Condition, notes: Notes) -> Value:
 
 
 def _noted(condition: Condition, notes: Notes) -> Entry:
-    """Write a condition with its comments."""
     if isinstance(condition, All):  # which is looked through when comments are read
         return Entry(_condition(condition, notes))
     own = notes.at(form_anchor(condition_form(condition))) if notes else NO_NOTES

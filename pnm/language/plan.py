@@ -49,7 +49,6 @@ class HandWrittenPlan:
     facts: Mapping[Fluent, Value] = field(default_factory=dict)
     """The initial facts, as far as files have them."""
     timed: tuple[TimedChange, ...] = ()
-    """Timed facts."""
     objects: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """By type."""
     timeout: float | None = None

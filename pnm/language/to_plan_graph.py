@@ -234,7 +234,6 @@ class _After:
 
 
 def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[_After, ...]]:
-    """Return for every step of a list what it waits for."""
     numbers = {step.place.id: number for number, step in enumerate(steps) if step.place.id is not None}
     all_waits: list[tuple[_After, ...]] = []
     for number, step in enumerate(steps):

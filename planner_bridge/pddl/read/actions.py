@@ -133,7 +133,6 @@ def _merged(parts: Iterable[Timed[T]]) -> Timed[T]:
 
 
 def _timed_conditions(node: Node, scope: TermScope) -> tuple[dict[TimeSpecifier, Condition], tuple[Preference, ...]]:
-    """Return the condition of each moment, and the preferences."""
     hard, soft = _conditions(node, scope)
     return {moment: conjunction(hard.get(moment, ())) for moment in TIME_SPECIFIERS}, tuple(soft)
 

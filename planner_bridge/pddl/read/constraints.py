@@ -72,7 +72,6 @@ def _has_preferences(node: Group) -> bool:
 
 
 def _joined(parts: Iterable[tuple[list[T], list[Preference]]]) -> tuple[list[T], list[Preference]]:
-    """Return all hard and all soft parts."""
     both = list(parts)
     return [part for hard, _ in both for part in hard], [preference for _, soft in both for preference in soft]
 
