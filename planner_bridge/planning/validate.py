@@ -233,9 +233,8 @@ def _check_interference(happening: _Happening, steps: Sequence[_Step], simulatio
         kinds = {kind for _, kind in written}
         if len(involved) > 1 and (read or len(kinds) > 1 or kinds == {"assign"}):
             first, second = ("what changes by itself" if call == _BY_ITSELF else f"{steps[call]}" for call in sorted(involved)[:2])
-            raise InvalidPlan(
-                f"{first} and {second} get in each other's way{when}: both have to do with {fluent_text(fluent)}, which changes"
-            )
+            reason = f"both have to do with {fluent_text(fluent)}, which changes"
+            raise InvalidPlan(f"{first} and {second} get in each other's way{when}: {reason}")
 
 
 def _kind_of_change(operation: str, value: Expression) -> str:

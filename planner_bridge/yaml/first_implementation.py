@@ -161,9 +161,8 @@ class _UnrolledPlan:
                 case Set():
                     raise self._impossible(f"a conditional effect on a value, {flat(effects_form((effect,)))},")
         for fluent, when in deleted:
-            self._store(
-                self._variable(fluent), _FALSE if when is None else _both("and", self._holds(fluent), single("not", _is_true(when)))
-            )
+            kept = _FALSE if when is None else _both("and", self._holds(fluent), single("not", _is_true(when)))
+            self._store(self._variable(fluent), kept)
         for fluent, when in added:
             self._store(self._variable(fluent), _TRUE if when is None else _both("or", self._holds(fluent), _is_true(when)))
         for fluent, value in numbers.items():

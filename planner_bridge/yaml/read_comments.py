@@ -43,9 +43,8 @@ def comments(text: str, nodes: Iterable[yaml.Node], document: Mapped, domain: Do
     """Return the comments in the file of a domain, marked as in PDDL, given its documents and the one that has the domain."""
     lines = LineIndex.of(text)
     anchors = [*_Anchors(lines, domain).of_document(document)]
-    remarks = [
-        Comment(_MARK.sub(lambda marks: ";" * len(marks[0]), remark.text, count=1), remark.offset) for remark in _remarks(text, nodes)
-    ]
+    texts = ((_MARK.sub(lambda marks: ";" * len(marks[0]), remark.text, count=1), remark.offset) for remark in _remarks(text, nodes))
+    remarks = [Comment(marked, offset) for marked, offset in texts]
     return attach(remarks, anchors, lines, _Outline({anchor.path: anchor.start for anchor in anchors}, lines).thing_above)
 
 

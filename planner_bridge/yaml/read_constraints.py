@@ -7,6 +7,7 @@ from typing import Final, Literal
 
 from planner_bridge.model.problem import Metric
 from planner_bridge.pddl.read.symbols import CONSTRAINTS
+from planner_bridge.pddl.read.terms import IS_VIOLATED, TOTAL_TIME
 from planner_bridge.pddl.syntax.words import TIME_SPECIFIERS, TimeSpecifier
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.domain import Preference
@@ -22,8 +23,6 @@ CONSTRAINT_WORDS: Final[Mapping[str, tuple[int, int]]] = {**CONSTRAINTS, "at_end
 """For every operator of a constraint, how many times and how many conditions it takes."""
 _MOMENTS: Final[Mapping[str, TimeSpecifier]] = {moment.replace(" ", "_"): moment for moment in TIME_SPECIFIERS}
 _DIRECTIONS: Final[Mapping[str, Literal["minimize", "maximize"]]] = {"minimize": "minimize", "maximize": "maximize"}
-_TOTAL_TIME: Final = "total-time"
-_IS_VIOLATED: Final = "is-violated"
 
 
 def read_constraint(node: Node, scope: FormulaScope, variables: tuple[Variable, ...] = ()) -> Constraint:
@@ -85,9 +84,9 @@ def read_metric(entry: Mapped, scope: FormulaScope, preferences: Collection[str]
         raise argument.wrong(f"expected a number or a function such as (total-time), found {expression}")
     for fluent in expression_fluents(expression):
         match fluent:
-            case (name,) if name == _TOTAL_TIME:
+            case (name,) if name == TOTAL_TIME:
                 pass
-            case (word, name) if word == _IS_VIOLATED:
+            case (word, name) if word == IS_VIOLATED:
                 if name not in preferences:
                     hint = suggestion(name, preferences) or f"expected one of {', '.join(preferences) or 'none at all'}"
                     raise InputError(f"there is no preference {name!r} here; {hint}", argument.position_of(name))

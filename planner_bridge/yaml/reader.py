@@ -132,9 +132,6 @@ def _hddl_text(node: Node, heads: tuple[str, ...]) -> str:
     raise node.wrong(f"expected the text of {' or '.join(heads)}, found {shown(node)}")
 
 
-# --- names ---------------------------------------------------------------------------------
-
-
 def _check_names(model: ProblemModel, top: Mapped) -> None:
     """Refuse names that PDDL cannot have or cannot tell apart, and types that are kinds of themselves."""
     domain, section = model.domain, top.section("problem")
@@ -165,8 +162,7 @@ def _check_spelling(kind: str, names: Iterable[str], node: Node | None, forbidde
         if name.lower() in forbidden:
             raise InputError(f"{name!r} is a word of PDDL and cannot name {with_article(kind)}", node.position_of(name))
         if NAME.fullmatch(name) is None or NUMBER.fullmatch(name) is not None:
-            raise InputError(
-                f"{name!r} cannot name {with_article(kind)} in PDDL; expected letters, digits and _ - . @", node.position_of(name)
-            )
+            message = f"{name!r} cannot name {with_article(kind)} in PDDL; expected letters, digits and _ - . @"
+            raise InputError(message, node.position_of(name))
         if spelled.setdefault(name.lower(), name) != name:
             raise InputError(f"PDDL does not tell {name!r} from {spelled[name.lower()]!r}", node.position_of(name))

@@ -12,7 +12,7 @@ from planner_bridge.pddl.syntax.anchors import ACTION, fact_anchor, hierarchy_an
 from planner_bridge.pddl.syntax.pretty_print import flat
 from planner_bridge.pddl.syntax.words import number_text
 from planner_bridge.pddl.write.forms import typed_lines, types_form, variables_form
-from planner_bridge.pddl.write.writer import change_form, rule_form
+from planner_bridge.pddl.write.writer import NO_COMMENTS, change_form, rule_form
 from planner_bridge.yaml.emitter import Bare, Entry, Mapping, Sequence, Value, depth, document, items, single
 from planner_bridge.yaml.write_formulas import conditions, constraints, duration, effects, expression, preferences, typed
 from pnm.core.logic.conditions import TRUE
@@ -21,7 +21,6 @@ from pnm.core.logic.rules import DerivationRule
 from pnm.errors import InputError
 from pnm.files.yaml_loader import MAX_DEPTH
 
-NO_COMMENTS: Final[Table] = {}
 SCHEMA_MARK: Final = "# yaml-language-server:"
 """Begins a comment that is for editors."""
 SCHEMA: Final = ""
@@ -53,9 +52,6 @@ def written(entries: Iterable[Entry]) -> str:
     if depth(whole) >= MAX_DEPTH:
         raise InputError(f"this is nested too deeply for YAML files, which may have {MAX_DEPTH} lists and mappings in each other")
     return (f"{SCHEMA_MARK} $schema={SCHEMA}\n" if SCHEMA else "") + document(whole)
-
-
-# --- domains -------------------------------------------------------------------------------
 
 
 def domain_entries(domain: Domain, notes: Notes) -> list[Entry]:
@@ -150,9 +146,6 @@ def _parts(schema: ActionSchema, notes: Notes) -> Iterator[Entry]:
 def _moments(parts: Iterable[tuple[str, Value]]) -> Value | None:
     entries = tuple([Entry(value, key) for key, value in parts])
     return Mapping(entries) if entries else None
-
-
-# --- problems ------------------------------------------------------------------------------
 
 
 def _problem(problem: Problem, notes: Notes) -> Iterator[Entry]:

@@ -22,8 +22,6 @@ from pnm.errors import InputError
 
 _LONG: Final = 80
 
-# --- conditions ----------------------------------------------------------------------------
-
 
 def conditions(condition: Condition, notes: Notes) -> Value:
     """Write what must hold: one condition, or a list of them."""
@@ -92,9 +90,6 @@ def expression(value: Expression) -> Value:
             assert_never(value)
 
 
-# --- effects -------------------------------------------------------------------------------
-
-
 def effects(listed: Effects, notes: Notes) -> Sequence:
     """Write effects, each an item of a list."""
     entries: list[Entry] = []
@@ -119,9 +114,6 @@ def _effect(effect: Effect, notes: Notes) -> Value:
             return single("forall", _quantified(variables, "effects", effects(inner, notes)))
         case _:
             assert_never(effect)
-
-
-# --- durations, constraints, preferences ---------------------------------------------------
 
 
 def duration(bounds: tuple[DurationConstraint, ...]) -> Value:

@@ -72,9 +72,6 @@ def declaration_parts(node: Node) -> tuple[str, str, str]:
     return match[1], match[2], match[3] or ""
 
 
-# --- derived facts -------------------------------------------------------------------------
-
-
 def read_derived(top: Mapped, scope: FormulaScope) -> Rules:
     """Read ``derived``: a list of ``{fact: (reachable ?p - place), condition: c}``."""
     rules = [read_rule(node, scope) for node in top.listed("derived")]
@@ -105,9 +102,6 @@ def read_rule(node: Node, scope: FormulaScope) -> DerivationRule:
                 types = f"{' or '.join(own.types)}; expected {' or '.join(needed.types)}"
                 raise InputError(f"{own.name!r} is of type {types}", fact.position_of(own.name))
     return DerivationRule(name, variables, read_condition(condition, replace(scope, variables={}).inside(variables)))
-
-
-# --- initial facts -------------------------------------------------------------------------
 
 
 def read_facts(nodes: Iterable[Node], scope: FormulaScope) -> dict[Fluent, Value]:

@@ -83,9 +83,8 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tu
     given = {name: filled_data(value.data, outer) for name, value in step.given.items()}
     for name, data in given.items():
         if left := {parameter for part in parts(data) if isinstance(part, ValueOf) for parameter in parameters_in(part)}:
-            raise InputError(
-                f"{min(left)} is not known in the plan; a fact in a value needs the name of an object", step.given[name].position
-            )
+            message = f"{min(left)} is not known in the plan; a fact in a value needs the name of an object"
+            raise InputError(message, step.given[name].position)
     own = Substitution.of(given)
     unbound = {name: data for name, data in outer.items() if name not in {variable.name for variable in step.action.schema.parameters}}
     operation = None if step.operation is None else filled_operation(step.operation, unbound)

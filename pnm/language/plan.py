@@ -188,11 +188,6 @@ class World:
     plans: Mapping[str, HandWrittenPlan]
     domain: LanguageDomain
 
-    @property
-    def sources(self) -> tuple[SourceChoice, ...]:
-        """The sources of knowledge that the domain chose."""
-        return self.domain.sources
-
 
 def read_world(path: Path, name: str | None = None) -> World:
     """Read a world.

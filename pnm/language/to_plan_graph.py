@@ -267,9 +267,6 @@ def _check_cycles(steps: tuple[WrittenStep, ...], waits: list[tuple[_After, ...]
         raise InputError(f"steps wait for each other: {names}", steps[cycle[0]].place.position) from error
 
 
-# --- numbers -------------------------------------------------------------------------------
-
-
 def _renumbered(flow: Flow, numbers: Mapping[int, int]) -> Flow:
     def moved(event: PlanEvent) -> PlanEvent:
         return PlanEvent(numbers[event.call], event.moment)

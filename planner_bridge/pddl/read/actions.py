@@ -52,9 +52,8 @@ def _instantaneous(name: str, section: Group, symbols: SymbolTable) -> ActionSch
     scope = TermScope(symbols).inside(parameters)
     empty = Group((), section.offset, section.source)
     precondition, preferences = split_preferences(parts.get(":precondition", empty), scope)
-    return ActionSchema(
-        name, parameters, precondition=precondition, end_effects=effects(parts.get(":effect", empty), scope), preferences=preferences
-    )
+    changes = effects(parts.get(":effect", empty), scope)
+    return ActionSchema(name, parameters, precondition=precondition, end_effects=changes, preferences=preferences)
 
 
 def _durative(name: str, section: Group, symbols: SymbolTable) -> ActionSchema:

@@ -28,8 +28,6 @@ from pnm.core.logic.expressions import (
     variables_in,
 )
 
-# --- conditions ----------------------------------------------------------------------------
-
 
 @dataclass(frozen=True, slots=True)
 class Holds:

@@ -107,9 +107,6 @@ def _compare(operation: str, left: Value | Unknown | None, right: Value | Unknow
     return equal if equal and "=" in operation else not equal and _COMPARE[operation](left, right)
 
 
-# --- explanations --------------------------------------------------------------------------
-
-
 def failing(condition: Condition, state: State) -> tuple[Condition, ...]:
     """Return the conjuncts that do not hold in the state, without those that depend on a question that was never asked."""
     failed = []
