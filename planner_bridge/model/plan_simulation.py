@@ -108,9 +108,8 @@ class ConstraintProgression:
     """Trajectory constraints, progressed through the states of a simulation. The mutable state is what is left of each."""
 
     def __init__(self, constraints: Iterable[Constraint], state: KnowledgeBase, time: float = 0.0) -> None:
-        self._remaining = {
-            ground: progressed((ground,), state, time) for constraint in constraints for ground in instances(constraint, state)
-        }
+        every = (ground for constraint in constraints for ground in instances(constraint, state))
+        self._remaining = {ground: progressed((ground,), state, time) for ground in every}
 
     def advance(self, state: KnowledgeBase, time: float = 0.0) -> Constraint | None:
         """Progress the constraints to the next state; return one that is violated, if any is."""

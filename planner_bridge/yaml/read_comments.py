@@ -143,8 +143,6 @@ class _Anchors:
                 case "actions" if not node.is_null:
                     for name, position, action in node.mapped().entries():
                         yield from self._action(self.domain.actions[name], position, action, path)
-                case _:
-                    pass
 
     def _inside(self, key: str, node: Node, path: AnchorPath) -> Iterator[Anchor]:
         """Yield the things in a section that has names, declarations, facts or a formula."""
@@ -162,8 +160,6 @@ class _Anchors:
                         yield self._item((*path, fact_anchor(["at", time, _fact(fact)])), fact.position)
                 case "init":
                     yield self._item((*path, fact_anchor(_fact(item))), item.position)
-                case _:
-                    pass
 
     def _action(self, schema: ActionSchema, position: Position, action: Node, path: AnchorPath) -> Iterator[Anchor]:
         inner = (*path, ACTION, schema.name.lower())

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Final
 
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.pddl.comments.table import NO_NOTES, Notes, Table, write_with_notes
+from planner_bridge.pddl.comments.table import NO_NOTE, NO_NOTES, Notes, Table, write_with_notes
 from planner_bridge.pddl.syntax.anchors import ACTION, fact_anchor, hierarchy_anchor, rule_anchor
 from planner_bridge.pddl.syntax.pretty_print import flat
 from planner_bridge.pddl.syntax.words import number_text
@@ -113,9 +113,8 @@ def _rule(rule: DerivationRule, notes: Notes) -> Entry:
 
 def _constraints(whole: Domain | Problem, notes: Notes) -> Entry:
     own = notes.at(":constraints")
-    note = own.take() if whole.constraints or any(isinstance(preference.wanted, tuple) for preference in whole.preferences) else None
-    written = constraints(whole.constraints, own)
-    return Entry(written, "constraints", note) if note else Entry(written, "constraints")
+    note = own.take() if whole.constraints or any(isinstance(preference.wanted, tuple) for preference in whole.preferences) else NO_NOTE
+    return Entry(constraints(whole.constraints, own), "constraints", note)
 
 
 def _parts(schema: ActionSchema, notes: Notes) -> Iterator[Entry]:

@@ -247,8 +247,6 @@ def parts(data: Data) -> Iterator[Data]:
         case Compound(items) | Operation(_, items):
             for item in items:
                 yield from parts(item)
-        case _:
-            pass
 
 
 def fluents_in(data: Data, env: Environment = NOTHING) -> frozenset[Fluent]:

@@ -201,8 +201,6 @@ def names(condition: Condition) -> frozenset[str]:
                 mentioned.update(fluent[0] for side in (left, right) for fluent in expression_fluents(side))
             case Computed(data):
                 mentioned.update(fluent[0] for fluent in fluents_in(data))
-            case _:
-                pass
     return frozenset(mentioned)
 
 

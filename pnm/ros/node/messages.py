@@ -111,7 +111,14 @@ def _value(kind: str, value: object, path: str) -> object:
     if "/" in kind:
         return _nested(kind, value, path)
     if text := _TEXT.fullmatch(kind):
-        return _text(kind, int(text[1]) if text[1] else None, value, path)
+        if not isinstance(value, str):
+            raise FieldError(path, kind, _show(value))
+        if text[1] and len(value) > int(text[1]):
+            raise FieldError(path, f"text of at most {text[1]} characters", f"{len(value)} of them")
+        # `rclpy` cuts the text off at a NUL, and fails to send a surrogate.
+        if "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
+            raise FieldError(path, "text that can be sent", _show(value))
+        return value
     return _BASIC.get(kind, _integer)(kind, value, path)
 
 
@@ -136,17 +143,6 @@ def _nested(kind: str, value: object, path: str) -> object:
         raise FieldError(path, f"the fields of a {kind}", _show(value), _ADVICE if isinstance(value, str) else "")
     package, _, name = kind.rpartition("/")
     return to_message(import_type(f"{package}/msg/{name}"), value, path)
-
-
-def _text(kind: str, size: int | None, value: object, path: str) -> str:
-    if not isinstance(value, str):
-        raise FieldError(path, kind, _show(value))
-    if size is not None and len(value) > size:
-        raise FieldError(path, f"text of at most {size} characters", f"{len(value)} of them")
-    # `rclpy` cuts the text off at a NUL, and fails to send a surrogate.
-    if "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
-        raise FieldError(path, "text that can be sent", _show(value))
-    return value
 
 
 def _boolean(kind: str, value: object, path: str) -> bool:
