@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any, Final
@@ -116,7 +116,7 @@ class ServiceSensor:
 
     async def is_there(self) -> bool:
         """Return True if there is such a service."""
-        return bool(await self._ros.ask(lambda: [*self._types()]))
+        return bool(await self._ros.ask(self._types))
 
     async def poll(self) -> None:
         """Poll until cancelled, or until the service's type turns out not to fit the sensor. New errors are logged once."""
@@ -141,7 +141,7 @@ class ServiceSensor:
     async def _connected(self) -> ServiceClient:
         if self._client is None:
             instance = self.recorder.instance
-            name = instance.sensor.type or next(iter(await self._ros.ask(lambda: [*self._types()])), None)
+            name = instance.sensor.type or next(iter(await self._ros.ask(self._types)), None)
             if name is None:
                 raise SourceError(f"there is no service {instance.name} yet")
             _, self.recorder.instance = checked(instance, name)
@@ -154,10 +154,8 @@ class ServiceSensor:
         """Resolve the full name; raise an `InputError` if it is not valid in ROS."""
         self._full_name = resolved(self._ros.node.resolve_service_name, self.recorder.instance, "service")
 
-    def _types(self) -> Iterator[str]:
-        for name, types in self._ros.node.get_service_names_and_types():
-            if name == self._full_name:
-                yield from types
+    def _types(self) -> list[str]:
+        return [kind for name, kinds in self._ros.node.get_service_names_and_types() if name == self._full_name for kind in kinds]
 
 
 DEPTH: Final = 10

@@ -48,6 +48,7 @@ class Sensors:
                     self._polls.append(ServiceSensor(ros, recorder, way))
                 case ByTopic():
                     self._topics.append(TopicSensor(ros, recorder))
+        self._sensors: tuple[TopicSensor | ServiceSensor, ...] = (*self._topics, *self._polls)
         self._tasks: list[asyncio.Task[None]] = []
         self._timer: Any = None
         for name, late in sensing.lags(lag).items():
@@ -61,8 +62,7 @@ class Sensors:
 
         Raises `InputError` if a type found in the graph lacks a field of its sensor.
         """
-        sensors: list[TopicSensor | ServiceSensor] = [*self._topics, *self._polls]
-        for sensor in sensors:
+        for sensor in self._sensors:
             await self._ros.ask(sensor.resolve)
         if self._topics:
             self._timer = await self._ros.ask(lambda: self._ros.timer(LOOK, self._look))
@@ -92,8 +92,7 @@ class Sensors:
         try:
             await asyncio.wait((all_heard, settled), return_when=asyncio.FIRST_COMPLETED)
             await self._ros.ask(self._look)  # the timer's last look may be older than the publishers that are there
-            sensors: list[TopicSensor | ServiceSensor] = [*self._topics, *self._polls]
-            if [sensor for sensor in sensors if not sensor.recorder.heard.is_set() and await sensor.is_there()]:
+            if [sensor for sensor in self._sensors if not sensor.recorder.heard.is_set() and await sensor.is_there()]:
                 await asyncio.wait((all_heard,), timeout=FIRST)
         finally:
             all_heard.cancel()
