@@ -278,9 +278,10 @@ class CallBlock(Block[ActionCall]):
     def _finish(self, phase: str) -> None:
         """From success to done, once the effects are seen."""
         call = self.step.index
-        if self.awaited:  # the places are given back at once: here they are only looked at, and `fork` takes them in the end
+        if self.awaited:
             self.place("ended")
             self.fire(Rule("end", call=call, action=TransitionAction.FINISH), "returned", "ended")
+            # The places are given back at once: here they are only looked at, and `fork` takes them in the end.
             self.add(Rule("await", call=call), [self.name("ended"), *self.awaited], [self.name("finished"), *self.awaited])
         # Before the check of the effects: the plan may want to react to a success that only looks like one.
         self._own_checks(Cause.AFTER, "finished")
