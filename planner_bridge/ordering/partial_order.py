@@ -1,6 +1,7 @@
 """The partial order of a plan graph: which happenings come before which, in every order that the graph allows.
 
-Timed changes have no place in a graph. A call comes after a change if it is released only then, and before one that is its deadline.
+Timed changes have no place in a graph. A call comes after a change if it is released only then, and before one that is its deadline;
+it starts before one that is its latest start.
 """
 
 from __future__ import annotations
@@ -112,3 +113,5 @@ def direct_orderings(graph: PlanGraph, timed: Sequence[TimedChange]) -> Iterator
                 yield number, end
             elif call.deadline <= change.time + NEAR:
                 yield end, number
+            elif call.latest_start <= change.time + NEAR:
+                yield start, number

@@ -21,8 +21,11 @@ from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Cause, Moment, PlanEvent, PlanGraph
 
-_WORLD: Final = frozenset({Cause.PRECONDITION_FALSE, Cause.INVARIANT_FALSE, Cause.DATA_MISSING, Cause.WITHHELD})
-"""Causes that speak against the state of the world, of knowledge or of resources, not against the action."""
+_WORLD: Final = frozenset({Cause.PRECONDITION_FALSE, Cause.DATA_MISSING, Cause.WITHHELD})
+"""Causes that speak against the state of the world, of knowledge or of resources, not against the action.
+
+A condition over all that breaks is none of them: the action was under way, as when its robot notices that itself and aborts.
+"""
 
 
 @dataclass(frozen=True, slots=True)

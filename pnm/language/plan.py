@@ -6,12 +6,13 @@ A world is a domain and the plans that are served together, each as an action se
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-from pnm.core.logic.conditions import TRUE, Condition
+from pnm.core.knowledge_base import KnowledgeBase
+from pnm.core.logic.conditions import TRUE, Condition, fluents
 from pnm.core.logic.domain import ProblemModel
 from pnm.core.logic.effects import TimedChange
 from pnm.core.logic.expressions import Fluent, Value
@@ -133,6 +134,7 @@ def _plan(head: PlanHead, others: Mapping[str, PlanHead]) -> HandWrittenPlan:
     builder = PlanGraphBuilder(lambda action: recoveries.get(action.name, ()), Facts(facts), max(1, entry.whole("restarts", 1)))
     goal = read_goal(entry, scope)
     graph = builder.graph(steps, domain.model.goal if goal == TRUE else goal, domain.rules, _capacities(entry))
+    graph = replace(graph, due=_due(graph.goal, domain))
     _check_capacities(entry, graph, actions)
     return HandWrittenPlan(
         head.name,
@@ -152,6 +154,14 @@ def _plan(head: PlanHead, others: Mapping[str, PlanHead]) -> HandWrittenPlan:
         declared=domain.model,
         domain_file=domain.file,
     )
+
+
+def _due(goal: Condition, domain: LanguageDomain) -> float:
+    """Return when the last timed fact comes that the goal reads: the goal is not looked at before."""
+    asked = fluents(goal, KnowledgeBase(objects=domain.model.objects_by_type))
+    base = domain.rules.base(fluent[0] for fluent in asked if fluent[0] in domain.rules.derived)
+    late = (change.time for change in domain.model.timed for fluent in change.changes if fluent in asked or fluent[0] in base)
+    return max(late, default=0.0)
 
 
 def _capacities(entry: Mapped) -> dict[str, int]:

@@ -85,6 +85,8 @@ class CallStep:
     """Chosen within the bounds that the action gives."""
     release: float = 0.0
     """Seconds after the beginning of the plan before which it must not start."""
+    latest_start: float = inf
+    """Seconds after the beginning of the plan by which it must have been sent."""
     deadline: float = inf
     """Seconds after the beginning of the plan by which it must have ended."""
     resources: tuple[str, ...] = ()

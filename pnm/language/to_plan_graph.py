@@ -203,6 +203,7 @@ class PlanGraphBuilder:
             action,
             recoveries=(*(self._recovery(recovery, own, inner) for recovery in written), *usual_recoveries(step.action)),
             release=step.release,
+            latest_start=step.latest_start,
             deadline=step.deadline,
             timeout=step.timeout,
             retries=step.action.binding.retries if step.retries is None else step.retries,

@@ -39,6 +39,7 @@ from pnm.core.machine.machine import (
     Rule,
     Withheld,
 )
+from pnm.core.machine.plan_graph import Cause
 
 NEVER: Final = float("inf")
 
@@ -207,7 +208,8 @@ class Guards:
                 return Explanation(rule.cause, f"{', '.join(keepers)} within {seconds:g} s", who_keeps(keepers))
             case Due(seconds):
                 passed = f"{self._state.passed:g} s have passed"
-                return Explanation(rule.cause, f"an end within {seconds:g} s of the plan's start", passed)
+                what = "a start" if rule.cause is Cause.TOO_LATE else "an end"
+                return Explanation(rule.cause, f"{what} within {seconds:g} s of the plan's start", passed)
             case _:
                 return None
 

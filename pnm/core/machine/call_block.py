@@ -182,8 +182,9 @@ class CallBlock(Block[ActionCall]):
         self._own_checks(Cause.BEFORE, "ready")
         # Before the precondition, which cannot be evaluated for parameters without a value.
         add(check_rule(Cause.DATA_MISSING, DataMissing(call), call), ready, self._after(Cause.DATA_MISSING, failed))
-        if isfinite(self.step.deadline):  # before `start`, which would begin something that cannot end in time
-            add(check_rule(Cause.TOO_LATE, Due(self.step.deadline), call), ready, failed)
+        latest = min(self.step.latest_start, self.step.deadline)
+        if isfinite(latest):  # before `start`, which would begin something that cannot end in time
+            add(check_rule(Cause.TOO_LATE, Due(latest), call), ready, failed)
         # The complement follows right after it: one of the two opens for every state of the world.
         add(Rule("start", ConditionTrue(may_start), call, action=_SEND, outcome=CallOutcome.RUNNING), ready, [requested])
         add(check_rule(Cause.PRECONDITION_FALSE, ConditionFalse(may_start), call), ready, self._after(Cause.PRECONDITION_FALSE, failed))

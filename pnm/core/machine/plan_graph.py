@@ -84,7 +84,7 @@ class Cause(StrEnum):
     EFFECTS_MISSING = "effects_missing"
     INVARIANT_FALSE = "invariant_false"
     TOO_LATE = "too_late"
-    """Its deadline has passed before it was sent."""
+    """Its deadline, or the time of its latest start, has passed before it was sent."""
     DEADLINE_MISSED = "deadline_missed"
     WITHHELD = "withheld"
     """Its resources belong to requests that were given up."""
@@ -133,6 +133,8 @@ class ActionCall:
     """Seconds after the moment the plan starts from at which its planner had the call start."""
     release: float = 0.0
     """Seconds after that moment before which the call must not start."""
+    latest_start: float = inf
+    """Seconds after that moment by which the call must have been sent."""
     deadline: float = inf
     """Seconds after that moment by which the call must have ended."""
     lasting: frozenset[Fluent] = frozenset()
