@@ -200,10 +200,14 @@ class PlanSearch:
         settings, stop = self._context.settings, self._control.planner_stop
         # The planner may not take longer than the task has left.
         timeout = max(0.01, min(settings.planner_timeout, self._monitor.limit.left))
-        search = partial(solve, problem, planner=settings.planner, timeout=timeout, cancel=stop, executor=settings.executor)
+
+        def search() -> PlanningResult:
+            result = solve(problem, planner=settings.planner, timeout=timeout, cancel=stop, executor=settings.executor)
+            return result if result.plan is None else replace(result, plan=without_needless_calls(problem, result.plan))
+
         try:
             with self._context.task.stopwatch.of("plan"):
-                result = await asyncio.to_thread(search)
+                return await asyncio.to_thread(search)
         except asyncio.CancelledError:
             stop.set()
             if cast("asyncio.Task[object]", asyncio.current_task()).cancelling():
@@ -213,7 +217,6 @@ class PlanSearch:
             if not self._has_found:
                 raise
             return PlanningResult(PlanningStatus.INVALID, message=str(error))
-        return result if result.plan is None else replace(result, plan=without_needless_calls(problem, result.plan))
 
 
 def without_needless_calls(problem: Problem, plan: Plan) -> Plan:
