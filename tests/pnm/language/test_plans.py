@@ -110,10 +110,7 @@ def test_the_goal_is_that_of_the_problem_if_the_plan_has_none(read: Read) -> Non
     assert read("actions: {}\nplan: []\n").goal == TRUE
 
 
-USUAL = (
-    Recovery(frozenset({Cause.CANCELED}), Then.CONTINUE, EMPTY),
-    Recovery(frozenset({Cause.EFFECTS_MISSING}), Then.RETRY, EMPTY, 3),
-)
+USUAL = (Recovery(frozenset({Cause.CANCELED}), Then.CONTINUE, EMPTY), Recovery(frozenset({Cause.EFFECTS_MISSING}), Then.RETRY, EMPTY, 3))
 
 
 # --- recoveries ---

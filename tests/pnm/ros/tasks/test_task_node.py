@@ -8,7 +8,7 @@ from uuid import UUID, uuid4
 import pytest
 
 from pnm.tasks import Code
-from tests.support.ros.child_process import run
+from tests.support.ros.child_process import run_bounded
 from tests.support.ros.serving_node import serving_node
 from tests.support.ros.task_client import ABORTED, CANCELED, SUCCEEDED, TaskClient, uuid_data
 
@@ -22,7 +22,7 @@ def test_a_goal_while_the_node_is_inactive_is_rejected_and_a_later_one_is_not(tw
             await one.node.activate()
             assert (await one.ended("goal_reached"))[0] == SUCCEEDED
 
-    run(main())
+    run_bounded(main())
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def test_what_is_wrong_with_a_goal_is_in_its_result(two, action, goal, said):
             assert said in result["message"]
             assert not one.tasks.open
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_goal_that_takes_long_to_read_holds_up_no_other_and_can_be_cancelled(two):
@@ -82,7 +82,7 @@ def test_every_code_arrives_and_only_one_is_a_success(two):
                 assert status == (SUCCEEDED if code is Code.GOAL_REACHED else ABORTED), code
                 assert (result["code"], result["reason"], result["message"]) == (code, code.word, f"as it was told: {code.word}")
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_full_queue_says_so(two):
@@ -93,7 +93,7 @@ def test_a_full_queue_says_so(two):
             status, result = await one.ended("queued")
             assert (status, result["code"], result["message"]) == (ABORTED, Code.QUEUE_FULL, "2 tasks are waiting already")
 
-    run(main())
+    run_bounded(main())
 
 
 def test_an_id_is_that_of_one_task_only(two):
@@ -107,7 +107,7 @@ def test_an_id_is_that_of_one_task_only(two):
             one.tasks.end(first.id, Code.GOAL_REACHED)
             assert (await first.result())[0] == SUCCEEDED
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_failure_inside_is_a_result_too(two, caplog):
@@ -118,7 +118,7 @@ def test_a_failure_inside_is_a_result_too(two, caplog):
             assert (status, result["code"]) == (ABORTED, Code.ERROR)
             assert "TypeError" in result["message"]
 
-    run(main())
+    run_bounded(main())
     assert "a task cannot begin" in caplog.text
 
 
@@ -130,7 +130,7 @@ def test_requests_about_unknown_tasks_are_refused(two, service):
             answer = await one.client.call(f"executor/{service}", task=uuid_data(id))
             assert answer == {"success": False, "message": f"there is no task {id}"}
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_task_that_is_not_paused_is_not_resumed(two):
@@ -140,7 +140,7 @@ def test_a_task_that_is_not_paused_is_not_resumed(two):
             answer = await one.client.call("executor/resume", task=uuid_data(goal.id))
             assert answer == {"success": False, "message": f"the task {goal.id} is not paused"}
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_client_that_disappears_leaves_its_goal_behind(two):
@@ -154,7 +154,7 @@ def test_a_client_that_disappears_leaves_its_goal_behind(two):
             assert (await one.ended("goal_reached"))[0] == SUCCEEDED
             assert repr(one.node._servers) == "<TaskServers 0 goals>"
 
-    run(main())
+    run_bounded(main())
 
 
 def test_closing_cancels_everything_and_answers_everybody(two):
@@ -166,7 +166,7 @@ def test_closing_cancels_everything_and_answers_everybody(two):
                 status, result = await goal.result()
                 assert (status, result["code"]) == (ABORTED, Code.CANCELLED), "nobody has asked for it"
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_task_that_does_not_end_is_not_waited_for_without_end(two, caplog):
@@ -179,5 +179,5 @@ def test_a_task_that_does_not_end_is_not_waited_for_without_end(two, caplog):
             assert (status, result["code"]) == (ABORTED, Code.CANCELLED)
             assert "has not confirmed that it is cancelled" in result["message"]
 
-    run(main())
+    run_bounded(main())
     assert "has not ended; what it runs is left alone" in caplog.text
