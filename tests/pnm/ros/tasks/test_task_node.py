@@ -70,7 +70,7 @@ def test_a_goal_that_takes_long_to_read_holds_up_no_other_and_can_be_cancelled(t
             status, result = await given_up.result()
             assert (status, result["reason"], result["message"]) == (CANCELED, "cancelled", "its client has cancelled it")
 
-    run(main())
+    run_bounded(main())
 
 
 def test_every_code_arrives_and_only_one_is_a_success(two):
