@@ -28,8 +28,6 @@ from pnm.errors import InputError
 from pnm.tasks import Code, OnConflict, TaskState
 
 _NO_PLAN: Final = frozenset({PlanningStatus.UNSOLVABLE, PlanningStatus.NO_PLAN})
-MAX_SHORTENED: Final = 100
-"""Calls of the longest plan that needless calls are removed from."""
 
 P = TypeVar("P", Plan, PlanGraph)
 Attempt: TypeAlias = Callable[[], Awaitable[tuple[P | None, tuple[Conflict, ...]]]]
@@ -233,7 +231,7 @@ def without_needless_calls(problem: Problem, plan: Plan) -> Plan:
         *(preference for schema in domain.actions.values() for preference in schema.preferences),
     )
     asks_for_more = problem.network or problem.constraints or domain.constraints or preferences or not is_short
-    if plan.temporal or len(plan.steps) > MAX_SHORTENED or asks_for_more:
+    if plan.temporal or asks_for_more:
         return plan
     progress, world = Progress.beginning(total_order(problem, plan)), initial_knowledge(problem)
     if why_not(progress, world):
