@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 import pytest
 
 from planner_bridge.model.grounding import initial_knowledge
-from planner_bridge.node import world_queries
+from planner_bridge.node import timed_state
 from planner_bridge.node.plan_request import make_plan
 from planner_bridge.node.problem_folder import ProblemFolder
 from planner_bridge.node.problem_service import LoadedProblem, ServedProblem
@@ -93,8 +93,8 @@ def test_a_request_has_a_budget(tmp_path, monkeypatch):
             await served.query([LONG] * 20)
         with pytest.raises(InputError, match=f"characters at once; expected {MAX_CHARACTERS} at most"):
             await served.update([LONG] * 10, [LONG] * 10, [])
-        monkeypatch.setattr(world_queries, "MAX_SECONDS", -1.0)
-        with pytest.raises(InputError, match="1 of 3 questions have taken -1 s; expected fewer or simpler ones"):
+        monkeypatch.setattr(timed_state, "MAX_SECONDS", -1.0)
+        with pytest.raises(InputError, match="the answers have taken -1 s; expected fewer or simpler questions"):
             await served.query(["(dark)"] * 3)
 
     serve(scene, tmp_path)
@@ -118,3 +118,11 @@ def test_a_plan_request_whose_goal_cannot_be_read_raises_what_is_wrong():
 
     assert DOMAIN.actions
     run_async(scene(), virtual=False)
+
+
+def test_the_time_for_answers_is_over_in_the_middle_of_a_question(monkeypatch):
+    moments = iter([0.0, *[1.0] * 100, *[9.0] * 10])
+    monkeypatch.setattr(timed_state, "monotonic", lambda: next(moments))
+    with pytest.raises(InputError, match="the answers have taken 5 s"):
+        world().query([f"(or {'(dark) ' * 200})"])
+    assert len(list(moments)) == 9
