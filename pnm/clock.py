@@ -156,23 +156,22 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
     """An event loop whose clock starts at zero and jumps."""
 
     _scheduled: list[asyncio.TimerHandle]
+    _clock_resolution: float
 
     def __init__(self) -> None:
-        self._jumping = _Jumping(lambda: self._scheduled[0].when())
+        self._jumping = _Jumping(self.next_timer)
         super().__init__(self._jumping)
 
     def time(self) -> float:
         """Return the virtual time in seconds."""
         return self._jumping.now
 
-    @property
-    def _clock_resolution(self) -> float:
-        """Seconds by which asyncio lets a timer come early: at least what can be told apart now, or a timer that is due never would be."""
-        return max(_RESOLUTION, ulp(self._jumping.now))
-
-    @_clock_resolution.setter
-    def _clock_resolution(self, _: float) -> None:
-        """Ignore the resolution of the real clock."""
+    def next_timer(self) -> float:
+        """Return the time of the next timer, to which the clock jumps."""
+        when = self._scheduled[0].when()
+        # asyncio takes timers of that many seconds later for due: if no less can be told apart then, none would ever be
+        self._clock_resolution = max(_RESOLUTION, ulp(when))
+        return when
 
     def run_in_executor(self, executor: Executor | None, func: Callable[..., T], *args: Any) -> asyncio.Future[T]:  # type: ignore[override]
         """Run the function in a thread; the clock stands still until it is done."""

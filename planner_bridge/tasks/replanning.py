@@ -21,6 +21,8 @@ from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Cause, Moment, PlanEvent, PlanGraph
 
+MAX_SHORTENED: Final = 100
+"""Calls of the longest rest of a plan that needless calls are removed from."""
 _WORLD: Final = frozenset({Cause.PRECONDITION_FALSE, Cause.DATA_MISSING, Cause.WITHHELD})
 """Causes that speak against the state of the world, of knowledge or of resources, not against the action.
 
@@ -250,8 +252,11 @@ def why_not(
 
 
 def shortened(progress: Progress, knowledge: KnowledgeBase) -> Progress:
-    """Return the plan without those calls that are needless from here: the rest leads to its goal all the same."""
-    for call in progress.rest:
+    """Return the plan without those calls that are needless from here: the rest leads to its goal all the same.
+
+    A rest of more than `MAX_SHORTENED` calls is left as it is: the work grows with the square of their number, and the event loop waits.
+    """
+    for call in progress.rest if len(progress.rest) <= MAX_SHORTENED else ():
         if call.index not in progress.under_way and not why_not(shorter := progress.without(call.index), knowledge):
             progress = shorter
     return progress

@@ -38,6 +38,8 @@ from pnm.knowledge.sources.source import Asker, Source
 from pnm.language.runner import PlanRunner
 from pnm.tasks import Code, OnConflict, TaskEnding, TaskListener, TaskRefused, TaskState, TaskStatus, TaskStep, Wanted
 
+MAX_CALLS: Final = 1000
+"""Calls of a plan that is sent as a text: the event loop waits while its machine is made."""
 _REMEMBERED: Final = 20
 """Tasks that are over and still listed."""
 
@@ -270,6 +272,8 @@ class TaskManager:
         if task.wanted.parameters:
             raise InputError(f"a plan that is sent as a text has no parameters; found {', '.join(task.wanted.parameters)}")
         plan = read_plan(task.wanted.text, self._now())
+        if len(plan.steps) > MAX_CALLS:
+            raise InputError(f"the plan has {len(plan.steps)} calls; expected {MAX_CALLS} at most")
         return lambda: GoalLoop(self._context(task, TRUE, on_change=OnChange.LAZY), given=plan).pursue()
 
     def _now(self) -> Problem:

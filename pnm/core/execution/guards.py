@@ -136,6 +136,13 @@ class Guards:
             return -NEVER
         return self._after(self._false_since, transition, bool(false), context.world.lag(names(All(tuple(false)))))
 
+    def postpone(self, call: int | None) -> None:
+        """Have the limit for the acceptance of a call's request begin anew."""
+        state = self._state
+        for transition in () if call is None else state.index.reported[call]:
+            if isinstance(state.index.rules[transition].guard, Accepts) and state.engine.is_enabled(transition):
+                state.marked_at.update({place: state.now for place, _ in state.engine.compiled.inputs[transition]})
+
     def forget(self, place: int) -> Iterator[UUID]:
         """Forget since when guards at the place have been waiting; yield its questions, whose answers are no longer needed."""
         # The next token at this place is a new decision, with delays that begin anew.

@@ -45,7 +45,7 @@ from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import Accepts, CallOutcome, EffectsMissing, Ends, PetriNetMachine, Rule, TransitionAction, Withheld
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph
-from pnm.core.machine.requests import Accepted, Ended, OutcomeKind, Report
+from pnm.core.machine.requests import Accepted, Ended, OutcomeKind, Postponed, Report
 from pnm.core.net.firing_engine import Engine
 from pnm.errors import RunError
 
@@ -173,6 +173,8 @@ class Run(RunView):
             case Answered(identity, value, message):
                 place = self._questions.answered(identity, value, message)
                 self._agenda.extend([] if place is None else [place])
+            case Postponed(request):
+                self._guards.postpone(self._calls.open.get(request))
             case Accepted() | Ended():
                 # a request taken over may end before the run has begun: its place is not marked yet
                 (self._report if state.has_begun else self._early.append)(event)
@@ -393,6 +395,6 @@ def _subject(plan: PlanGraph, call: int | None) -> str:
 
 
 def _admits(rule: Rule, report: Report) -> bool:
-    if isinstance(report, Accepted):
-        return isinstance(rule.guard, Accepts)
-    return isinstance(rule.guard, Ends) and report.outcome.kind in rule.guard.kinds
+    if isinstance(report, Ended):
+        return isinstance(rule.guard, Ends) and report.outcome.kind in rule.guard.kinds
+    return isinstance(rule.guard, Accepts)

@@ -54,13 +54,13 @@ def evaluate(condition: Condition, state: State, env: Environment = NOTHING) -> 
         case Compare(operation, left, right):
             return _compare(operation, _recorded(left, state, env), _recorded(right, state, env))
         case Any(operands):
-            return negate(_all(negate(evaluate(operand, state, env)) for operand in operands))
+            return _any(evaluate(operand, state, env) for operand in operands)
         case Implies(left, right):
-            return evaluate(Any((Not(left), right)), state, env)
+            return _any(evaluate(operand, state, env) for operand in (Not(left), right))
         case ForAll(variables, body):
             return _all(evaluate(body, state, inner) for inner in choices(variables, state, env))
         case Exists(variables, body):
-            return negate(evaluate(ForAll(variables, Not(body)), state, env))
+            return _any(evaluate(body, state, inner) for inner in choices(variables, state, env))
         case Computed(data):
             if not isinstance(state, Answers):
                 return UNKNOWN
@@ -82,6 +82,16 @@ def _all(truths: Iterator[Truth]) -> Truth:
     for truth in truths:
         if truth is False:
             return False
+        if truth is UNKNOWN:
+            result = UNKNOWN
+    return result
+
+
+def _any(truths: Iterator[Truth]) -> Truth:
+    result: Truth = False
+    for truth in truths:
+        if truth is True:
+            return True
         if truth is UNKNOWN:
             result = UNKNOWN
     return result

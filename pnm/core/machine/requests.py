@@ -2,8 +2,8 @@
 
 A *request* is one dispatch of a call to an action server, with a UUID chosen by us. It is
 answered by reports: at most one `Accepted`, then exactly one `Ended` with an `Outcome`. (An
-`Accepted` may be left out before an end that implies it.) A
-client that cannot keep that promise is still safe: the run gives every request a limit.
+`Accepted` may be left out before an end that implies it, and any number of `Postponed` may come
+before it.) A client that cannot keep that promise is still safe: the run gives every request a limit.
 """
 
 from __future__ import annotations
@@ -66,7 +66,14 @@ class Ended:
     outcome: Outcome
 
 
-Report: TypeAlias = Accepted | Ended
+@dataclass(frozen=True, slots=True)
+class Postponed:
+    """The goal waits until its server has answered others, or has waited until now: the limit for its acceptance begins anew."""
+
+    request: UUID
+
+
+Report: TypeAlias = Accepted | Ended | Postponed
 Reporter: TypeAlias = Callable[[Report], None]
 
 

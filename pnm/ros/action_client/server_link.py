@@ -153,6 +153,8 @@ class ServerLink:
             goal.end(OutcomeKind.REJECTED, f"goal for {self.name} cannot be sent: {error}")
             return
         goal.sent = monotonic()
+        if goal.postponed:
+            goal.postpone(goal.sent)
         # The processes of this moment: one that appears later cannot have this goal.
         goal.liveness = Liveness(processes(self._node, self.name))
         self._unanswered.add(goal)
@@ -160,6 +162,11 @@ class ServerLink:
 
     def _answered(self, goal: Goal, future: Any) -> None:
         self._unanswered.discard(goal)
+        now = monotonic()
+        for later in self._unanswered:  # which a server that takes its time for each goal could not answer before
+            if later.sent >= goal.sent:
+                later.sent = now
+                later.postpone(now)
         handle = future.result()
         if not handle.accepted:  # first of all, since a refusal ends the goal whatever else has happened to it
             goal.end(OutcomeKind.REJECTED, f"{self.name} rejected the goal")
@@ -236,6 +243,10 @@ class ServerLink:
                 self._look_at_unanswered(goal, present, now)
             self._look_at_accepted(present, now)
         self._pump()
+        if self._queued and self.ready() and self._may_send():  # then only the answers to others are waited for
+            for goal in self._queued:
+                if now - goal.postponed >= goal.accept / 4.0:
+                    goal.postpone(now)
 
     def _look_at_queue(self, now: float) -> None:
         if not self.ready():

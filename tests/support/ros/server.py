@@ -6,7 +6,7 @@ Of a GroundAction goal the action says what to do and the first argument how lon
     slow (1)         works for a while, and lets itself be cancelled
     stubborn (1)     the same, but refuses to be cancelled
     hang             works until it is cancelled
-    hesitate (1)     takes that long to accept, then works until it is cancelled
+    hesitate (1)     takes that long to accept, one goal after the other, then works until it is cancelled
     together (N)     waits until N goals are there, then all end at once
     block (1)        keeps its thread busy; with one thread the server answers nothing meanwhile
 
@@ -42,12 +42,14 @@ class Behaviour:
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
+        self.answering = threading.Lock()
         self.arrived = 0
         self.complete = threading.Event()
 
     def accept(self, goal: Any) -> GoalResponse:
         if goal.action == "hesitate":
-            threading.Event().wait(first_number(goal))
+            with self.answering:
+                threading.Event().wait(first_number(goal))
         return GoalResponse.REJECT if goal.action == "reject" else GoalResponse.ACCEPT
 
     def cancel(self, handle: Any) -> CancelResponse:
