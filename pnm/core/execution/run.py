@@ -45,14 +45,11 @@ from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import Accepts, EffectsMissing, Ends, PetriNetMachine, Rule, TransitionAction, Withheld
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph
-from pnm.core.machine.requests import Accepted, Ended, OutcomeKind, Report
+from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, Ended, OutcomeKind, Report
 from pnm.core.net.firing_engine import Engine
 from pnm.errors import RunError
 
 _NONE: Final[Mapping[int, UnderWay]] = {}
-
-_BEFORE_ACCEPTANCE: Final = frozenset({OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE, OutcomeKind.LOST})
-"""Ends that do not tell whether the goal was accepted before."""
 
 
 def _unknown_fields(action: GroundAction) -> None:
@@ -205,7 +202,7 @@ class Run(RunView):
                 self._agenda.extend(self._claims.served())
             return
         if isinstance(report, Ended):
-            if report.outcome.kind not in _BEFORE_ACCEPTANCE:
+            if report.outcome.kind not in BEFORE_ACCEPTANCE:
                 self._take(call, Accepted(report.request))  # a client may leave out what goes without saying
             del self._calls.open[report.request]
             # results are stored before the firing: effects and checks after it may read them

@@ -11,7 +11,7 @@ from pnm.core.machine.machine import (
     PetriNetMachine,
     Rule,
 )
-from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.core.net.net import PetriNet
 

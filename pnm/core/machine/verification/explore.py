@@ -1,77 +1,19 @@
-"""Every state that a part of a machine can reach, whatever the world answers.
-
-A part is a whole machine, or a block of it with its inputs supplied from outside at any moment.
-"""
+"""Every state that a part of a machine can reach, whatever the world answers: tokens, and what became of the requests of its calls."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, TypeAlias
 
-from pnm.core.machine.machine import Adopted, After, Always, CancelAsked, Due, Ending, Ends, Failing, Guard, PauseAsked
+from pnm.core.machine.machine import Accepts, Adopted, After, Always, CancelAsked, Due, Ending, Ends, Failing, Guard, PauseAsked
 from pnm.core.machine.verification.exits import missing_exit
-from pnm.core.net.net import Weights
-from pnm.errors import PnmError
+from pnm.core.machine.verification.part import Inside, Part, Step, Unsound
+from pnm.core.machine.verification.place_roles import check_steps
+from pnm.core.machine.verification.request_life import Life, following, may_open, misuse, untaken
 
 MAX_STATES: Final = 2_000_000
-
-
-class Unsound(PnmError):
-    """The machine can reach a state it must not reach; `trace` leads there."""
-
-    def __init__(self, what: str, trace: Sequence[str] = ()) -> None:
-        super().__init__(f"{what}{f'; after {chr(32).join(trace)}' if trace else ''}")
-        self.trace = tuple(trace)
-
-
-@dataclass(frozen=True, slots=True)
-class Inside:
-    """In the place of a guard: what happens inside a region, which takes its time but comes to an end."""
-
-
-class Step(NamedTuple):
-    """A transition of a part of a net, or all that happens inside a region."""
-
-    name: str
-    guard: Guard | Inside
-    inputs: Weights
-    outputs: Weights
-
-
 Tokens: TypeAlias = tuple[int, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Part:
-    """A part of a machine with what surrounds it: inputs that come once, at any moment."""
-
-    places: tuple[str, ...]
-    steps: tuple[Step, ...]
-    initial: Mapping[str, int]
-    supplies: tuple[tuple[str, ...], ...] = ()
-    """Sets of places that get their tokens from outside, each set at once."""
-    failures: frozenset[str] = frozenset()
-    records: frozenset[str] = frozenset()
-    """Places that may stay marked."""
-    counters: frozenset[str] = frozenset()
-    """Those of them from which nothing starts: what takes from them is asked for at other places."""
-    cancels: bool = False
-    """Whether a failure has running calls cancelled."""
-    outputs: frozenset[str] = frozenset()
-    """Places that are marked in the end, each once: others take from them."""
-    finals: frozenset[str] = frozenset()
-    """Final places: exactly one is marked in the end, if there are any."""
-    early: frozenset[str] = frozenset()
-    """Places that must be marked once nothing more can happen without the last supply."""
-    restarts: frozenset[str] = frozenset()
-    """Places that ask for the plan to begin anew."""
-    others_restart: bool = False
-    """Whether other parts may ask for that."""
-    repeats: bool = False
-    """Whether it may be entered again once it was left, with its counters as they then are."""
-    resources: frozenset[str] = frozenset()
-    """Places that others take from as well: a step that lacks nothing else is waited for, and the rules after it are not asked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +23,8 @@ class _State:
     """0: going on, 1: another part asks for the plan to begin anew, 2: a stop, 3: a stop that cancels."""
     supplied: int = 0
     """How many of the supplies have come."""
+    requests: tuple[Life, ...] = ()
+    """What became of the last request of each call."""
 
 
 @dataclass
@@ -91,61 +35,98 @@ class _Explorer:
 
     most: list[int] = field(init=False)
     """How many tokens each place may hold."""
+    fired: set[int] = field(default_factory=set)
+    """The steps that can happen, as far as is known."""
 
     def __post_init__(self) -> None:
-        self.index = {place: number for number, place in enumerate(self.part.places)}
-        self.consumers = [[] for _ in self.part.places]
-        for number, step in enumerate(self.part.steps):
+        part = self.part
+        self.index = {place: number for number, place in enumerate(part.places)}
+        self.consumers = [[] for _ in part.places]
+        for number, step in enumerate(part.steps):
             for place in step.inputs:
                 self.consumers[self.index[place]].append(number)
-        self.failures = [self.index[place] for place in self.part.failures]
-        self.restarts = [self.index[place] for place in self.part.restarts]
-        self.counters = {self.index[place] for place in self.part.counters if place in self.index}
-        self.resources = {self.index[place]: self.part.initial.get(place, 0) for place in self.part.resources}
+        self.calls = {call: number for number, call in enumerate(dict.fromkeys(one.call for one in part.steps if one.call is not None))}
+        adopted = {step.call for step in part.steps if isinstance(step.guard, Adopted)}
+        self.requests = tuple(Life.ADOPTABLE if call in adopted else Life.NONE for call in self.calls)
+        self.reports = [number for number, step in enumerate(part.steps) if isinstance(step.guard, Accepts | Ends)]
+        self.failures = [self.index[place] for place in part.failures]
+        self.restarts = [self.index[place] for place in part.restarts]
+        self.counters = {self.index[place] for place in part.counters if place in self.index}
+        self.resources = {self.index[place]: part.initial.get(place, 0) for place in part.resources}
         self.records = self.counters | self.resources.keys()
-        self.asking = [place for place in range(len(self.part.places)) if place not in self.records and self._may_be_unanswered(place)]
-        self.stops = (1, 2, 3) if self.part.others_restart else (2, 3)
-        budget = sum(tokens for place, tokens in self.part.initial.items() if place in self.part.records)
-        self.most = [budget if place in self.part.records - self.part.failures else 1 for place in self.part.places]
+        self.alive = [self.index[place] for place in part.alive if place in self.index]
+        self.ends = [self.index[place] for place in part.ends | part.finals if place in self.index]
+        self.may_rest = {self.index[place] for place in part.outputs | part.finals if place in self.index} | self.records
+        self.asking = [place for place in range(len(part.places)) if place not in self.records and self._may_be_unanswered(place)]
+        self.stops = (1, 2, 3) if part.others_restart else (2, 3)
+        budget = sum(tokens for place, tokens in part.initial.items() if place in part.records)
+        self.most = [budget if place in part.records - part.failures else 1 for place in part.places]
+
+    def start(self) -> _State:
+        """Return the state that the part begins in."""
+        return _State(tuple(self.part.initial.get(place, 0) for place in self.part.places), requests=self.requests)
 
     def successors(self, state: _State) -> Iterator[tuple[str, _State]]:
         """Yield everything that can happen next."""
-        for step in self._possible(state):
+        possible = self._possible(state)
+        ending = self._moods(state)[1]
+        for number in possible:
+            step, requests = self.part.steps[number], state.requests
+            self.fired.add(number)
+            if step.call is not None:
+                position = self.calls[step.call]
+                before = requests[position]
+                if wrong := misuse(step, before, ending=ending):
+                    raise Unsound(wrong)
+                if (after := following(step, before)) is not before:
+                    requests = (*requests[:position], after, *requests[position + 1 :])
             tokens = list(state.tokens)
             for place, weight in step.inputs.items():
                 tokens[self.index[place]] -= weight
             for place, weight in step.outputs.items():
                 tokens[self.index[place]] += weight
-            yield step.name, _State(tuple(tokens), state.stop, state.supplied)
+            yield step.name, _State(tuple(tokens), state.stop, state.supplied, requests)
         if state.supplied < len(self.part.supplies):
             tokens = list(state.tokens)
             for place in self.part.supplies[state.supplied]:
                 tokens[self.index[place]] += 1
-            yield _SUPPLY, _State(tuple(tokens), state.stop, state.supplied + 1)
-        elif self.part.repeats and not self._possible(state):
+            yield _SUPPLY, _State(tuple(tokens), state.stop, state.supplied + 1, state.requests)
+        elif self.part.repeats and not possible:
             tokens = [
                 (0 if number in self.restarts else state.tokens[number]) if number in self.counters else self.part.initial.get(place, 0)
                 for place, number in self.index.items()
             ]
-            yield _AGAIN, _State(tuple(tokens), 0 if state.stop == 1 else state.stop)
+            yield _AGAIN, _State(tuple(tokens), 0 if state.stop == 1 else state.stop, requests=(Life.NONE,) * len(self.calls))
+        if self.part.finals and any(state.tokens[place] for place in self.ends):
+            return  # it is over: nobody stops it any more
         for stop in self.stops:
             if stop > state.stop:
-                yield _STOPS[stop], _State(state.tokens, stop, state.supplied)
+                yield _STOPS[stop], _State(state.tokens, stop, state.supplied, state.requests)
 
     def _moods(self, state: _State) -> tuple[bool, bool, bool]:
         failing = state.stop > 1 or any(state.tokens[place] for place in self.failures)
         ending = failing or state.stop > 0 or any(state.tokens[place] for place in self.restarts)
         return failing, ending, state.stop == 3 or (ending and self.part.cancels)
 
-    def _possible(self, state: _State) -> list[Step]:
-        """Return the enabled steps whose guards may be open, as `pnm.core.execution.run` asks them: in order, at each marked place."""
+    def _possible(self, state: _State) -> list[int]:
+        """Return the enabled steps whose guards may be open, as `pnm.core.execution.run` asks them: in order, at each marked place.
+
+        Reports are not asked for at a place: they come when they like as long as their request is alive.
+        """
         moods = self._moods(state)
         found: dict[int, None] = {}
         enabled: dict[int, bool] = {}
         for place, tokens in enumerate(state.tokens):
             if tokens and place not in self.records:
                 found |= dict.fromkeys(self._exits(place, state, moods, enabled)[0])
-        return [self.part.steps[number] for number in found]
+        if Life.ALIVE in state.requests:
+            steps = self.part.steps
+            alive = (number for number in self.reports if self._life(steps[number], state) is Life.ALIVE)
+            found |= dict.fromkeys(number for number in alive if self._is_enabled(steps[number], state))
+        return [*found]
+
+    def _life(self, step: Step, state: _State) -> Life:
+        return Life.ALIVE if step.call is None else state.requests[self.calls[step.call]]
 
     def _exits(self, place: int, state: _State, moods: tuple[bool, bool, bool], enabled: dict[int, bool]) -> tuple[list[int], bool]:
         """Return which steps may be open at a place, and whether those after them wait for resources."""
@@ -159,6 +140,8 @@ class _Explorer:
                     return found, True
                 continue
             is_open = _is_open(step.guard, *moods)
+            if is_open is None and isinstance(step.guard, Adopted | Accepts | Ends):
+                is_open = may_open(step, self._life(step, state))
             if is_open is not False:
                 found.append(number)
             if is_open is True:
@@ -219,10 +202,12 @@ class _Explorer:
             if state.tokens[number] and (wrong := self._unanswered(number, state)):
                 return f"{self.part.places[number]} {wrong}"
         keeps = any(state.tokens[place] < tokens for place, tokens in self.resources.items())
-        if keeps and (stuck or any(isinstance(step.guard, Inside) for step in self._possible(state))):
+        if keeps and (stuck or any(isinstance(self.part.steps[number].guard, Inside) for number in self._possible(state))):
             return "it waits for others while it keeps resources that they may need"
         if self.resources and self._starves(state):
             return "it waits for resources that nobody gives back"
+        if wrong := self._ends_too_soon(state) or self._loses_reports(state):
+            return wrong
         if not stuck:
             return ""
         missing = len(self.part.supplies) - state.supplied
@@ -234,6 +219,33 @@ class _Explorer:
             place: state.tokens[number] for place, number in self.index.items() if state.tokens[number] and place not in self.part.records
         }
         return self._why_improper(left)
+
+    def _ends_too_soon(self, state: _State) -> str:
+        """Return what is still going on although the end of the part is marked; empty when nothing is, or it is not."""
+        ended = [place for place in self.ends if state.tokens[place]]
+        if not ended:
+            return ""
+        name, places = self.part.places[ended[0]], self.part.places
+        if busy := [places[number] for number, tokens in enumerate(state.tokens) if tokens and number not in self.may_rest]:
+            return f"{name} is marked although {busy[0]} still is"
+        if Life.ALIVE in state.requests or Life.ADOPTABLE in state.requests:
+            return f"{name} is marked although a request is alive"
+        if self.part.goal in map(places.__getitem__, ended) and self._moods(state)[1]:
+            return f"{name} is marked although the run is ending"
+        return ""
+
+    def _loses_reports(self, state: _State) -> str:
+        """Return for which request that is alive an end would be lost, or be taken for that of a call at rest."""
+        alive = [call for call, position in self.calls.items() if state.requests[position] is Life.ALIVE]
+        if not alive:
+            return ""
+        if len(alive) > sum(state.tokens[place] for place in self.alive):
+            return "a request is alive, and no place is marked that says so"
+        enabled = [self.part.steps[number] for number in self.reports if self._is_enabled(self.part.steps[number], state)]
+        for call in alive:
+            if lost := untaken(step for step in enabled if step.call == call):
+                return f"nothing takes the report that a request has {'/'.join(sorted(kind.value for kind in lost))}"
+        return ""
 
     def _why_improper(self, left: Mapping[str, int]) -> str:
         """Return what is wrong with a final marking of all but record places; empty when it is proper."""
@@ -285,11 +297,11 @@ def explore_part(part: Part) -> int:
     """
     if confusing := [step.name for step in part.steps if step.name in _FROM_OUTSIDE]:
         raise Unsound(f"a step is called {confusing[0]!r}, as is what happens from outside")
+    check_steps(part)
     explorer = _Explorer(part)
     # pauses and entries come from outside, as often as they like: what follows from there is walked through apart
     apart = {step.name for step in part.steps if isinstance(step.guard, PauseAsked)} | {_AGAIN}
-    start = _State(tuple(part.initial.get(place, 0) for place in part.places))
-    roots: list[_Reached] = [(start, None)]
+    roots: list[_Reached] = [(explorer.start(), None)]
     seen: set[_State] = set()
     while roots:
         root = roots.pop()
@@ -306,7 +318,10 @@ def _walk(explorer: _Explorer, root: _Reached, seen: set[_State], apart: Set[str
 
     def enter(reached: _Reached) -> None:
         state, trace = reached
-        nexts = list(explorer.successors(state))
+        try:
+            nexts = list(explorer.successors(state))
+        except Unsound as error:
+            raise Unsound(str(error), _names(trace)) from error
         stuck = all(name in _FROM_OUTSIDE for name, _ in nexts)
         if wrong := explorer.check(state, stuck):
             raise Unsound(wrong, _names(trace))

@@ -29,18 +29,17 @@ from math import isfinite
 from typing import Final
 
 from pnm.core.machine.machine import (
-    Accepts,
     Adopted,
     ConditionTrue,
-    Due,
     OnFailure,
     PetriNetMachine,
-    TransitionAction,
     Withheld,
 )
 from pnm.core.machine.verification.block_shape import shape_of
 from pnm.core.machine.verification.decompose import Anatomy, Event, step_of
-from pnm.core.machine.verification.explore import Part, Unsound, explore_part
+from pnm.core.machine.verification.explore import explore_part
+from pnm.core.machine.verification.part import Part, Unsound
+from pnm.core.machine.verification.place_roles import check_roles
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -79,12 +78,14 @@ def verify(machine: PetriNetMachine) -> Proof:
     anatomy = Anatomy(machine)
     proved: set[_Proved] = set()
     waits: dict[Event, set[Event]] = {}
-    for place, call in anatomy.machine.failure_places.items():
-        if anatomy.writers[place] - {call}:
-            raise Unsound(f"{place} marks the failure of another call than its own")
-    for owner, names in anatomy.transitions.items():
-        _check_rules(anatomy, owner, names)
+    for owner in anatomy.writers[machine.goal_place]:
+        for name in anatomy.transitions[owner]:
+            if machine.goal_place in machine.net.outputs[name] and machine.rules[name].guard != ConditionTrue(machine.plan.goal):
+                raise Unsound(f"{name} marks the goal place without asking for the goal")
+    for owner in anatomy.transitions:
         block = anatomy.block(owner)
+        if owner is not None and not block.part.ends:
+            raise Unsound(f"nothing waits for the end of step {owner}")
         anatomy.note_waits(block, waits)
         proved.add(_proved(block.part))
     try:
@@ -118,6 +119,7 @@ def explore(machine: PetriNetMachine) -> int:
     Raises:
         Unsound: some state is wrong, or there are more than `MAX_STATES`.
     """
+    check_roles(machine)
     return explore_part(
         Part(
             places=machine.net.places,
@@ -128,28 +130,10 @@ def explore(machine: PetriNetMachine) -> int:
             counters=machine.counter_places,
             cancels=machine.on_failure is OnFailure.CANCEL,
             finals=frozenset((machine.goal_place, machine.failed_place)),
+            goal=machine.goal_place,
             restarts=frozenset(machine.restart_places),
             resources=frozenset(machine.resource_places),
+            alive=machine.alive_places,
+            settling=frozenset(machine.settling_places),
         )
     )
-
-
-# --- checks --------------------------------------------------------------------------------
-
-
-def _check_rules(anatomy: Anatomy, call: int | None, names: list[str]) -> None:
-    """Check that the rules of a block speak of its own call, and that requests and the goal are what they seem."""
-    machine = anatomy.machine
-    rules, net, goal = machine.rules, machine.net, machine.goal_place
-    waiting = {place for name in names if isinstance(rules[name].guard, Accepts) for place in net.inputs[name]}
-    for name in names:
-        rule, outputs = rules[name], net.outputs[name]
-        if getattr(rule.guard, "call", call) != call:
-            raise Unsound(f"{name} listens to another call")
-        if (rule.action is TransitionAction.SEND) is waiting.isdisjoint(outputs):
-            raise Unsound(f"{name} does not send the request that is waited for, or sends one that is not")
-        if isinstance(rule.guard, Due):
-            for place in dict(rule.guard.since).keys() - net.inputs[name].keys():
-                raise Unsound(f"{name} counts from the marking of {place}, which it does not take from")
-        if goal in outputs and rule.guard != ConditionTrue(machine.plan.goal):
-            raise Unsound(f"{name} marks the goal place without asking for the goal")

@@ -24,7 +24,7 @@ from pnm.core.machine.plan_graph import (
     Then,
 )
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
-from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from tests.support.runs.control_flow import LARGE, SHAPES, call, flow, local, ne, on, plan, store
 from tests.support.runs.direct import RUN, drive, outcomes

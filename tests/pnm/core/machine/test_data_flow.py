@@ -16,7 +16,7 @@ from pnm.core.machine.plan_graph import (
     Loop,
 )
 from pnm.core.machine.requests import Outcome, OutcomeKind
-from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from tests.support.runs.control_flow import LARGE, SHAPES, call, flow, local, ne, plan, store
 from tests.support.runs.direct import drive
