@@ -27,7 +27,7 @@ from tests.support.runs.direct import RUN
 from tests.support.runs.handover import ManualClient, carried, successor
 from tests.support.yaml.programs import only_plan
 
-ASKING = "actions: {tell: {params: [what], ask: {what: Which one}}}\nplan:\n  - tell:\n"
+TELLING = "actions: {tell: {params: [what], ask: {what: Which one}}}\nplan:\n  - tell:\n"
 
 
 def started(text: str) -> tuple[Run, list[Command]]:
@@ -56,7 +56,7 @@ def of_type(commands: Iterable[Command], kind: type[Command]) -> list[Command]:
 
 
 def test_a_deadline_passes_while_a_person_is_asked() -> None:
-    run, commands = started(f"{ASKING}    deadline: 5\n")
+    run, commands = started(f"{TELLING}    deadline: 5\n")
     now, commands = wait(run, commands)
     assert now == 5.0
     assert run.result().failures[0].cause is Cause.TOO_LATE
@@ -64,7 +64,7 @@ def test_a_deadline_passes_while_a_person_is_asked() -> None:
 
 
 def test_a_question_has_a_limit_in_the_run() -> None:
-    run, commands = started(ASKING)
+    run, commands = started(TELLING)
     now, commands = wait(run, commands)
     assert now == LIMITS[Layer.GLOBAL] + LIMITS[Layer.PERSON]
     failure = run.result().failures[0]
