@@ -44,7 +44,6 @@ from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import (
     After,
-    CallOutcome,
     Due,
     EffectsMissing,
     PetriNetMachine,
@@ -355,7 +354,8 @@ class Run(RunView):
 
     def _note(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
         missing = self._guards.unseen(call, place) if isinstance(rule.guard, EffectsMissing) else ()
-        assumed = rule.outcome is CallOutcome.SUCCEEDED and is_assumed(self._calls.action(call), self._guards.context(call, place))
+        finishes = rule.action is TransitionAction.FINISH
+        assumed = finishes and is_assumed(self._calls.action(call), self._guards.context(call, place))
         self._results.fired(rule, call, self._state.now, check, missing=missing, assumed=assumed)
         if rule.gives_up:
             self._calls.forget(call)

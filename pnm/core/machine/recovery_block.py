@@ -1,6 +1,6 @@
 """Recoveries of a call that the plan itself gives: chains of steps, and how to go on after them.
 
-    recovering → (recover) → chain → recovered → ready, where a success leads, done, or done and failed
+    recovering → (recover) → chain → recovered → ready, finished, done, or done and failed
 
 Every use takes a token from *uses left* and gives one to *uses spent*; when all are spent the next recovery for the same cause is
 used, and after the last the call gives up.
@@ -109,7 +109,7 @@ def _in_turn(block: Block[ActionCall], numbers: tuple[int, ...], built: dict[tup
 
 def _direct(block: Block[ActionCall], recovery: Recovery) -> list[str]:
     if recovery.then is Then.CONTINUE:
-        return [_succeeded(block)]
+        return [block.name("finished")]
     return [block.name(place) for place in _LEAVING[recovery.then]]
 
 
@@ -129,7 +129,7 @@ def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> None:
         case Then.RETRY:
             goal = [block.name("ready")]
         case Then.CONTINUE:
-            goal = [_succeeded(block)]
+            goal = [block.name("finished")]
         # After a failure the call is done as well: its successors get their tokens and skip, so that no token is left behind.
         case Then.SKIP | Then.FAIL | Then.REPLAN:
             goal = [block.name(place) for place in _LEAVING[then]]
@@ -140,11 +140,6 @@ def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> None:
         case _:
             assert_never(then)
     block.add(Rule(then.value, replans=then is Then.REPLAN), [recovered], goal, title=f"{then.value} {number}")
-
-
-def _succeeded(block: Block[ActionCall]) -> str:
-    """Return the place that is marked when the request has succeeded."""
-    return block.name("returned" if block.awaited else "finished")
 
 
 def abandon(block: Block[ActionCall], place: str, *announced: str, phase: str = "", action: TransitionAction | None = None) -> None:
