@@ -22,7 +22,7 @@ from pnm.core.execution.resources import who_keeps
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import PlanGraph, PlanGraphError
-from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.part import Unsound
 from pnm.tasks import Code, TaskState
 
 

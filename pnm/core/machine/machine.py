@@ -186,6 +186,8 @@ class TransitionAction(Enum):
     FINISH = "write the assumed end effects"
     UNDO = "take the assumed start effects back"
 
+    __hash__ = object.__hash__  # each is there once; shapes of blocks are hashed for every call
+
 
 class CallOutcome(StrEnum):
     """Outcome of a call, so far or for good."""

@@ -109,6 +109,10 @@ class Then(Enum):
     RESTART_PLAN = "restart_plan"
     """Everything else is brought to an end, then the plan begins anew."""
 
+    def is_last(self, *, chain: bool) -> bool:
+        """Return whether no other recovery for its cause can come after one that ends so, with or without a chain."""
+        return self in (Then.SKIP, Then.FAIL, Then.REPLAN) or (self is Then.CONTINUE and not chain)
+
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
@@ -140,7 +144,7 @@ class ActionCall:
     lasting: frozenset[Fluent] = frozenset()
     """Fluents written at the start that are still the action's own doing when it ends."""
     recoveries: tuple[Recovery, ...] = ()
-    """The first for a cause counts; without any, the call is tried again as often as it may be."""
+    """Those for a cause are used in their order; without any, the call is tried again as often as it may be."""
     timeout: float | None = None
     """In place of the binding's."""
     retries: int | None = None
@@ -277,7 +281,8 @@ class PlanGraph:
 
     Raises:
         PlanGraphError: the numbers are not so, an ordering names a step that does not stand beside its own, the
-            orderings form a cycle, or what others wait for cannot be said of such a step.
+            orderings form a cycle, what others wait for cannot be said of such a step, a wait is not finite, or a resource is
+            for no call at all.
     """
 
     steps: tuple[Step, ...]
@@ -294,6 +299,12 @@ class PlanGraph:
         for position, call in enumerate(self.calls):
             if call.index != position:
                 raise PlanGraphError(f"{call} stands at position {position}")
+            if not (0.0 <= call.release < inf and 0.0 <= (call.timeout or 0.0) < inf):
+                raise PlanGraphError(f"{call} would wait for {call.release} or {call.timeout} seconds; expected numbers from 0")
+        if not 0.0 <= self.due < inf:
+            raise PlanGraphError(f"the goal would wait for {self.due} seconds; expected a number from 0")
+        for name, capacity in self.capacities.items():
+            check_capacity(name, capacity)
         others = [step.index for step in self.every_step if not isinstance(step, ActionCall)]
         if sorted(others) != [*range(len(self.calls), len(self.calls) + len(others))]:
             raise PlanGraphError("the steps that are not calls are numbered after the calls, each once")
@@ -336,6 +347,12 @@ class PlanGraph:
         return f"<PlanGraph {len(self.calls)} calls, {len(self.orderings)} orderings>"
 
 
+def check_capacity(name: str, capacity: int) -> None:
+    """Refuse a resource that no call could ever have; raise `PlanGraphError`."""
+    if capacity < 1:
+        raise PlanGraphError(f"{capacity} calls may have {name} at the same time; expected 1 at least")
+
+
 def _check_orderings(flow: Flow) -> None:
     beside = Counter(step.index for step in flow.steps)
     calls = {step.index: step for step in flow.steps if isinstance(step, ActionCall)}
@@ -343,6 +360,8 @@ def _check_orderings(flow: Flow) -> None:
         for event in (ordering.before, ordering.after):
             if event.call not in beside:
                 raise PlanGraphError(f"{ordering} names a step that is not in the plan, or not beside the other")
+        if not 0.0 <= ordering.delay < inf:
+            raise PlanGraphError(f"{ordering} would wait for {ordering.delay} seconds; expected a number from 0")
         if ordering.delay and ordering.after.moment is Moment.END:
             raise PlanGraphError(f"{ordering} would delay an end, which comes when the action's time is up")
         between = (ordering.before, Moment.START), (ordering.after, Moment.END)

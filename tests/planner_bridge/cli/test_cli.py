@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.part import Unsound
 from tests.support.files import ROOT
 from tests.support.processes import LIMIT, pnm, result
 

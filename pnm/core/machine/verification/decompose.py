@@ -11,9 +11,10 @@ from functools import cached_property
 from itertools import chain
 from typing import Final, TypeAlias
 
-from pnm.core.machine.machine import OnFailure, PetriNetMachine, Region
+from pnm.core.machine.machine import Accepts, Ends, OnFailure, PetriNetMachine, Region
 from pnm.core.machine.plan_graph import Moment
-from pnm.core.machine.verification.explore import Inside, Part, Step, Unsound
+from pnm.core.machine.verification.part import Inside, Part, Step, Unsound
+from pnm.core.machine.verification.place_roles import check_counters, check_roles
 from pnm.core.net.net import Weights
 
 Owner: TypeAlias = int | None
@@ -65,6 +66,7 @@ class Anatomy:
                 self.first |= dict.fromkeys(region.first, region)
                 self.last |= dict.fromkeys(region.last, region)
         self._check_nesting()  # the proof goes from the innermost steps outwards: owners in a circle would be left out of it
+        self._check_lasting(check_roles(machine))
         self.between = frozenset(filter(self._is_between, machine.net.places))
         """Places that connect blocks, or should."""
         for place in self.between:
@@ -102,6 +104,21 @@ class Anatomy:
                 chain.append(owner)
                 owner = self.region_of[owner].owner
             proved.update(chain)
+
+    def _check_lasting(self, start: str) -> None:
+        """Check that only the frame takes from the start, nothing from failures and final places, and that counters are of one block."""
+        machine = self.machine
+        if self.readers[start] != {None} or self.writers[start] - {None}:
+            raise Unsound(f"{start} is not where the frame begins")
+        for place in (machine.goal_place, machine.failed_place, *machine.failure_places):
+            if self.readers[place]:
+                raise Unsound(f"step {min(self.readers[place], key=str)} takes from {place}, which stays as it is")
+        for place, call in machine.failure_places.items():
+            if self.writers[place] - {call}:
+                raise Unsound(f"{place} marks the failure of another call than its own")
+        for place in machine.budget_places:
+            if len(self.readers[place] | self.writers[place]) > 1:
+                raise Unsound(f"{place} counts for more than one step")
 
     def _check_channel(self, place: str) -> None:
         """Check that the place connects two blocks at most: neighbours, or a step and what holds it."""
@@ -168,10 +185,10 @@ class Anatomy:
         )
         resources = frozenset(place for place in places if place in machine.resource_places)
         # The block is explored with exactly what it takes: that others give it back is proved for them, each on its own.
-        taken = _resources(steps, resources)
+        taken = _resources(steps, {place: machine.initial[place] for place in resources})
         initial = {place: machine.initial[place] for place in places if machine.initial[place] and place not in resources}
         counters = frozenset(place for place in places if place in machine.counter_places).union(map(_may_come, own_records))
-        steps, initial = _counted(steps, initial, counters)
+        steps, initial = _counted(steps, initial, counters, machine.budget_places)
         part = Part(
             places=tuple(places),
             steps=steps,
@@ -182,13 +199,17 @@ class Anatomy:
             counters=counters,
             cancels=machine.on_failure is OnFailure.CANCEL,
             outputs=frozenset(outputs),
+            ends=frozenset(outputs) - early,
             finals=finals,
+            goal=machine.goal_place if owner is None else "",
             early=early if rest else frozenset(),
             restarts=frozenset(own_records),
             # Any other step may ask for a restart at any moment; for the frame these are its own records.
             others_restart=bool(machine.restart_places) and owner is not None,
             repeats=owner is not None and (bool(machine.restart_places) or self.region_of[owner].owner is not None),
             resources=resources,
+            alive=machine.alive_places.intersection(places),
+            settling=frozenset(place for place in places if machine.settling_places.get(place, -1) == owner),
         )
         return Block(owner, part, first, rest, early)
 
@@ -239,8 +260,16 @@ class Anatomy:
 
 
 def step_of(machine: PetriNetMachine, name: str) -> Step:
-    """Return a transition with its guard."""
-    return Step(name, machine.rules[name].guard, machine.net.inputs[name], machine.net.outputs[name])
+    """Return a transition with its guard, and with its action if it belongs to a call."""
+    rule, inputs, outputs = machine.rules[name], machine.net.inputs[name], machine.net.outputs[name]
+    about = getattr(rule.guard, "call", rule.call)
+    if about != rule.call:
+        raise Unsound(f"{name} listens to another call")
+    if rule.call is None or rule.call >= len(machine.plan.calls):
+        if rule.action is not None or isinstance(rule.guard, Accepts | Ends):
+            raise Unsound(f"{name} is about a request, and belongs to no call")
+        return Step(name, rule.guard, inputs, outputs)
+    return Step(name, rule.guard, inputs, outputs, rule.call, rule.action, rule.gives_up)
 
 
 def _may_come(place: str) -> str:
@@ -256,7 +285,7 @@ def _check_together(supplies: Iterable[tuple[str, ...]], steps: Sequence[Step]) 
                     raise Unsound(f"{step.name} takes only some of the inputs {list(together)}")
 
 
-def _resources(steps: Iterable[Step], resources: frozenset[str]) -> dict[str, int]:
+def _resources(steps: Iterable[Step], resources: Mapping[str, int]) -> dict[str, int]:
     """Return what the block takes of resources; it must take all of it at once.
 
     That it has none of it when it does, is explored: there is only so much for it.
@@ -268,11 +297,16 @@ def _resources(steps: Iterable[Step], resources: frozenset[str]) -> dict[str, in
         wanted = {place: weight for place, weight in step.inputs.items() if place in resources}
         if wanted and taken not in ({}, wanted):
             raise Unsound(f"{step.name} waits for {', '.join(wanted)} while it may hold what others wait for")
+        for place, weight in wanted.items():
+            if weight > resources[place]:
+                raise Unsound(f"{step.name} takes {weight} of {place}, and there is {resources[place]}")
         taken |= wanted
     return taken
 
 
-def _counted(steps: tuple[Step, ...], initial: dict[str, int], counters: frozenset[str]) -> tuple[tuple[Step, ...], dict[str, int]]:
+def _counted(
+    steps: tuple[Step, ...], initial: dict[str, int], counters: frozenset[str], budgets: frozenset[str]
+) -> tuple[tuple[Step, ...], dict[str, int]]:
     """Return steps and tokens with large counters made small, which changes nothing that can happen but how often.
 
     A counter is a pair of places whose tokens move one at a time from one to the other and back; a guard that asks for more than one
@@ -281,8 +315,9 @@ def _counted(steps: tuple[Step, ...], initial: dict[str, int], counters: frozens
     large = {tokens for place, tokens in initial.items() if place in counters and tokens > ENOUGH}
     if not large:
         return steps, initial
+    check_counters(steps, initial, budgets & counters)
 
     def scaled(weights: Weights) -> dict[str, int]:
         return {place: ENOUGH if weight in large and place in counters else weight for place, weight in weights.items()}
 
-    return tuple(Step(step.name, step.guard, scaled(step.inputs), scaled(step.outputs)) for step in steps), scaled(initial)
+    return tuple(step._replace(inputs=scaled(step.inputs), outputs=scaled(step.outputs)) for step in steps), scaled(initial)

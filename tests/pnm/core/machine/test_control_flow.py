@@ -16,7 +16,7 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Loop, PlanGraph, Recovery, Then
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
-from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from tests.support.runs.control_flow import LARGE, SHAPES, call_with, flow, local, ne, on, store
 from tests.support.runs.direct import RUN, answering_with, drive
