@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import signal
 import threading
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, suppress
@@ -23,7 +22,7 @@ from planner_bridge.planning.solve import check_planner
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.scheduling.task_manager import TaskLimits, TaskManager
 from planner_bridge.tasks.settings import Settings
-from pnm.clock import short_pauses
+from pnm.clock import run_async, short_pauses
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.verification.verify import Proof
@@ -133,7 +132,7 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
 
 
 def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], observer: NodeObserver) -> None:
-    """Serve until SIGINT or SIGTERM, or a transition that shuts the node down; the second signal leaves at once.
+    """Serve until a signal, or a transition that shuts the node down; the second signal leaves at once.
 
     Args:
         given: parameters that differ from their defaults; ROS arguments override them.
@@ -143,7 +142,7 @@ def serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], observe
         InputError: a parameter or a file is wrong; nothing was served.
         RosError: ROS 2 is missing, or another process serves under the same names.
     """
-    asyncio.run(_serve(given, arguments, observer))
+    run_async(_serve(given, arguments, observer))
 
 
 async def _serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], observer: NodeObserver) -> None:
@@ -151,8 +150,6 @@ async def _serve(given: Mapping[str, ParameterValue], arguments: Sequence[str], 
 
     task = asyncio.current_task()
     assert task is not None
-    for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, task.cancel)
     ros = RosThread(NODE, args=arguments, managed=True)
     try:
         await _run_lifecycle(ros, given, observer)
@@ -175,7 +172,7 @@ async def _run_lifecycle(ros: Any, given: Mapping[str, ParameterValue], observer
             await lifecycle.change("activate")
         else:
             observer.unconfigured()
-        with short_pauses():
+        with short_pauses():  # once more, with the files that have been read
             await lifecycle.finalized.wait()
     finally:
         await lifecycle.close()

@@ -163,7 +163,7 @@ class TaskManager:
             raise TaskRefused(f"the task {task} was not paused")
         for one in chosen:
             one.is_held = False
-            self._preemption.update(one)
+        self._preemption.update_all()
         self._admit()
 
     async def cancel(self, task: UUID | None, /, *, why: str = "somebody has cancelled it") -> None:
@@ -328,7 +328,7 @@ class TaskManager:
         self._past = [*self._past[1 - _REMEMBERED :], task]
         task.end(ending)
         self._queue.changed()
-        self._preemption.changed(task.id)
+        self._preemption.update_all()
         self._admit()
 
     def _chosen(self, task: UUID | None) -> list[Task]:

@@ -80,7 +80,7 @@ def test_names_that_cannot_be_are_refused(deployment, files, said):
     assert (status, said in told) == (2, True), told
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_cancels_what_runs_and_tells_the_clients(deployment, number):
     deployment.write(FILES)
     workers = deployment.workers("wait").ready()
