@@ -68,7 +68,7 @@ class Handshake:
         if self._met is None or not present <= self._met:
             if now - self._probed >= AGAIN:
                 self._probed = now
-                self._handle(uuid4()).get_result_async().add_done_callback(partial(self._on_answer, present))
+                self.handle(uuid4()).get_result_async().add_done_callback(partial(self._on_answer, present))
         elif now - self._recalled >= AGAIN:  # only now: before the probes are answered, an answer about a goal would be lost
             self._recalled = now
             for goal, handle in tuple(self._abandoned.items()):
@@ -77,7 +77,7 @@ class Handshake:
 
     def abandon(self, goal: UUID, handle: Any) -> None:
         """Note an abandoned goal, with its handle if it was ever accepted."""
-        self._abandoned[goal] = handle or self._handle(goal)
+        self._abandoned[goal] = handle or self.handle(goal)
 
     def _on_answer(self, present: frozenset[bytes], future: Any) -> None:
         if not future.cancelled():
@@ -89,7 +89,7 @@ class Handshake:
         if not future.cancelled() and self._abandoned.pop(goal, None) is not None and not self._abandoned:
             self._changed()
 
-    def _handle(self, goal: UUID) -> Any:
+    def handle(self, goal: UUID) -> Any:
         """Return a handle of a goal that was never accepted: the only way to ask `rclpy` about it."""
         from rclpy.action.client import ClientGoalHandle  # here, because rclpy is an extra
 

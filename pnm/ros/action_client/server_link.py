@@ -1,7 +1,10 @@
 """The link to one action server: its queue of goals, the goals that are under way, and what happens when it goes away.
 
-A goal moves *queued* → *unanswered* → *accepted* → ended. Everything here runs on the ROS thread, which also spins: `rclpy`
-sends a request before it registers its future, so a response that another thread reads meanwhile is lost (ros2/rclpy#1123).
+A goal moves *queued* → *unanswered* → *accepted* → ended. One that is not answered in time is cancelled by its id, for its server may
+be at work on it all the same; it ends when the server says so, does not know it for as long again, or is gone.
+
+Everything here runs on the ROS thread, which also spins: `rclpy` sends a request before it registers its future, so a response that
+another thread reads meanwhile is lost (ros2/rclpy#1123).
 
 At most `IN_FLIGHT` goals are unanswered at a time: a server keeps the last 10 requests it has not yet read and silently
 drops older ones, for which no answer ever comes. Goals are sent only after the handshake, see `pnm.ros.action_client.handshake`.
@@ -131,7 +134,7 @@ class ServerLink:
         self._pump()
 
     def _pump(self) -> None:
-        while self._queued and len(self._unanswered) < IN_FLIGHT and self.ready() and self._may_send():
+        while self._queued and sum(not goal.cancel_asked for goal in self._unanswered) < IN_FLIGHT and self.ready() and self._may_send():
             self._dispatch(self._queued.popleft())
 
     def _dispatch(self, goal: Goal) -> None:
@@ -164,7 +167,7 @@ class ServerLink:
             # It was accepted after its time limit, when the run had already gone on without it.
             handle.cancel_goal_async()
         else:
-            goal.handle = handle  # kept by us, because `rclpy` refers to handles only weakly
+            goal.handle, goal.unknown_since = handle, None  # kept by us, because `rclpy` refers to handles only weakly
             goal.liveness = Liveness(processes(self._node, self.name), asked=monotonic())
             self._accepted.add(goal)
             goal.report(Accepted(goal.request.id))
@@ -175,8 +178,12 @@ class ServerLink:
 
     # the end
 
+    def _handle(self, goal: Goal) -> Any:
+        """Return a handle of the goal, by its id alone if it was not accepted."""
+        return goal.handle or self._handshake.handle(goal.request.id)
+
     def _ask_result(self, goal: Goal) -> None:
-        future = goal.handle.get_result_async()
+        future = self._handle(goal).get_result_async()
         goal.results.append(future)
         future.add_done_callback(partial(self._result, goal))
 
@@ -185,15 +192,16 @@ class ServerLink:
             return
         answer = future.result()
         if answer.status == UNKNOWN:
-            goal.restarted = goal.restarted or monotonic()
+            goal.unknown_since = goal.unknown_since or monotonic()
         elif answer.status in OVER:
             self._accepted.discard(goal)
+            self._unanswered.discard(goal)
             result = to_data(answer.result)
             goal.end(OVER[answer.status], message_in(result), result)
 
     def _lose(self, goal: Goal, message: str) -> None:
         self._accepted.discard(goal)
-        if not goal.restarted:  # a server that does not know the goal is not executing it
+        if not goal.unknown_since:  # a server that does not know the goal is not executing it
             self._handshake.abandon(goal.request.id, goal.handle)
         goal.end(OutcomeKind.LOST, message)
         for future in goal.results:
@@ -207,16 +215,18 @@ class ServerLink:
         if goal in self._queued:
             self._queued.remove(goal)
             goal.end(OutcomeKind.CANCELED, "cancelled before it was sent")
-        elif goal in self._accepted:
+        elif goal in self._accepted or goal in self._unanswered:
             goal.cancel_answered = False  # a person may ask again after a refusal
             self._send_cancel(goal)
 
     def _send_cancel(self, goal: Goal) -> None:
         goal.cancel_sent = monotonic()
-        goal.handle.cancel_goal_async().add_done_callback(partial(self._cancel_answered, goal))
+        self._handle(goal).cancel_goal_async().add_done_callback(partial(self._cancel_answered, goal))
+        if goal in self._unanswered and all(future.done() for future in goal.results):
+            self._ask_result(goal)
 
     def _cancel_answered(self, goal: Goal, future: Any) -> None:
-        goal.cancel_answered = True
+        goal.cancel_answered = goal not in self._unanswered  # which the server may not have taken up yet
         if not future.result().goals_canceling and not goal.ended:
             _log.info("%s does not cancel %s", self.name, goal.request.action)
 
@@ -255,9 +265,11 @@ class ServerLink:
             reason = "went away before it answered"
         elif verdict is Verdict.ASK and goal.liveness.asks == ASKS:
             reason = "was restarted before it answered"
-        elif now - goal.sent >= goal.accept:
-            reason = _silence(goal)
+        elif goal.unknown_since and now - max(goal.unknown_since, goal.sent + goal.accept) >= goal.accept:
+            reason = f"{_silence(goal)}, and does not know the goal"
         else:
+            if now - goal.sent >= goal.accept and (goal.cancel_sent is None or now - goal.cancel_sent >= AGAIN):
+                self.cancel(goal)
             return
         self._unanswered.discard(goal)
         if verdict is Verdict.LOST:
@@ -280,7 +292,7 @@ class ServerLink:
                     goal.end(OVER[goal.handle.status], "its result never came")
                 case Verdict.FINE:
                     pass
-            if goal.restarted and now - goal.restarted >= RESENSED:
+            if goal.unknown_since and now - goal.unknown_since >= RESENSED:
                 self._lose(goal, f"{self.name} no longer knows the goal; it was restarted")
             if not goal.ended and goal.wants_cancel and goal.cancel_sent is not None and now - goal.cancel_sent >= AGAIN:
                 self._send_cancel(goal)
