@@ -42,29 +42,31 @@ class Preemption(TaskListener):
         `footprint` is called only if there are any.
         """
         others = self._others(task)
-        if not others:
+        if not others:  # the footprint is computed only when needed: it walks through the whole plan
             return ()
-        found, needed = list[Conflict](), footprint()
+        conflicts, needed = list[Conflict](), footprint()
         for other in others:
             its = other.control.footprint
             if its is not None and (why := interference(needed, its)):
-                found.append(Conflict(other.id, other.name, its, why, other.is_active and other.wanted.priority < task.wanted.priority))
-        return tuple(found)
+                yields = other.is_active and other.wanted.priority < task.wanted.priority
+                conflicts.append(Conflict(other.id, other.name, its, why, yields))
+        return tuple(conflicts)
 
     def new_conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
         """Return the conflicts in which neither task has been preempted for the other yet."""
+        # Between these the order is decided already; asking again would preempt them in a circle.
         settled = task.preempted_by | {other.id for other in self._others(task) if task.id in other.preempted_by}
-        return tuple(one for one in self.conflicts(task, footprint) if one.task not in settled)
+        return tuple(conflict for conflict in self.conflicts(task, footprint) if conflict.task not in settled)
 
     def running_calls(self, task: Task) -> tuple[RunningCalls, ...]:
         """Return the calls of other tasks that have begun and not ended; tasks that are being paused or cancelled are among them."""
-        found: list[RunningCalls] = []
+        running: list[RunningCalls] = []
         for other in self._tasks.values():
             run = other.control.run if other is not task else None
             if run is not None and (calls := (*run.open_calls.values(), *run.settling)):
                 yields = other.is_active and other.wanted.priority < task.wanted.priority
-                found.append(RunningCalls(other.id, other.name, calls, yields))
-        return tuple(found)
+                running.append(RunningCalls(other.id, other.name, calls, yields))
+        return tuple(running)
 
     def _others(self, task: Task) -> list[Task]:
         begun = (other for other in self._tasks.values() if other is not task and other.control.has_begun and other.ending is None)
@@ -82,19 +84,21 @@ class Preemption(TaskListener):
 
     async def preempt(self, task: Task, conflicts: tuple[Conflict, ...]) -> None:
         """Have the tasks of lower priority pause until this task is over; return when nothing of theirs is under way."""
-        yielding = {one.task for one in conflicts if one.yields}
+        yielding = {conflict.task for conflict in conflicts if conflict.yields}
         await asyncio.gather(*(self._pause_for(other, task) for other in self._others(task) if other.id in yielding))
 
     async def _pause_for(self, task: Task, other: Task) -> None:
-        if task.control.state is TaskState.CANCELLING:
+        if task.control.state is TaskState.CANCELLING:  # it cannot be paused any more, but ends soon; waiting for that has the same effect
             await task.control.over.wait()
         self._set_preempted(task, other)
         if pausing := self._pausing.get(task.id):
+            # Shielded: the other task may be cancelled while this one is being paused, which must be completed.
             await asyncio.shield(pausing)
 
     def preempt_holders(self) -> None:
         """Preempt the tasks that have what a claim of higher priority waits for."""
         outranked = self._resources.outranked()
+        # Only holders of something that this very claim needs: others of lower priority stay undisturbed.
         for claim in self._resources.line:
             for held in self._resources.held:
                 is_outranked = held.task in outranked and held.priority < claim.priority and self._resources.gives(held)
@@ -113,11 +117,12 @@ class Preemption(TaskListener):
 
     def update_all(self) -> None:
         """Pause the tasks that are preempted, and resume those that are not any more; those that are served first come first."""
-        for task in sorted(self._tasks.values(), key=lambda one: one.rank):
+        for task in sorted(self._tasks.values(), key=lambda task: task.rank):
             if task.control.is_paused or any(self._opponents(task)):
                 self._update(task)
 
     def _update(self, task: Task) -> None:
+        # An operator's pause is stronger than preemption, and a task that is being cancelled is past both.
         if task.is_held or task.id not in self._tasks or task.control.state is TaskState.CANCELLING:
             return
         if not (why := self._why_paused(task)):
@@ -134,17 +139,18 @@ class Preemption(TaskListener):
 
         Of two opponents one goes on. The other one is at rest before: a robot that is still at work for one gets no command of the other.
         """
-        if preempting := [one.name for one in self._superiors(task) if self._goes_on(one)]:
+        if preempting := [other.name for other in self._superiors(task) if self._goes_on(other)]:
             return f"makes way for {', '.join(preempting)}"
         if not task.wants_to_go_on:
-            ahead = [one.name for one in self._opponents(task) if self._goes_on(one)]
+            ahead = [other.name for other in self._opponents(task) if self._goes_on(other)]
             return f"waits for an answer, and {', '.join(ahead)} goes on meanwhile" if ahead else ""
-        working = [one.name for one in self._opponents(task) if one.control.state is not TaskState.PAUSED] if task.control.is_paused else []
+        opponents = self._opponents(task) if task.control.is_paused else ()
+        working = [other.name for other in opponents if other.control.state is not TaskState.PAUSED]
         return f"waits until {', '.join(working)} has stopped" if working else ""
 
     def _superiors(self, task: Task) -> list[Task]:
         """Return the tasks of higher priority for which the task is preempted."""
-        return sorted((self._tasks[one] for one in task.preempted_by if one in self._tasks), key=lambda one: one.rank)
+        return sorted((self._tasks[other] for other in task.preempted_by if other in self._tasks), key=lambda other: other.rank)
 
     def _opponents(self, task: Task) -> Iterator[Task]:
         """Yield the tasks that do not go on together with this one: one of the two is preempted for the other."""
@@ -158,5 +164,5 @@ class Preemption(TaskListener):
                 await task.control.pause(why, at_once=any(map(self._goes_on, self._superiors(task))))
         finally:
             del self._pausing[task.id]
-        self._queue.changed()
+        self._queue.changed()  # what the paused task kept from others is free now, so those that failed may try again
         self.update_all()  # another task may have preempted it meanwhile, or have waited for it

@@ -26,7 +26,7 @@ _log = logging.getLogger(__name__)
 
 _CLOSED: Final = "the ROS 2 node was closed"
 
-_Key = tuple[str, str | None]
+_Key = tuple[str, str | None, bool]
 
 
 class Ros2ActionClient:
@@ -57,6 +57,8 @@ class Ros2ActionClient:
     async def prepare(self, actions: Iterable[GroundAction], limit: float = 5.0) -> tuple[str, ...]:
         """Connect to the servers of the actions; return the names of those not there within `limit` seconds.
 
+        Waits until a new node has discovered all others: there may be another server of the same name.
+
         It is no error when a server is missing: it is looked for again when a goal is sent to it.
         """
         keys = dict.fromkeys(map(self._key, actions))
@@ -65,7 +67,7 @@ class Ros2ActionClient:
         until = monotonic() + limit
         while True:
             missing = await self._ros.ask(lambda: tuple(link.name for link in links if not link.ready()))
-            if not missing or monotonic() >= until:
+            if not missing or monotonic() >= until:  # polled, because the ROS graph has no event for a single server
                 return missing
             await asyncio.sleep(0.1)
 
@@ -76,7 +78,9 @@ class Ros2ActionClient:
 
     def send(self, request: Request, report: Reporter, /) -> None:
         """Send the goal; `report` is called later, on the event loop's thread."""
+        # Noted before the thread is left: the type may become known until the goal is dispatched.
         is_blind = request.goal.keys() >= ABOUT_THE_CALL and self.goal_fields(request.action) is None
+        # Later and not at once: the caller does not expect a report before `send` has returned.
         if not self._ros.call(partial(self._send, request, report, is_blind)):
             self._loop.call_soon(report, Ended(request.id, Outcome(OutcomeKind.UNAVAILABLE, message=_CLOSED)))
 
@@ -91,13 +95,15 @@ class Ros2ActionClient:
             self._ros.call(self._end)
 
     def _key(self, action: GroundAction) -> _Key:
-        return self._bindings.server(action), self._bindings.of(action.name).type
+        binding = self._bindings.of(action.name)
+        return self._bindings.server(action), binding.type, binding.several_servers
 
     # on the ROS thread
 
     def _link(self, key: _Key) -> ServerLink:
         if key not in self._links:
-            self._links[key] = ServerLink(self._ros.node, *key, self._ros.joined)
+            server, type_name, several = key
+            self._links[key] = ServerLink(self._ros.node, server, type_name, self._ros.joined, several=several)
         return self._links[key]
 
     def _send(self, request: Request, report: Reporter, is_blind: bool) -> None:

@@ -18,6 +18,7 @@ from collections import deque
 from functools import partial
 from time import monotonic
 from typing import Any, Final
+from uuid import UUID
 
 from pnm.core.machine.requests import Accepted, OutcomeKind
 from pnm.errors import InputError, PnmError
@@ -46,18 +47,21 @@ _log = logging.getLogger(__name__)
 class ServerLink:
     """The link to one action server, of a type that is given or found in the graph.
 
-    The mutable state is the client and its handshake, once the type is known, until when a missing server is expected, and the
-    goals by how far they are.
+    The mutable state is the client and its handshake, once the type is known, until when a missing server is expected, whether
+    something was answered twice, and the goals by how far they are.
 
     Args:
+        several: whether there may be several servers of this name, all of which carry out every goal.
         joined: when the node joined the ROS graph, on the monotonic clock.
     """
 
-    def __init__(self, node: Any, server: str, type_name: str | None, joined: float) -> None:
+    def __init__(self, node: Any, server: str, type_name: str | None, joined: float, *, several: bool = False) -> None:
         self._node = node
         self.name = server_name(node, server)
         self.wanted_type = type_name
         self.type: Any = import_type(type_name) if type_name else None
+        self._several = several
+        self._answered_twice = False
         self._client: Any = None
         self._expected_until = max(joined + START, monotonic() + DISCOVERY)
         self._queued: deque[Goal] = deque()
@@ -73,7 +77,7 @@ class ServerLink:
     def ready(self) -> bool:
         """Return True if the server is there; connects to it when its type has become known."""
         is_there = self._is_reached()
-        if is_there:
+        if is_there:  # polled on every look, so that the handshake is done before the first goal needs it
             self._expected_until = math.inf
             self._handshake.poll(processes(self._node, self.name), monotonic())
         elif self._expected_until == math.inf:  # it was there until now
@@ -87,29 +91,52 @@ class ServerLink:
             except InputError as error:
                 _log.debug("%s: %s", self.name, error)
                 return False
-            self._connect()
+            self._connect()  # only now, because a client needs the type, which the graph shows once the server is there
             # The server is in the graph, but the new client has yet to be matched with it.
             self._expected_until = max(self._expected_until, monotonic() + DISCOVERY)
         return self._client is not None and bool(self._client.server_is_ready())
 
     def _connect(self) -> None:
-        from rclpy.action import ActionClient  # here, because rclpy is an extra
-        from rclpy.qos import QoSProfile
+        from rclpy.qos import QoSProfile  # here, because rclpy is an extra
 
-        deep = QoSProfile(depth=_DEPTH)
-        self._client = ActionClient(
+        from pnm.ros.action_client.attentive_client import AttentiveClient
+
+        deep = QoSProfile(depth=_DEPTH)  # the default keeps ten responses; more goals than that may end between two turns of the executor
+        self._client = AttentiveClient(
             self._node,
             self.type,
             self.name,
             goal_service_qos_profile=deep,
             result_service_qos_profile=deep,
             cancel_service_qos_profile=deep,
+            answered_twice=self._note_second_answer,
         )
         self._handshake = Handshake(self._client, self._pump)
 
     def _may_send(self) -> bool:
-        """Return True if the handshake with the server, which is ready, is done."""
-        return bool(self._handshake.is_done(processes(self._node, self.name), monotonic()))
+        """Return True if the handshake with the server, which is ready, is done, and it is the only one of its name."""
+        present = processes(self._node, self.name)
+        return bool(self._handshake.is_done(present, monotonic())) and not self._rivals(present)
+
+    # several servers of one name
+
+    def _rivals(self, present: frozenset[bytes]) -> str:
+        """Return why nothing may be sent: other servers would carry it out as well; empty when there are none, or they are allowed."""
+        self._answered_twice = self._answered_twice and len(present) > 1
+        if self._several or not self._answered_twice:
+            return ""
+        return f"there are {len(present)} action servers {self.name}, all of which would carry out every goal (see `several_servers`)"
+
+    def _note_second_answer(self, identity: UUID | None) -> None:
+        """Note that two servers have answered one request; if it was a goal, have both of them cancel it."""
+        self._answered_twice = True
+        if identity is None or self._several:
+            return
+        goal = next((sent for sent in (*self._unanswered, *self._accepted) if sent.request.id == identity), None)
+        if goal is not None:
+            self.cancel(goal)
+        else:
+            self._handshake.handle(identity).cancel_goal_async()
 
     @property
     def is_busy(self) -> bool:
@@ -134,11 +161,13 @@ class ServerLink:
         self._pump()
 
     def _pump(self) -> None:
+        # Asked for each goal: a dispatch may fail at once, and the server may go away meanwhile.
         while self._queued and sum(not goal.cancel_asked for goal in self._unanswered) < IN_FLIGHT and self.ready() and self._may_send():
             self._dispatch(self._queued.popleft())
 
     def _dispatch(self, goal: Goal) -> None:
         known = fields(self.type.Goal)
+        # Half a goal message would be sent with zeros in the other fields, which the server takes for values.
         if unfilled := goal.unfilled(known):
             reason = f"{self.name} came when the goal had been filled; nobody has looked for values for {', '.join(unfilled)}"
             goal.end(OutcomeKind.UNAVAILABLE, reason)
@@ -154,6 +183,7 @@ class ServerLink:
             goal.end(OutcomeKind.REJECTED, f"goal for {self.name} cannot be sent: {error}")
             return
         goal.sent = monotonic()
+        # The processes of this moment: one that appears later cannot have this goal.
         goal.liveness = Liveness(processes(self._node, self.name))
         self._unanswered.add(goal)
         future.add_done_callback(partial(self._answered, goal))
@@ -161,7 +191,7 @@ class ServerLink:
     def _answered(self, goal: Goal, future: Any) -> None:
         self._unanswered.discard(goal)
         handle = future.result()
-        if not handle.accepted:
+        if not handle.accepted:  # first of all, since a refusal ends the goal whatever else has happened to it
             goal.end(OutcomeKind.REJECTED, f"{self.name} rejected the goal")
         elif goal.ended:
             # It was accepted after its time limit, when the run had already gone on without it.
@@ -172,9 +202,9 @@ class ServerLink:
             self._accepted.add(goal)
             goal.report(Accepted(goal.request.id))
             self._ask_result(goal)
-            if goal.cancel_asked:
+            if goal.cancel_asked:  # it was asked for before there was a handle to cancel with
                 self._send_cancel(goal)
-        self._pump()
+        self._pump()  # a goal fewer is unanswered, so the next one may go
 
     # the end
 
@@ -188,10 +218,11 @@ class ServerLink:
         future.add_done_callback(partial(self._result, goal))
 
     def _result(self, goal: Goal, future: Any) -> None:
-        if goal.ended or future.cancelled():
+        if goal.ended or future.cancelled():  # several requests for the same result may be out; the first answer counts
             return
         answer = future.result()
         if answer.status == UNKNOWN:
+            # Not over at once: the delay lets sensors report the new state first (`RESENSED`), or the server take the goal up.
             goal.unknown_since = goal.unknown_since or monotonic()
         elif answer.status in OVER:
             self._accepted.discard(goal)
@@ -204,7 +235,7 @@ class ServerLink:
         if not goal.unknown_since:  # a server that does not know the goal is not executing it
             self._handshake.abandon(goal.request.id, goal.handle)
         goal.end(OutcomeKind.LOST, message)
-        for future in goal.results:
+        for future in goal.results:  # their answers may still come when a link heals, for a goal that is over for us
             future.cancel()
 
     # cancelling
@@ -237,7 +268,7 @@ class ServerLink:
         now = monotonic()
         self._look_at_queue(now)
         if self._unanswered or self._accepted:
-            present = processes(self._node, self.name)
+            present = processes(self._node, self.name)  # one look at the graph for all goals, so that their verdicts agree
             for goal in tuple(self._unanswered):
                 self._look_at_unanswered(goal, present, now)
             self._look_at_accepted(present, now)
@@ -245,10 +276,13 @@ class ServerLink:
 
     def _look_at_queue(self, now: float) -> None:
         if not self.ready():
-            if self._queued and now >= self._expected_until:
+            if self._queued and now >= self._expected_until:  # all queued goals together: they would all wait in vain for the same server
                 reason = absence(self._node, self.name, self.wanted_type)
                 while self._queued:
                     self._queued.popleft().end(OutcomeKind.UNAVAILABLE, reason)
+        elif self._queued and (rivals := self._rivals(processes(self._node, self.name))):
+            while self._queued:
+                self._queued.popleft().end(OutcomeKind.UNAVAILABLE, rivals)
         elif self._queued and not self._may_send():
             abandoned = self._handshake.abandoned
             for goal in tuple(self._queued):
@@ -263,7 +297,7 @@ class ServerLink:
         verdict = goal.liveness.check(present, False, now)
         if verdict is Verdict.LOST:
             reason = "went away before it answered"
-        elif verdict is Verdict.ASK and goal.liveness.asks == ASKS:
+        elif verdict is Verdict.ASK and goal.liveness.asks == ASKS and not self._answered_twice:
             reason = "was restarted before it answered"
         elif goal.unknown_since and now - max(goal.unknown_since, goal.sent + goal.accept) >= goal.accept:
             reason = f"{_silence(goal)}, and does not know the goal"
@@ -272,6 +306,7 @@ class ServerLink:
                 self.cancel(goal)
             return
         self._unanswered.discard(goal)
+        # Gone from the graph, it may only be cut off and have the goal: it is recalled before the next one is sent.
         if verdict is Verdict.LOST:
             self._handshake.abandon(goal.request.id, None)
         goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {reason}")
@@ -294,6 +329,7 @@ class ServerLink:
                     pass
             if goal.unknown_since and now - goal.unknown_since >= RESENSED:
                 self._lose(goal, f"{self.name} no longer knows the goal; it was restarted")
+            # Requests may be lost like any other, and cancelling twice does no harm.
             if not goal.ended and goal.wants_cancel and goal.cancel_sent is not None and now - goal.cancel_sent >= AGAIN:
                 self._send_cancel(goal)
 
