@@ -61,7 +61,9 @@ def achieve(
     with seconds.of("parse"):
         loaded = load(domain, problem)
     backend: Backend = (
-        Ros2Backend(chosen.bindings, sensing=chosen.sensing) if actions == "ros2" else simulated_backend(loaded, chosen.bindings, faults)
+        Ros2Backend(chosen.bindings, chosen.sensing, loaded.vocabulary)
+        if actions == "ros2"
+        else simulated_backend(loaded, chosen.bindings, faults)
     )
     task = achieve_at(backend, loaded, chosen, observer or TaskObserver(), seconds)
     return run_async(task, virtual=actions == "simulated")

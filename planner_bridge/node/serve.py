@@ -127,7 +127,12 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
         limits=TaskLimits(options.max_tasks, options.max_queue, options.on_conflict),
         runner=context.runner,
     )
-    world = ServedProblem(loaded, options.problems, manager.begin_anew)
+
+    def begin_anew(problem: Problem) -> None:
+        manager.begin_anew(problem)
+        context.backend.declare(problem.vocabulary)
+
+    world = ServedProblem(loaded, options.problems, begin_anew)
     return NodeApi(manager, loaded.make, world, manager.knowledge_of, manager.close)
 
 
@@ -231,7 +236,7 @@ class ServingNode:
         bindings = bindings_for(options.domain, options.bindings, problem.vocabulary if problem else None).before(merge_bindings(plans))
         knowledge = initial_knowledge(*((problem,) if problem else ()), *plans)
         sensing = read_sensing(options.sensing, problem.vocabulary if problem else None) if options.sensing else NO_SENSING
-        backend = Ros2Backend(bindings, sensing, self._ros)
+        backend = Ros2Backend(bindings, sensing, problem.vocabulary if problem else None, self._ros)
         stack.push_async_callback(backend.close)
         await backend.open(knowledge)
         folder = (options.world or options.domain or Path()).parent

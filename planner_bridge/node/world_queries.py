@@ -22,7 +22,7 @@ from planner_bridge.pddl.syntax.words import number, number_text, operands
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
 from pnm.core.logic.conditions import Condition, Exists, ForAll, operands_of
 from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Unknown, Value, fluent_text
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Unknown, Value, fluent_text, same_value
 from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import load_yaml
 
@@ -79,7 +79,8 @@ class SharedWorld:
         nothing while the location is another one.
 
         Raises:
-            InputError: a text is malformed, a fact is derived, or two texts contradict each other; nothing is recorded.
+            InputError: a text is malformed, a fact is derived, or contradicts a sensor, or two texts contradict each other; nothing is
+                recorded.
         """
         _bounded((*add, *remove, *forget), "changes")
         changes: dict[Fluent, Value | Unknown] = {}
@@ -91,6 +92,10 @@ class SharedWorld:
                     if changes.get(fluent, self._knowledge.value(fluent)) != value:
                         continue
                     value = UNDEFINED
+                known = self._knowledge.value(fluent)
+                if self._knowledge.is_sensed(fluent) and known is not UNKNOWN and not same_value(known, value):
+                    what = statement_text(fluent, False if known is None else known)
+                    raise wrong(node, f"a sensor reports {what}; only what no sensor reports, or is unknown, can be updated")
                 if changes.setdefault(fluent, value) != value:
                     raise wrong(node, f"another one of the changes says something else of {fluent_text(fluent)}")
         return len(self._knowledge.update(changes))

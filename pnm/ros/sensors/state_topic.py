@@ -19,6 +19,7 @@ TOPIC = "knowledge/sensed"
 
 Facts = dict[Fluent, Value | Unknown]
 Listener = Callable[[frozenset[str], Facts, int], None]
+Refuse = Callable[[frozenset[str], str], None]
 
 _log = logging.getLogger(__name__)
 
@@ -31,12 +32,16 @@ class SensedReports:
 
     Args:
         listener: called with the names, their true facts and numbers, and the report's sequence number.
+        refuse: called with the names of a report that cannot be read, and the reason.
     """
 
-    def __init__(self, ros: RosThread, loop: asyncio.AbstractEventLoop, listener: Listener, topic: str = TOPIC) -> None:
+    def __init__(
+        self, ros: RosThread, loop: asyncio.AbstractEventLoop, listener: Listener, refuse: Refuse | None = None, topic: str = TOPIC
+    ) -> None:
         self._ros = ros
         self._loop = loop
         self._listener = listener
+        self._refuse = refuse
         self._topic = topic
         self._heard = asyncio.Event()
         self._closed = False
@@ -79,6 +84,10 @@ class SensedReports:
             self._listener(names, facts, sequence)
             self._heard.set()
 
+    def _pass_refusal_on(self, names: frozenset[str], reason: str) -> None:
+        if not self._closed and self._refuse is not None:
+            self._refuse(names, reason)
+
     # on the ROS thread
 
     def _subscribe(self, state: Any) -> None:
@@ -95,7 +104,10 @@ class SensedReports:
         try:
             report = frozenset(message.names), read_state(message), int(message.sequence)
         except InputError as error:
-            _log.warning("ignored a report on %s: %s", self._topic, error)
+            if self._refuse is None:
+                _log.warning("ignored a report on %s: %s", self._topic, error)
+            else:
+                call_on_loop(self._loop, self._pass_refusal_on, frozenset(message.names), str(error))
             return
         call_on_loop(self._loop, self._pass_on, *report)
 
