@@ -16,6 +16,7 @@ from planner_bridge.loading import bindings_for, load
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.node.options import PARAMETERS, Options
+from planner_bridge.node.problem_folder import ProblemFolder
 from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ServedProblem
 from planner_bridge.node.world_queries import read_goals
 from planner_bridge.planning.solve import check_planner
@@ -111,6 +112,7 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
         on_failure=options.on_failure,
         on_change=options.on_change,
     )
+    folder = ProblemFolder(options.problems, options.problem)
     goals = read_goals(options.goals) if options.goals else {}
     plans = [program.plan for program in context.runner.programs.values()]
     try:
@@ -132,7 +134,7 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
         manager.begin_anew(problem)
         context.backend.declare(problem.vocabulary)
 
-    world = ServedProblem(loaded, options.problems, begin_anew)
+    world = ServedProblem(loaded, folder, begin_anew)
     return NodeApi(manager, loaded.make, world, manager.knowledge_of, manager.close)
 
 

@@ -21,6 +21,7 @@ from pnm.core.machine.machine import (
     EffectsMissing,
     EffectsSeen,
     Ends,
+    InvariantFalse,
     OnFailure,
     PetriNetMachine,
     Rule,
@@ -28,7 +29,7 @@ from pnm.core.machine.machine import (
 )
 from pnm.core.net.firing_engine import Engine
 
-_KNOWING: Final = (ConditionTrue, ConditionFalse, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
+_KNOWING: Final = (ConditionTrue, ConditionFalse, InvariantFalse, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
 """Guards whose answer may change when facts change."""
 
 

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import threading
 import traceback
 from collections.abc import Callable
@@ -37,6 +36,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
 from test_msgs.action import Fibonacci
 
+from tests.support.processes import say
+
 NEVER = 3600.0
 
 
@@ -50,7 +51,7 @@ class Behaviour:
 
     def accept(self, goal: Any) -> GoalResponse:
         if goal.action == "hesitate":
-            threading.Event().wait(number(goal))
+            threading.Event().wait(first_number(goal))
         return GoalResponse.REJECT if goal.action == "reject" else GoalResponse.ACCEPT
 
     def cancel(self, handle: Any) -> CancelResponse:
@@ -67,11 +68,11 @@ class Behaviour:
             case "oddly":
                 return GroundAction.Result(message="no end")
             case "together":
-                self.meet(int(number(goal)))
+                self.meet(int(first_number(goal)))
             case "block":
-                threading.Event().wait(number(goal))
+                threading.Event().wait(first_number(goal))
             case "slow" | "stubborn":
-                return self.work(handle, number(goal))
+                return self.work(handle, first_number(goal))
             case "hang" | "hesitate" | "mute":
                 return self.work(handle, NEVER)
         handle.succeed()
@@ -113,7 +114,7 @@ class LosingServer(ActionServer):  # type: ignore[misc]
         await await_or_execute(self._handle_accepted_callback, handle)
 
 
-def number(goal: Any) -> float:
+def first_number(goal: Any) -> float:
     """Return the first argument as a number, 1 without one."""
     return float(goal.arguments[0]) if goal.arguments else 1.0
 
@@ -170,8 +171,7 @@ def main() -> None:
         node.create_publisher(State, "knowledge/sensed", latched).publish(State(**options.report))
     executor = SingleThreadedExecutor() if options.threads == 1 else MultiThreadedExecutor(options.threads)
     executor.add_node(node)
-    sys.stdout.write("ready\n")
-    sys.stdout.flush()
+    say("ready")
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         executor.spin()
 
