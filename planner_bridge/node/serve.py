@@ -247,7 +247,7 @@ class ServingNode:
         return NodeContext(options, problem, PlanRunner(programs, backend, knowledge, sources), bindings, backend, knowledge, sources)
 
     async def _open_node(self, context: NodeContext, stack: AsyncExitStack) -> None:
-        from pnm.ros.action_server.goal_server import check_alone  # here, because rclpy is an extra
+        from pnm.ros.node.alone import check_alone  # here, because rclpy is an extra
         from pnm.ros.tasks.task_node import TaskNode, action_names
 
         runner = context.runner
