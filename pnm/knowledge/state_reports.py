@@ -111,7 +111,8 @@ class StateReports:
             if name in self._watchdogs:
                 self._watchdogs[name].reset()
             else:
-                self._watchdogs[name] = Watchdog(self._stale, partial(self._expire, name))
+                silence = f"nothing was reported about {name} for {self._stale:g} s; it is unknown now" if self._stale else ""
+                self._watchdogs[name] = Watchdog(self._stale, partial(self._forget, name, silence))
         self._distrust(wrong & self._watched(names))
 
     def refuse(self, names: Collection[str], reason: str) -> None:
@@ -164,11 +165,9 @@ class StateReports:
             if name not in self._before:
                 self._forget(name)
 
-    def _expire(self, name: str) -> None:
-        _log.warning("nothing was reported about %s for %g s; it is unknown now", name, self._stale)
-        self._forget(name)
-
-    def _forget(self, name: str) -> None:
+    def _forget(self, name: str, warning: str = "") -> None:
+        if warning:
+            _log.warning(warning)
         before: dict[Fluent, Value | Unknown] = {}
         signature = self._known.signatures.get(name) if self._known else None
         if signature is not None:

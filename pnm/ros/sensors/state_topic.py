@@ -41,7 +41,7 @@ class SensedReports:
         self._ros = ros
         self._loop = loop
         self._listener = listener
-        self._refuse = refuse
+        self._refuse = refuse or (lambda _names, reason: _log.warning("ignored a report on %s: %s", topic, reason))
         self._topic = topic
         self._heard = asyncio.Event()
         self._closed = False
@@ -79,14 +79,11 @@ class SensedReports:
             heard.cancel()
         return self._heard.is_set() or bool(await self._ros.ask(lambda: self._subscription.get_publisher_count()))
 
-    def _pass_on(self, names: frozenset[str], facts: Facts, sequence: int) -> None:
+    def _pass_on(self, pass_on: Callable[[], None], *, is_report: bool) -> None:
         if not self._closed:
-            self._listener(names, facts, sequence)
-            self._heard.set()
-
-    def _pass_refusal_on(self, names: frozenset[str], reason: str) -> None:
-        if not self._closed and self._refuse is not None:
-            self._refuse(names, reason)
+            pass_on()
+            if is_report:
+                self._heard.set()
 
     # on the ROS thread
 
@@ -101,15 +98,12 @@ class SensedReports:
             self._ros.node.destroy_subscription(self._subscription)
 
     def _receive(self, message: Any) -> None:
+        names, is_report = frozenset(message.names), True
         try:
-            report = frozenset(message.names), read_state(message), int(message.sequence)
+            pass_on = partial(self._listener, names, read_state(message), int(message.sequence))
         except InputError as error:
-            if self._refuse is None:
-                _log.warning("ignored a report on %s: %s", self._topic, error)
-            else:
-                call_on_loop(self._loop, self._pass_refusal_on, frozenset(message.names), str(error))
-            return
-        call_on_loop(self._loop, self._pass_on, *report)
+            pass_on, is_report = partial(self._refuse, names, str(error)), False
+        call_on_loop(self._loop, partial(self._pass_on, pass_on, is_report=is_report))
 
 
 def read_state(message: Any) -> Facts:
