@@ -23,7 +23,6 @@ from pnm.core.logic.conditions import Condition
 from pnm.core.machine.machine import OnFailure
 from pnm.errors import InputError, Tolerated
 from pnm.knowledge.sources.registry import Surroundings, open_sources
-from pnm.knowledge.sources.router import Sources
 from pnm.language.plan import HandWrittenPlan, called_plans, chosen_plan, merge_bindings, read_plans, sources_of
 from pnm.language.runner import PlanRunner, Program
 from pnm.ros.backend import Ros2Backend
@@ -61,7 +60,9 @@ def achieve(
     with seconds.of("parse"):
         loaded = load(domain, problem)
     backend: Backend = (
-        Ros2Backend(chosen.bindings, sensing=chosen.sensing) if actions == "ros2" else simulated_backend(loaded, chosen.bindings, faults)
+        Ros2Backend(chosen.bindings, chosen.sensing, loaded.vocabulary)
+        if actions == "ros2"
+        else simulated_backend(loaded, chosen.bindings, faults)
     )
     task = achieve_at(backend, loaded, chosen, observer or TaskObserver(), seconds)
     return run_async(task, virtual=actions == "simulated")
@@ -132,17 +133,25 @@ def carry_out(
     )
 
     async def task() -> PlanResult:
-        plan = plans[chosen]
-        world = initial_knowledge(plan)
+        world, is_prepared = initial_knowledge(plans[chosen]), False
+        wanted = Wanted(uuid4(), chosen, parameters=parameters or {}, is_plan=True)
         try:
             await backend.open(world)
             sources = open_sources(sources_of(plans.values()), Surroundings(getattr(backend, "ros", None), file.parent), knowledge)
             try:
                 runner = PlanRunner(programs, backend, world, sources)
-                wanted = Wanted(uuid4(), chosen, parameters=parameters or {}, is_plan=True)
+                await runner.check(runner.prepare_run(wanted.text, wanted.parameters))  # before anything is prepared
+                await backend.share(runner.prefix, runner.knowledge_of, sources)
+                await runner.prepare()
+                is_prepared = True
                 return await _carry_out_at(runner, wanted, replace(settings, bindings=bindings), observer or TaskObserver(), stopwatch)
             finally:
                 await sources.close()
+        except asyncio.CancelledError:
+            if is_prepared:  # and has been cancelled twice
+                raise
+            cast("asyncio.Task[object]", asyncio.current_task()).uncancel()
+            return PlanResult(Code.CANCELLED, "cancelled", 0, (), stopwatch.seconds)
         finally:
             await backend.close()
 
@@ -150,9 +159,6 @@ def carry_out(
 
 
 async def _carry_out_at(runner: PlanRunner, wanted: Wanted, settings: Settings, observer: TaskObserver, stopwatch: Stopwatch) -> PlanResult:
-    await runner.check(runner.prepare_run(wanted.text, wanted.parameters))  # before anything is prepared
-    await runner.backend.share(runner.prefix, runner.knowledge_of, runner.source or Sources())
-    await runner.prepare()
     nothing = Problem(wanted.text, Domain(wanted.text))
     manager = TaskManager(nothing, runner.world, runner.backend, settings, _no_goal, source=runner.source, runner=runner)
     stop_time = schedule(runner.world, runner.programs[wanted.text].plan.timed, asyncio.get_running_loop().time())

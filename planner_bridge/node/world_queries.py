@@ -25,7 +25,7 @@ from pnm.core.knowledge_base import KnowledgeBase, statement_text
 from pnm.core.logic.conditions import Condition, choices_in
 from pnm.core.logic.domain import MAX_CHOICES, check_choices
 from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, State, Unknown, Value, fluent_text
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, State, Unknown, Value, fluent_text, same_value
 from pnm.errors import InputError, Position, suggestion
 from pnm.files.yaml_nodes import load_yaml
 
@@ -114,15 +114,19 @@ class SharedWorld:
         """Record changes at once; return how many facts have changed.
 
         Raises:
-            InputError: two of them contradict each other; nothing is recorded.
+            InputError: two of them contradict each other, or one contradicts a sensor; nothing is recorded.
         """
         changes: dict[Fluent, Value | Unknown] = {}
         for change in wanted:
             fluent, value = change.fluent, change.value
+            known = self._knowledge.value(fluent)
             if change.is_removed and isinstance(value, str):  # the object that the function no longer has
-                if changes.get(fluent, self._knowledge.value(fluent)) != value:
+                if changes.get(fluent, known) != value:
                     continue
                 value = UNDEFINED
+            if self._knowledge.is_sensed(fluent) and known is not UNKNOWN and not same_value(known, value):
+                what = statement_text(fluent, False if known is None else known)
+                raise wrong(change.node, f"a sensor reports {what}; only what no sensor reports, or is unknown, can be updated")
             if changes.setdefault(fluent, value) != value:
                 raise wrong(change.node, f"another one of the changes says something else of {fluent_text(fluent)}")
         return len(self._knowledge.update(changes))

@@ -42,7 +42,7 @@ class NoPlan(Exception):
         lacking = sorted(str(call) for call in forbidden if ANY in call.arguments)
         without = [
             *([f" without {', '.join(failed)}, not to be tried again"] if failed else []),
-            *([f" without {', '.join(lacking)}, for which others keep what is needed"] if lacking else []),
+            *([f" without {', '.join(lacking)}, whose servers or resources are not to be had"] if lacking else []),
         ]
         super().__init__(f"no plan{' and'.join(without)}: {result.reason}")
         self.status = result.status

@@ -168,7 +168,7 @@ class TaskManager:
             raise TaskRefused(f"the task {task} was not paused")
         for active_task in chosen:
             active_task.is_held = False
-            self._preemption.update(active_task)  # not resumed directly: another task may have preempted it meanwhile
+        self._preemption.update_all()  # not resumed directly, nor one after the other: which of them go on is decided for all at once
         self._admit()
 
     async def cancel(self, task: UUID | None, /, *, why: str = "cancelled on request") -> None:
@@ -335,7 +335,7 @@ class TaskManager:
         self._past = [*self._past[1 - _REMEMBERED :], task]
         task.end(ending)  # listed as past before its listeners know, so that they find it when they ask
         self._queue.changed()
-        self._preemption.changed(task.id)
+        self._preemption.update_all()
         self._admit()
 
     def _chosen(self, task: UUID | None) -> list[Task]:

@@ -30,6 +30,8 @@ class Binding:
 
     server: str | None = None
     """Name of the action server; ``{robot}`` stands for the argument of parameter ``?robot``."""
+    several_servers: bool = False
+    """Whether there may be several servers of this name; all of them carry out every goal."""
     type: str | None = None
     """Such as ``nav2_msgs/action/NavigateToPose``; taken from the ROS graph when not given."""
     goal: Mapping[str, object] | None = None

@@ -23,7 +23,7 @@ class Goal:
 
     request: Request
     accept: float
-    """Seconds the server may take to accept the goal."""
+    """Seconds the server may take to answer the goal before it is cancelled."""
     report: Callable[[Report], None]
     mapped: Mapping[str, object] | None = None
     """The fields that the binding names, if it has a goal mapping."""
@@ -40,8 +40,8 @@ class Goal:
     cancel_answered: bool = False
     results: list[Any] = field(default_factory=list)
     """The futures of the requests for the result."""
-    restarted: float | None = None
-    """When the server answered that it does not know the goal, so it was restarted."""
+    unknown_since: float | None = None
+    """When the server answered first that it does not know the goal: it was restarted, or has not taken it up yet."""
     ended: bool = False
 
     def postpone(self, now: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -115,6 +116,21 @@ def test_changes_are_recorded_and_counted():
     questions = ("(dark)", "(battery r2)", "(location r1)", "(at r1 kitchen)", "(charged r2)", "(ready r1)")
     assert answers(shared, *questions) == ["true", "0.5", "dock", "false", "unknown", "false"]
     assert updated(shared, ["(dark)"], ["(at r1 kitchen)"], ["(charged r2)"]) == 0
+
+
+def test_what_a_sensor_reports_is_not_overruled():
+    knowledge = initial_knowledge(PROBLEM)
+    shared = SharedWorld(PROBLEM, knowledge)
+    knowledge.update({("at", "r1", "kitchen"): True})
+    knowledge.sense({"at"})
+    with pytest.raises(InputError, match=re.escape("a sensor reports (not (at r1 hall)); only what no sensor reports, or is unknown")):
+        shared.update(["(dark)", "(at r1 hall)"])
+    with pytest.raises(InputError, match=re.escape("a sensor reports (at r1 kitchen)")):
+        shared.update(forget=["(at r1 kitchen)"])
+    assert answers(shared, "(dark)", "(at r1 hall)", "(at r1 kitchen)") == ["false", "false", "true"]
+    assert shared.update(["(at r1 kitchen)"]) == 0
+    knowledge.update({("at", "r1", "kitchen"): UNKNOWN})  # as when the sensor has fallen silent
+    assert shared.update(["(at r1 kitchen)"]) == 1
 
 
 def test_a_function_loses_the_object_that_is_removed_and_no_other():
