@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, runtime_checkable
 from uuid import UUID
 
 from pnm.core.machine.plan_graph import GroundAction
@@ -70,6 +70,7 @@ Report: TypeAlias = Accepted | Ended
 Reporter: TypeAlias = Callable[[Report], None]
 
 
+@runtime_checkable
 class ActionClient(Protocol):
     """Carries out actions. Every method is called on the event loop's thread and returns at once."""
 
