@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from sys import float_info
 from typing import Final, TypeVar
@@ -65,11 +66,14 @@ def _plain(node: yaml.Node, file: str) -> object:
         return node.value
     constructor = yaml.SafeLoader("")
     try:
-        return constructor.construct_object(node)
+        value = constructor.construct_object(node)
     except (yaml.YAMLError, ValueError, LookupError) as error:
         raise InputError(f"cannot be read as {kind(node)}: {node.value[:40]!r}", position(node, file)) from error
     finally:
         constructor.dispose()
+    if isinstance(value, float) and not isfinite(value):
+        raise InputError(f"expected a finite number, found {node.value}", position(node, file))
+    return value
 
 
 @dataclass(frozen=True, slots=True)

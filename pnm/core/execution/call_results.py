@@ -91,7 +91,7 @@ class CallResults:
     """Results of the calls of a run, and its failures.
 
     The mutable state is `current`, what became of calls the last time they were reached, `rounds`, the same of all times
-    before, `failures` and, per call, the last message and the last cause.
+    before, `failures`, `goal_false` and, per call, the last message and the last cause.
     """
 
     def __init__(self, plan: PlanGraph) -> None:
@@ -102,6 +102,8 @@ class CallResults:
         self.current = [CallResult(call) for call in plan.calls]
         self.rounds: list[CallResult] = []
         self.failures: list[Failure] = []
+        self.goal_false = ""
+        """What of the goal does not hold although every step is done."""
         self._messages: dict[int, str] = {}
         self._causes: dict[int, Explanation] = {}
 

@@ -44,7 +44,7 @@ from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.machine import Accepts, EffectsMissing, Ends, PetriNetMachine, Rule, TransitionAction, Withheld
-from pnm.core.machine.plan_graph import GroundAction, PlanGraph
+from pnm.core.machine.plan_graph import Cause, GroundAction, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, OutcomeKind, Report
 from pnm.core.net.firing_engine import Engine
 from pnm.errors import RunError
@@ -323,6 +323,8 @@ class Run(RunView):
             self._note(rule, rule.call, place, None if fails else check)
             if rule.action is not None:
                 self._perform(rule.action, rule.call, place)
+        if rule.cause is Cause.GOAL_FALSE and check is not None:
+            self._results.goal_false = f"expected {check.expected}; observed {check.observed}"
         was_ending, marked_at = state.ending, state.now
         if rule.action is TransitionAction.ADOPT and rule.call is not None:
             marked_at = state.adopted.pop(rule.call).accepted  # its limits count from there

@@ -17,6 +17,7 @@ from pnm.core.machine.machine import (
     AlreadyTrue,
     ConditionFalse,
     ConditionTrue,
+    ConditionUnknown,
     DataMissing,
     EffectsMissing,
     EffectsSeen,
@@ -28,7 +29,7 @@ from pnm.core.machine.machine import (
 )
 from pnm.core.net.firing_engine import Engine
 
-_KNOWING: Final = (ConditionTrue, ConditionFalse, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
+_KNOWING: Final = (ConditionTrue, ConditionFalse, ConditionUnknown, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
 """Guards whose answer may change when facts change."""
 
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from typing import Final, assert_never
 
 from pnm.core.logic.computed_values import Answers, compute, is_true, substituted
-from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
+from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts
 from pnm.core.logic.expressions import (
     DURATION,
     NOTHING,
@@ -73,6 +73,11 @@ def evaluate(condition: Condition, state: State, env: Environment = NOTHING) -> 
                 return UNKNOWN
         case _:
             assert_never(condition)
+
+
+def unmet(condition: Condition, state: State) -> tuple[Condition, ...]:
+    """Return the conjuncts that are not true in the state; raises `Unanswered` if one depends on a question that has to be asked first."""
+    return tuple(part for part in conjuncts(condition) if evaluate(part, state) is not True)
 
 
 def negate(truth: Truth) -> Truth:

@@ -13,21 +13,26 @@ from pnm.core.logic.expressions import Fluent, State, Unknown, ValueOf, fluent_t
 from pnm.core.logic.operators import Uncomputable
 
 
-def failing(condition: Condition, state: State) -> tuple[Condition, ...]:
-    """Return the conjuncts that do not hold in the state, without those that depend on a question that was never asked."""
-    failed = []
-    for part in conjuncts(condition):
-        with suppress(Unanswered):
-            if evaluate(part, state) is not True:
-                failed.append(part)
-    return tuple(failed)
-
-
 class Witness(State, Protocol):
     """A state that can explain its derived facts."""
 
     def because(self, fluent: Fluent, /) -> str:
         """Return why a derived fact has its truth, to be read after that; empty for a recorded fluent."""
+
+
+def explanation(condition: Condition, state: Witness) -> tuple[str, str]:
+    """Return which conjuncts are expected and not so, and what is observed instead.
+
+    A conjunct that depends on a question that was never asked is no reason, unless there is no other. To decide whether
+    a condition holds is for `pnm.core.logic.evaluation`: it has such questions asked.
+    """
+    parts = conjuncts(condition)
+    failed = []
+    for part in parts:
+        with suppress(Unanswered):
+            if evaluate(part, state) is not True:
+                failed.append(part)
+    return " ".join(map(str, failed or parts)), "; ".join(observed(part, state) for part in failed or parts)
 
 
 def observed(condition: Condition, state: Witness) -> str:

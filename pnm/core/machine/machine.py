@@ -67,6 +67,13 @@ class ConditionFalse:
 
 
 @dataclass(frozen=True, slots=True)
+class ConditionUnknown:
+    """Open when that is so and the condition is unknown: it cannot be computed, or nothing reports what it is about."""
+
+    condition: Condition
+
+
+@dataclass(frozen=True, slots=True)
 class AlreadyTrue:
     """Open when all that the call would change is a plain fact and is so already."""
 
@@ -150,6 +157,7 @@ Guard: TypeAlias = (
     | PauseAsked
     | ConditionTrue
     | ConditionFalse
+    | ConditionUnknown
     | AlreadyTrue
     | DataMissing
     | Withheld
@@ -165,7 +173,7 @@ Guard: TypeAlias = (
 
 def is_check(guard: Guard) -> bool:
     """Return whether the guard compares a condition, data, time or resources with what is known, and no end of a request."""
-    return isinstance(guard, (ConditionTrue, ConditionFalse, DataMissing, Withheld, Due))
+    return isinstance(guard, (ConditionTrue, ConditionFalse, ConditionUnknown, DataMissing, Withheld, Due))
 
 
 class TransitionAction(Enum):

@@ -8,7 +8,7 @@ from __future__ import annotations
 from math import isfinite
 
 from pnm.core.logic.conditions import Condition
-from pnm.core.machine.machine import After, ConditionFalse, ConditionTrue, Due, Ends, Guard, Withheld
+from pnm.core.machine.machine import After, ConditionFalse, ConditionTrue, ConditionUnknown, Due, Ends, Guard, Withheld
 from pnm.core.machine.verification.exits import is_timed
 from pnm.core.machine.verification.explore import Inside, Part
 
@@ -43,7 +43,7 @@ def shape_of(part: Part) -> object:
 def _kind(guard: Guard | Inside, conditions: list[Condition]) -> object:
     """Return what is proved of a guard: when it opens, as far as the world does not decide, and which conditions are the same."""
     match guard:
-        case ConditionTrue(condition) | ConditionFalse(condition):
+        case ConditionTrue(condition) | ConditionFalse(condition) | ConditionUnknown(condition):
             if condition not in conditions:
                 conditions.append(condition)
             return type(guard), conditions.index(condition)
