@@ -95,7 +95,7 @@ bindings_option = click.option("--bindings", type=FILE, help="how actions are bo
 force_option = click.option("--force", is_flag=True, help="replace files that exist")
 output_options = options(click.option("-o", "--output", type=FILE, help="a new file; by default the terminal"), force_option)
 knowledge_option = click.option("--knowledge", type=FILE, help="the SQLite file of the global knowledge, in place of what plans choose")
-sensing_option = click.option("--sensing", type=FILE, help="which topics and services of ROS 2 tell what is so in the world")
+sensing_option = click.option("--sensing", type=FILE, help="topics and services of ROS 2 that report the state of the world")
 faults_option = click.option("--faults", type=FILE, help="what goes wrong in simulation")
 
 

@@ -17,8 +17,8 @@ from pnm.tasks import OnConflict
 PARAMETERS: Final = (
     NodeParameter("domain", "", "file with the domain, in PDDL"),
     NodeParameter("problem", "", "file with the problem, in PDDL: the world as it is at first, and the goal when none is named"),
-    NodeParameter("bindings", "", "file that says how actions are bound to servers; by default bindings.yaml beside the domain"),
-    NodeParameter("sensing", "", "file that says what topics and services tell about the world"),
+    NodeParameter("bindings", "", "file that binds actions to servers; by default bindings.yaml beside the domain"),
+    NodeParameter("sensing", "", "file that maps topics and services to facts about the world"),
     NodeParameter("goals", "", "YAML file with goals by name"),
     NodeParameter("problems", ".", "folder in which problem/save and problem/load find files"),
     NodeParameter("world", "", "YAML file with a domain and files of hand-written plans, each of which becomes an action server"),
@@ -38,7 +38,7 @@ PARAMETERS: Final = (
         choices=tuple(policy.value for policy in OnChange),
     ),
     NodeParameter(
-        "on_conflict", "plan_around", "what becomes of a goal that cannot be pursued beside others, unless the goal says so",
+        "on_conflict", "plan_around", "what becomes of a goal that cannot be pursued beside others, unless the goal specifies it",
         choices=tuple(policy.value for policy in OnConflict),
     ),
     NodeParameter("cancel", 20.0, "seconds in which tasks have to end when the node is shut down"),

@@ -34,7 +34,7 @@ from pnm.knowledge.sources.registry import Surroundings, open_sources
 from pnm.knowledge.sources.router import Sources
 from pnm.knowledge.sources.source import Asker
 from pnm.language.plan import merge_bindings, read_world, sources_of
-from pnm.language.runner import Performer, Program
+from pnm.language.runner import PlanRunner, Program
 from pnm.ros.backend import Ros2Backend
 from pnm.ros.node.parameters import ParameterValue
 from pnm.tasks import Make, ServedWorld, TaskListener, Tasks
@@ -52,7 +52,7 @@ class NodeContext:
 
     options: Options
     problem: Problem | None
-    performer: Performer
+    runner: PlanRunner
     """Runs the plans of the world."""
     bindings: Bindings
     backend: Ros2Backend
@@ -113,7 +113,7 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
         on_change=options.on_change,
     )
     goals = read_goals(options.goals) if options.goals else {}
-    plans = [program.plan for program in context.performer.programs.values()]
+    plans = [program.plan for program in context.runner.programs.values()]
     try:
         loaded = LoadedProblem(context.problem or NOTHING, context.knowledge, goals, settings, plans)
     except InputError as error:
@@ -126,7 +126,7 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
         loaded.read_goal,
         source=context.sources,
         limits=TaskLimits(options.max_tasks, options.max_queue, options.on_conflict),
-        performer=context.performer,
+        runner=context.runner,
     )
     world = ServedProblem(loaded, options.problems, manager.begin_anew)
     return NodeApi(manager, loaded.make, world, manager.knowledge_of, manager.close)
@@ -240,23 +240,23 @@ class ServingNode:
         folder = (options.world or options.domain or Path()).parent
         sources = open_sources(sources_of(plans), Surroundings(self._ros, folder), options.knowledge)
         stack.push_async_callback(sources.close)
-        return NodeContext(options, problem, Performer(programs, backend, knowledge, sources), bindings, backend, knowledge, sources)
+        return NodeContext(options, problem, PlanRunner(programs, backend, knowledge, sources), bindings, backend, knowledge, sources)
 
     async def _open_node(self, context: NodeContext, stack: AsyncExitStack) -> None:
         from pnm.ros.action_server.goal_server import check_alone  # here, because rclpy is an extra
         from pnm.ros.tasks.task_node import TaskNode, action_names
 
-        performer = context.performer
-        task_actions, plan_actions = await self._ros.ask(partial(action_names, self._ros, performer.programs))
+        runner = context.runner
+        task_actions, plan_actions = await self._ros.ask(partial(action_names, self._ros, runner.programs))
         self._actions = (*task_actions, *plan_actions.values())
         await check_alone(self._ros, self._actions)
         api = await make_task_manager(context)
 
         def knowledge_of(request: UUID) -> tuple[Layered, Asker] | None:
-            return performer.knowledge_of(request) or api.knowledge_of(request)
+            return runner.knowledge_of(request) or api.knowledge_of(request)
 
-        await context.backend.share(performer.prefix, knowledge_of, context.sources)
-        preparing = asyncio.ensure_future(performer.prepare())
+        await context.backend.share(runner.prefix, knowledge_of, context.sources)
+        preparing = asyncio.ensure_future(runner.prepare())
         stack.callback(preparing.cancel)
         await asyncio.wait((preparing,), timeout=_PREPARED)
         if preparing.done():

@@ -10,7 +10,7 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.generate import generate
 from pnm.core.machine.verification.verify import verify
 from pnm.language.plan import HandWrittenPlan
-from pnm.language.runner import Performer, Program
+from pnm.language.runner import PlanRunner, Program
 from tests.support.runs.direct import outcomes
 from tests.support.yaml.original import COUNTING, Run, causes, counted, read, told, variables
 
@@ -126,12 +126,12 @@ def test_p6_runs_that_are_over_are_forgotten(tmp_path: Path) -> None:
     plan = read(tmp_path, "[{a: {}}]")
 
     async def twice() -> list[object]:
-        performer = Performer({"plan": Program.of(plan)}, simulated_backend(plan, plan.bindings), KnowledgeBase())
-        await performer.backend.open(performer.world)
+        runner = PlanRunner({"plan": Program.of(plan)}, simulated_backend(plan, plan.bindings), KnowledgeBase())
+        await runner.backend.open(runner.world)
         for _ in range(2):
-            assert (await performer.execute(performer.perform("plan"))).goal
-        await performer.backend.close()
-        return [*performer.going_on]
+            assert (await runner.execute(runner.prepare_run("plan"))).goal
+        await runner.backend.close()
+        return [*runner.going_on]
 
     assert run_async(twice(), virtual=True) == []
 

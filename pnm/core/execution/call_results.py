@@ -91,7 +91,7 @@ class CallResults:
     """Results of the calls of a run, and its failures.
 
     The mutable state is `current`, what became of calls the last time they were reached, `rounds`, the same of all times
-    before, `failures`, `goal_false` and, per call, the last message and the last cause.
+    before, `failures`, `last_check` and, per call, the last message and the last cause.
     """
 
     def __init__(self, plan: PlanGraph) -> None:
@@ -102,8 +102,8 @@ class CallResults:
         self.current = [CallResult(call) for call in plan.calls]
         self.rounds: list[CallResult] = []
         self.failures: list[Failure] = []
-        self.goal_false = ""
-        """What of the goal does not hold although every step is done."""
+        self.last_check: Explanation | None = None
+        """What the check of the transition that fired last has found, if it was a check."""
         self._messages: dict[int, str] = {}
         self._causes: dict[int, Explanation] = {}
 
@@ -116,12 +116,14 @@ class CallResults:
         Args:
             handed: the numbers of calls whose requests another run takes over.
         """
-        results = [replace(one, kind=CallOutcome.HANDED_OVER) if one.call.index in handed else one for one in self.current]
+        results = [replace(result, kind=CallOutcome.HANDED_OVER) if result.call.index in handed else result for result in self.current]
         if self._is_flat and not self.rounds:
             return tuple(results)
-        reached = [one for one in (*self.rounds, *results) if one.kind is not CallOutcome.WAITING]
-        others = [one for one in results if one.kind is CallOutcome.WAITING and one.call.index in self._outermost]
-        reached.sort(key=lambda one: (next((time for time in (one.started, one.ended) if time is not None), 0.0), one.call.index))
+        reached = [result for result in (*self.rounds, *results) if result.kind is not CallOutcome.WAITING]
+        others = [result for result in results if result.kind is CallOutcome.WAITING and result.call.index in self._outermost]
+        reached.sort(
+            key=lambda result: (next((time for time in (result.started, result.ended) if time is not None), 0.0), result.call.index)
+        )
         return (*reached, *others)
 
     def answered(self, call: int, outcome: Outcome) -> None:

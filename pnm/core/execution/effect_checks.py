@@ -24,6 +24,7 @@ def already_true(action: GroundAction, knowledge: EvaluationContext) -> bool:
     An action of which nothing is expected and that changes nothing is never done already.
     """
     at_start, at_end = facts(action.start_effects, knowledge), facts(decided(action.end_effects, knowledge), knowledge)
+    # Numbers and conditional effects cannot be seen to be done already, so such a call is always made.
     if at_start is None or at_end is None or not (at_start or at_end or action.expected != TRUE):
         return False
     if evaluate(action.expected, knowledge) is not True:
@@ -53,7 +54,7 @@ def intention(call: ActionCall, knowledge: EvaluationContext) -> Intention:
     ending = decided(action.end_effects, knowledge)
     start, end = changes(action.start_effects, knowledge), changes(ending, knowledge)
     lasting = {fluent: value for fluent, value in start.items() if fluent in call.lasting}
-    late = names_written(tuple(one for one in ending if not is_fixed(one))) if action.duration is not None else frozenset()
+    late = names_written(tuple(effect for effect in ending if not is_fixed(effect))) if action.duration is not None else frozenset()
     wanted = {fluent: value for fluent, value in (lasting | end).items() if fluent[0] not in late}
     seen = {fluent: value for fluent, value in wanted.items() if isinstance(value, bool | str) and knowledge.world.is_sensed(fluent)}
     return Intention(start, end, ending, seen)

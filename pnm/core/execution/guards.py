@@ -81,6 +81,7 @@ class Guards:
             case ConditionTrue(condition):
                 return _now_if(self._holds(condition, self.context(rule.call, place)))
             case ConditionFalse(condition):
+                # Not false until the report delay has passed: sensors may be about to report what has just happened.
                 context = self.context(rule.call, place)
                 return self._after(self._false_since, transition, not self._holds(condition, context), context.world.lag(names(condition)))
             case ConditionUnknown(condition):
@@ -94,22 +95,24 @@ class Guards:
             case DataMissing(call):
                 return _now_if(bool(self._calls.goal(call, self.context(call, place))[1]))
             case Withheld():
+                # While it is not withheld, the claim is waited for without limit: some call gives back what it needs.
                 is_withheld = bool(self.withheld(rule.guard, place)) and not state.pause  # a pause stops this clock
                 return self._after(self._withheld_since, transition, is_withheld, rule.guard.seconds)
             case EffectsSeen(call):
                 return _now_if(not self.unseen(call, place))
             case EffectsMissing(call):
+                # As above: an effect counts as missing only when reports about it can no longer be on their way.
                 lag = self._calls.lag_of_effects(call, self.context(call, place))
                 return self._after(self._false_since, transition, bool(self.unseen(call, place)), lag)
             case Adopted(call):
                 return _now_if(call in state.adopted)
             case Accepts() | Ends():
-                return NEVER
+                return NEVER  # opened by a report alone, see `Run._take`
             case After(seconds):
                 return state.marked_at[place] + seconds
             case Due(seconds, since):
                 ids = state.engine.compiled.place_id
-                return max([(state.origin or 0.0) + seconds, *(state.marked_at[ids[one]] + delay for one, delay in since)])
+                return max([(state.origin or 0.0) + seconds, *(state.marked_at[ids[earlier]] + delay for earlier, delay in since)])
             case _:
                 assert_never(rule.guard)
 
@@ -117,11 +120,12 @@ class Guards:
         """Return when the transition has been pending for so long; `NEVER`, and from the beginning next time, if it is not."""
         if is_pending:
             return since.setdefault(transition, self._state.now) + seconds
-        since.pop(transition, None)
+        since.pop(transition, None)  # a condition that was true in between begins to be false anew
         return NEVER
 
     def forget(self, place: int) -> Iterator[UUID]:
         """Forget since when guards at the place have been waiting; yield its questions, whose answers are no longer needed."""
+        # The next token at this place is a new decision, with delays that begin anew.
         for consumer, _ in self._state.engine.compiled.consumers[place]:
             self._false_since.pop(consumer, None)
             self._withheld_since.pop(consumer, None)
@@ -142,6 +146,7 @@ class Guards:
 
     def lacks_resources(self, transition: int) -> bool:
         """Return whether the transition would be enabled if no call of the run had resources."""
+        # Enabled transitions lack nothing and are included, which does no harm: they are asked in any case.
         return self._state.engine.lacking(transition) <= self._state.index.resources
 
     def has_resources(self, transition: int, place: int) -> bool:
@@ -157,6 +162,7 @@ class Guards:
         """Return the claim that the transition makes for its call."""
         rule = self._state.index.rules[transition]
         assert rule.call is not None, "only calls have resources"
+        # The claim is made for the request that is going to be sent, so that it holds the resources from its first moment.
         request, action = self._calls.claiming(rule.call, rule.action, self.context(rule.call, place))
         return self._claims.claim(request, self._calls.resources(action))
 

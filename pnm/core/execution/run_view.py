@@ -99,7 +99,8 @@ class RunView:
         elif self._results.failures:
             reason = str(self._results.failures[0])
         else:
-            reason = f"every call is done but the goal does not hold: {self._results.goal_false}"
+            _, expected, seen = self._results.last_check or ("", "", "")
+            reason = f"every call is done but the goal does not hold: expected {expected}; observed {seen}"
         return RunResult(goal, reason, self._results.calls(), tuple(self._results.failures), self.stopped)
 
     def under_way(self) -> tuple[UnderWay, ...]:
@@ -118,7 +119,7 @@ class RunView:
 
     def interim_result(self) -> RunResult:
         """Return how far the run has come, for one that may be succeeded by another."""
-        handed = {one.call.index for one in self.under_way()}
+        handed = {running.call.index for running in self.under_way()}
         calls, failures = self._results.calls(handed), tuple(self._results.failures)
         return RunResult(False, "another run goes on", calls, failures, self.stopped)
 

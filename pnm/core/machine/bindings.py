@@ -45,7 +45,7 @@ class Binding:
     retries: int = 1
     """How often the action is tried again within one plan."""
     ask: Mapping[str, str] = field(default_factory=dict)
-    """Variables, and what a person is asked when nobody knows them; ``{shop}`` stands for the argument of parameter ``?shop``."""
+    """Variables, and what a person is asked when their values are unknown; ``{shop}`` stands for the argument of parameter ``?shop``."""
     resources: tuple[str, ...] = ()
     """Resources that the action has for itself while it runs, such as ``{robot}/base``."""
 
@@ -140,12 +140,12 @@ def goal_data(
     With a `goal` mapping only its fields are needed; others are filled if a value of their name exists.
     As long as the fields of the goal are not known, parameters without a value are needed.
     """
-    told = dict(zip(action.parameters, action.arguments, strict=True))
+    arguments = dict(zip(action.parameters, action.arguments, strict=True))
     own: dict[str, object] = {
         "action": action.name,
         "arguments": list(action.arguments),
         "duration": action.duration or 0.0,
-        **{name: value for name, value in told.items() if not value.startswith("?")},
+        **{name: value for name, value in arguments.items() if not value.startswith("?")},
         **knowledge.given(),
     }
     needed = binding.goal if binding.goal is not None else dict.fromkeys(fields if fields is not None else open_parameters(action))
@@ -162,7 +162,7 @@ def goal_data(
 
 
 def open_parameters(action: GroundAction) -> tuple[str, ...]:
-    """Return the parameters whose values the plan does not tell, without ``?``."""
+    """Return the parameters whose values the plan leaves open, without ``?``."""
     return tuple(name for name, value in zip(action.parameters, action.arguments, strict=True) if value.startswith("?"))
 
 

@@ -224,7 +224,7 @@ class Rule(NamedTuple):
     cause: Cause | None = None
     """Why the step is about to recover or has failed; None when no new cause arises."""
     expected: str = ""
-    """What was expected at that point, for the text of a failure; empty where the guard tells."""
+    """What was expected at that point, for the text of a failure; empty where the guard explains it."""
     observed: str = ""
     """What was observed instead; ``{message}`` stands for the message of the request's end, which is all if this is empty."""
     gives_up: bool = False

@@ -1,8 +1,8 @@
 """The neutral plan: steps, and which event of which step must wait for which.
 
 A step is a call of an action, or holds steps itself: a loop, a choice. It has two events, its
-start and its end. An ordering says that one event comes after another and names the facts that
-the order protects. Any partial order can be said this way, sequential and time-triggered plans
+start and its end. An ordering makes one event come after another and names the facts that
+the order protects. Any partial order can be expressed this way, sequential and time-triggered plans
 included. Planners make plans of calls alone; people write the rest. Knows nothing of PDDL or of nets.
 """
 
@@ -146,7 +146,7 @@ class ActionCall:
     retries: int | None = None
     """In place of the binding's."""
     store: tuple[tuple[str, str], ...] = ()
-    """Result fields and the variables they are stored in, where this is not what the binding says."""
+    """Result fields and the variables they are stored in, where this differs from the binding."""
     under_way: bool = False
     """Its request has been sent by another run, and was accepted; it is taken over as it is."""
 
@@ -298,8 +298,8 @@ class PlanGraph:
         if sorted(others) != [*range(len(self.calls), len(self.calls) + len(others))]:
             raise PlanGraphError("the steps that are not calls are numbered after the calls, each once")
         outermost = {step.index for step in self.steps}
-        for call in (one for one in self.calls if one.under_way):
-            waits = any(one.after == PlanEvent(call.index, Moment.START) for one in self.orderings)
+        for call in (running for running in self.calls if running.under_way):
+            waits = any(ordering.after == PlanEvent(call.index, Moment.START) for ordering in self.orderings)
             if waits or call.index not in outermost:
                 raise PlanGraphError(f"{call} is under way: it cannot wait for others, or be part of another step")
         inside = tuple(inner for step in self.every_step for inner in flows(step))

@@ -17,7 +17,7 @@ from pnm.core.execution.call_results import CallResult
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.language.plan import HandWrittenPlan, merge_bindings, read_plans
-from pnm.language.runner import Performer, Program
+from pnm.language.runner import PlanRunner, Program
 from tests.support.files import ROOT
 
 Told = tuple[bool, list[tuple[str, ...]], dict[Fluent, Value | Unknown]]
@@ -52,9 +52,9 @@ def run_exported(plan: HandWrittenPlan) -> Told:
     backend = simulated_backend(plan, merge_bindings([plan]))
 
     async def performed() -> Told:
-        performer = Performer({plan.name: Program.of(plan)}, backend, KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules))
-        await backend.open(performer.world)
-        result = await performer.execute(performer.perform(plan.name))
+        runner = PlanRunner({plan.name: Program.of(plan)}, backend, KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules))
+        await backend.open(runner.world)
+        result = await runner.execute(runner.prepare_run(plan.name))
         await backend.close()
         return result.goal, told(result.calls), backend.robots.world.truth.facts()
 

@@ -35,6 +35,7 @@ def shape_of(part: Part) -> object:
         roles: object = None
         if place in special:
             memberships = tuple(place in members for members in (*part.supplies, *sets))
+            # Records and finals keep their number, because tokens in two of them differ from two tokens in one.
             roles = part.initial.get(place, 0), memberships, number if place in part.records | part.finals else None
         places.add((tuple(connected), roles))
     return guards, len(part.supplies), frozenset(places), bool(part.finals), part.cancels, part.others_restart, part.repeats
@@ -44,7 +45,7 @@ def _kind(guard: Guard | Inside, conditions: list[Condition]) -> object:
     """Return what is proved of a guard: when it opens, as far as the world does not decide, and which conditions are the same."""
     match guard:
         case ConditionTrue(condition) | ConditionFalse(condition) | ConditionUnknown(condition):
-            if condition not in conditions:
+            if condition not in conditions:  # only whether two guards have the same condition matters: then exactly one of them opens
                 conditions.append(condition)
             return type(guard), conditions.index(condition)
         case Ends():

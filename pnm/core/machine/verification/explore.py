@@ -100,11 +100,15 @@ class _Explorer:
                 self.consumers[self.index[place]].append(number)
         self.failures = [self.index[place] for place in self.part.failures]
         self.restarts = [self.index[place] for place in self.part.restarts]
+        # Places without an arc in this part have no index.
         self.counters = {self.index[place] for place in self.part.counters if place in self.index}
         self.resources = {self.index[place]: self.part.initial.get(place, 0) for place in self.part.resources}
         self.records = self.counters | self.resources.keys()
+        # Found once per part: whether a place asks the world depends on its arcs and not on the state.
         self.asking = [place for place in range(len(self.part.places)) if place not in self.records and self._may_be_unanswered(place)]
+        # Only upwards in `successors`: a stop is never taken back, so the states of a part are finitely many.
         self.stops = (1, 2, 3) if self.part.others_restart else (2, 3)
+        # Tokens move between counters, so none can hold more than all of them together.
         budget = sum(tokens for place, tokens in self.part.initial.items() if place in self.part.records)
         self.most = [budget if place in self.part.records - self.part.failures else 1 for place in self.part.places]
 
@@ -122,6 +126,7 @@ class _Explorer:
             for place in self.part.supplies[state.supplied]:
                 tokens[self.index[place]] += 1
             yield _SUPPLY, _State(tuple(tokens), state.stop, state.supplied + 1)
+        # Entered again only once it has come to rest, and with its counters as they are: that they are full again is to be shown.
         elif self.part.repeats and not self._possible(state):
             tokens = [
                 (0 if number in self.restarts else state.tokens[number]) if number in self.counters else self.part.initial.get(place, 0)
@@ -129,7 +134,7 @@ class _Explorer:
             ]
             yield _AGAIN, _State(tuple(tokens), 0 if state.stop == 1 else state.stop)
         for stop in self.stops:
-            if stop > state.stop:
+            if stop > state.stop:  # a stop may come at any moment, between any two firings
                 yield _STOPS[stop], _State(state.tokens, stop, state.supplied)
 
     def _moods(self, state: _State) -> tuple[bool, bool, bool]:
@@ -140,38 +145,39 @@ class _Explorer:
     def _possible(self, state: _State) -> list[Step]:
         """Return the enabled steps whose guards may be open, as `pnm.core.execution.run` asks them: in order, at each marked place."""
         moods = self._moods(state)
-        found: dict[int, None] = {}
+        possible: dict[int, None] = {}
         enabled: dict[int, bool] = {}
         for place, tokens in enumerate(state.tokens):
             if tokens and place not in self.records:
-                found |= dict.fromkeys(self._exits(place, state, moods, enabled)[0])
-        return [self.part.steps[number] for number in found]
+                possible |= dict.fromkeys(self._exits(place, state, moods, enabled)[0])
+        return [self.part.steps[number] for number in possible]
 
     def _exits(self, place: int, state: _State, moods: tuple[bool, bool, bool], enabled: dict[int, bool]) -> tuple[list[int], bool]:
         """Return which steps may be open at a place, and whether those after them wait for resources."""
-        found: list[int] = []
+        exits: list[int] = []
         for number in self.consumers[place]:
             step = self.part.steps[number]
             if number not in enabled:
                 enabled[number] = self._is_enabled(step, state)
             if not enabled[number]:
+                # As in the run: the call stands in line here, and the rules after this one are not asked.
                 if self._lacks_resources(step, state) and not isinstance(step.guard, Adopted):
-                    return found, True
+                    return exits, True
                 continue
             is_open = _is_open(step.guard, *moods)
-            if is_open is not False:
-                found.append(number)
-            if is_open is True:
+            if is_open is not False:  # guards that ask the world may go either way, so both are followed
+                exits.append(number)
+            if is_open is True:  # rules after one that is surely open are never asked
                 break
-        return found, False
+        return exits, False
 
     def _starves(self, state: _State) -> bool:
         """Return whether resources are waited for, and nothing else is sure to happen."""
         moods, waits, enabled = self._moods(state), False, dict[int, bool]()
         for place, tokens in enumerate(state.tokens):
             if tokens and place not in self.records:
-                found, waiting = self._exits(place, state, moods, enabled)
-                steps = (self.part.steps[number] for number in found)
+                exits, waiting = self._exits(place, state, moods, enabled)
+                steps = (self.part.steps[number] for number in exits)
                 if any(not waiting or isinstance(step.guard, After | Due) or _is_open(step.guard, *moods) for step in steps):
                     return False
                 waits = waits or waiting
@@ -200,35 +206,38 @@ class _Explorer:
         return missing_exit(asking)
 
     def _is_enabled(self, step: Step, state: _State) -> bool:
-        return all(state.tokens[self.index[one]] >= weight for one, weight in step.inputs.items())
+        return all(state.tokens[self.index[name]] >= weight for name, weight in step.inputs.items())
 
     def _lacks_resources(self, step: Step, state: _State) -> bool:
         """Return whether the step would be enabled if all resources were free."""
-        if self.resources.keys().isdisjoint(self.index[one] for one in step.inputs):
+        if self.resources.keys().isdisjoint(self.index[name] for name in step.inputs):
             return False
-        own = ((self.index[one], weight) for one, weight in step.inputs.items())
+        own = ((self.index[name], weight) for name, weight in step.inputs.items())
         lacking = {place for place, weight in own if state.tokens[place] < weight}
         return bool(lacking) and lacking <= self.resources.keys()
 
     def check(self, state: _State, stuck: bool) -> str:
         """Return what is wrong with a state; empty when nothing is."""
         for number, tokens in enumerate(state.tokens):
+            # Safe places are what makes guards and times meaningful: the time of a marking is one number per place.
             if tokens > self.most[number]:
                 return f"{self.part.places[number]} holds {tokens} tokens"
         for number in self.asking:
             if state.tokens[number] and (wrong := self._unanswered(number, state)):
                 return f"{self.part.places[number]} {wrong}"
+        # Hold and wait is one of the conditions of a deadlock; it is excluded here, so that runs cannot block each other.
         keeps = any(state.tokens[place] < tokens for place, tokens in self.resources.items())
         if keeps and (stuck or any(isinstance(step.guard, Inside) for step in self._possible(state))):
             return "it waits for others while it keeps resources that they may need"
         if self.resources and self._starves(state):
-            return "it waits for resources that nobody gives back"
+            return "it waits for resources that no call gives back"
         if not stuck:
             return ""
         missing = len(self.part.supplies) - state.supplied
+        # What the start of a block gives must not wait for inputs that only its end needs: neighbours may wait for it.
         if missing == 1 and (late := [place for place in self.part.early if not state.tokens[self.index[place]]]):
             return f"{late[0]} is not marked although only later inputs are missing"
-        if missing:
+        if missing:  # more inputs are to come, so to be at rest is no end yet
             return ""
         left = {
             place: state.tokens[number] for place, number in self.index.items() if state.tokens[number] and place not in self.part.records
@@ -287,6 +296,7 @@ def explore_part(part: Part) -> int:
         raise Unsound(f"a step is called {confusing[0]!r}, as is what happens from outside")
     explorer = _Explorer(part)
     # pauses and entries come from outside, as often as they like: what follows from there is walked through apart
+    # A cycle through them is no error: pauses are assumed to be finitely many, and entries are counted by whatever holds the block.
     apart = {step.name for step in part.steps if isinstance(step.guard, PauseAsked)} | {_AGAIN}
     start = _State(tuple(part.initial.get(place, 0) for place in part.places))
     roots: list[_Reached] = [(start, None)]
@@ -300,13 +310,13 @@ def explore_part(part: Part) -> int:
 
 def _walk(explorer: _Explorer, root: _Reached, seen: set[_State], apart: Set[str]) -> list[_Reached]:
     """Walk through every state that is reached from the root but by some steps; return what those lead to."""
-    path: list[tuple[_Reached, Iterator[tuple[str, _State]]]] = []
+    path: list[tuple[_Reached, Iterator[tuple[str, _State]]]] = []  # an explicit stack: plans may be deeper than Python's recursion limit
     on_path: set[_State] = set()
     left: dict[_State, _Reached] = {}
 
     def enter(reached: _Reached) -> None:
         state, trace = reached
-        nexts = list(explorer.successors(state))
+        nexts = list(explorer.successors(state))  # all of them at once, for whether the state is stuck depends on all
         stuck = all(name in _FROM_OUTSIDE for name, _ in nexts)
         if wrong := explorer.check(state, stuck):
             raise Unsound(wrong, _names(trace))
@@ -319,15 +329,16 @@ def _walk(explorer: _Explorer, root: _Reached, seen: set[_State], apart: Set[str
     enter(root)
     while path:
         (state, trace), nexts = path[-1]
-        found = next(nexts, None)
-        if found is None:
+        successor = next(nexts, None)
+        if successor is None:
             path.pop()
             on_path.remove(state)
             continue
-        name, following = found
+        name, following = successor
         if name in apart:
             if following not in seen:
                 left.setdefault(following, (following, (trace, name)))
+        # A state on the current path is a cycle that the machine goes through without help from outside: it would not terminate.
         elif following in on_path:
             raise Unsound("it can go round for ever", _names((trace, name)))
         elif following not in seen:
@@ -336,8 +347,8 @@ def _walk(explorer: _Explorer, root: _Reached, seen: set[_State], apart: Set[str
 
 
 def _names(trace: _Trace) -> list[str]:
-    found: list[str] = []
+    names: list[str] = []
     while trace is not None:
         trace, name = trace
-        found.append(name)
-    return found[::-1]
+        names.append(name)
+    return names[::-1]

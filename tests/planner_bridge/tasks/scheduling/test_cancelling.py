@@ -48,7 +48,7 @@ async def test_a_server_that_does_not_confirm_is_given_up_after_its_limit(simula
 async def test_what_a_request_has_that_was_given_up_is_not_used_by_others_and_they_find_another_way(simulation: TaskSimulation):
     first = await simulation.begun("(at r0 a1)")
     await simulation.master.cancel(first)
-    assert simulation.seen(first, "withheld", "keeps r0 until its server says that it is over")
+    assert simulation.seen(first, "withheld", "keeps r0 until its server reports the end")
     second = simulation.want("(in p0 a1)")
     assert await simulation.ended_with(second) == [Code.GOAL_REACHED]
     (failure,) = simulation.seen(second, "failed")

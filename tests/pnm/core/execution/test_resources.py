@@ -30,7 +30,7 @@ from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Request
 from pnm.errors import InputError, RunError
 from pnm.executor import Executor
 from pnm.language.plan import merge_bindings, read_plans
-from pnm.language.runner import Performer, Program
+from pnm.language.runner import PlanRunner, Program
 from tests.support.runs.claims import names
 from tests.support.runs.plan_graphs import plan_of
 
@@ -222,17 +222,17 @@ inner: {params: [what], plan: [{lift: }, {lift: }]}
 """
 
 
-def test_all_plans_of_a_performer_share_resources(tmp_path: Path) -> None:
+def test_all_plans_of_a_runner_share_resources(tmp_path: Path) -> None:
     file = tmp_path / "plan.yaml"
     file.write_text(NESTED, encoding="utf-8")
     plans = read_plans(file)
     backend = simulated_backend(plans["inner"], merge_bindings(plans.values()))
-    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase())
+    runner = PlanRunner({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase())
 
     async def main() -> None:
-        await backend.open(performer.world)
-        performances = [performer.perform("outer", {"what": what}) for what in ("plate", "spoon", "fork")]
-        results = await asyncio.gather(*map(performer.execute, performances))
+        await backend.open(runner.world)
+        plan_runs = [runner.prepare_run("outer", {"what": what}) for what in ("plate", "spoon", "fork")]
+        results = await asyncio.gather(*map(runner.execute, plan_runs))
         assert all(result.goal for result in results)
         assert asyncio.get_running_loop().time() == pytest.approx(18.0, abs=0.1)
         await backend.close()
@@ -269,18 +269,18 @@ def test_a_plan_that_is_called_has_no_resources_itself(tmp_path: Path) -> None:
         Program.of(read_plans(file)["outer"])
 
 
-def test_every_plan_of_a_performer_shares_what_one_of_them_says_of_a_resource(tmp_path: Path) -> None:
+def test_every_plan_of_a_runner_shares_what_one_of_them_says_of_a_resource(tmp_path: Path) -> None:
     file = tmp_path / "plan.yaml"
     text = "actions: {lift: {params: [what], duration: 2, resources: [arm]}}\n"
     branches = "plan: [{concurrent_actions: [{lift: {what: plate}}, {lift: {what: spoon}}]}]"
     file.write_text(f"{text}one: {{resources: {{arm: 2}}, {branches}}}\nother: {{{branches}}}\n", encoding="utf-8")
     plans = read_plans(file)
     backend = simulated_backend(plans["one"], merge_bindings(plans.values()))
-    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase())
+    runner = PlanRunner({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase())
 
     async def main() -> None:
-        await backend.open(performer.world)
-        assert (await performer.execute(performer.perform("other"))).goal
+        await backend.open(runner.world)
+        assert (await runner.execute(runner.prepare_run("other"))).goal
         assert asyncio.get_running_loop().time() == pytest.approx(2.0, abs=0.1)
         await backend.close()
 

@@ -69,7 +69,7 @@ def test_of_a_publisher_that_is_killed_nothing_is_known_any_more(ros, names, sen
             await becomes(world, ("at", "r1", "kitchen"), True)
 
     run(main())
-    assert f"nothing was heard on {name} for 1 s; what it tells is unknown" in caplog.text
+    assert f"nothing was heard on {name} for 1 s; what it reports is unknown" in caplog.text
 
 
 def test_what_cannot_be_read_is_unknown_with_one_warning(ros, names, sensing, sensors, caplog):

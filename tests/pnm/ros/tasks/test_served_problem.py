@@ -106,7 +106,7 @@ def test_a_node_with_plans_only_pauses_and_cancels_them_and_says_what_it_has_not
         goal = await client.send("/plans/round_trip", parameters="{robot: r1}")
         assert (await call("executor/cancel", task=uuid_data(goal.id)))["success"]
         status, result = await goal.result()
-        assert (status, result["reason"], result["message"]) == (CANCELED, "cancelled", "somebody has cancelled it")
+        assert (status, result["reason"], result["message"]) == (CANCELED, "cancelled", "cancelled on request")
         texts = (file.read_text(encoding="utf-8") for file in (DOMAIN, PROBLEM))
         assert (await call("problem/load", **dict(zip(("domain", "problem"), texts, strict=True))))["success"]
         assert (await call("knowledge/query", questions=["(at r1 store)"]))["values"] == ["true"]
