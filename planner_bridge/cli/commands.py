@@ -229,6 +229,7 @@ def simulate(
 @click.option(
     "--seed-compatible", "original", is_flag=True, help="write the plan as the first implementation of Petri Net Machines loads it"
 )
+@bindings_option
 @planning
 @command
 def export(
@@ -239,17 +240,26 @@ def export(
     force: bool,
     with_plan: bool,
     original: bool,
+    bindings: Path | None,
     planner: str,
     timeout: float,
 ) -> int:
     """Write a domain, a problem and a plan for it as YAML."""
+    from planner_bridge.loading import bindings_for
     from planner_bridge.yaml.convert import exported
+    from pnm.core.machine.bindings import Bindings
 
-    result = exported(domain, problem, with_plan=with_plan, original=original, planner=planner, timeout=timeout)
+    bound = bindings_for(domain, bindings, None)
+    result = exported(domain, problem, with_plan=with_plan, original=original, bindings=bound, planner=planner, timeout=timeout)
     print_warnings(result.warnings)
     if result.reason:
         print(f"no plan: {result.reason}", file=sys.stderr)
         return 1
+    usual = Bindings()
+    left_out = ["'actions'"] if original and bound.actions else []
+    left_out += [f"{key!r}" for key in ("assumed", "lag") if getattr(bound, key) != getattr(usual, key)]
+    if left_out:
+        print(f"{' and '.join(left_out)} of the bindings are not in the text: give --bindings when it is run", file=sys.stderr)
     write(output, result.text, force=force)
     return 0
 

@@ -59,13 +59,18 @@ class EventLines:
 class ConsoleObserver(TaskObserver):
     """Prints a line per event of a task; shows a spinner while it plans, when the output is a terminal.
 
-    The mutable state is the time of the first line, and the spinner.
+    The mutable state is the time from which seconds count, and the spinner.
     """
 
     def __init__(self, console: Console) -> None:
         self._console = console
         self._lines = EventLines(console)
         self._waiting = ExitStack()
+
+    def began(self, now: float) -> None:
+        """Count seconds from the beginning of the task; a plan that goes on under a planner keeps its own."""
+        if self._lines.began is None:
+            self._lines.began = now
 
     def planning(self, planner: str) -> None:
         """Show that a planner is being asked."""

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 class TaskObserver(Observer):
     """Listens to a whole task: one more empty method per moment."""
 
+    def began(self, now: float) -> None:
+        """Note the time from which the seconds of the task count."""
+
     def planning(self, planner: str) -> None:
         """Note that a planner is being asked."""
 
