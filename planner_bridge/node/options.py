@@ -20,7 +20,7 @@ PARAMETERS: Final = (
     NodeParameter("bindings", "", "file that binds actions to servers; by default bindings.yaml beside the domain"),
     NodeParameter("sensing", "", "file that maps topics and services to facts about the world"),
     NodeParameter("goals", "", "YAML file with goals by name"),
-    NodeParameter("problems", ".", "folder in which problem/save and problem/load find files"),
+    NodeParameter("problems", "", "folder of the PDDL files of problem/save and problem/load; without it they name no files"),
     NodeParameter("world", "", "YAML file with a domain and files of hand-written plans, each of which becomes an action server"),
     NodeParameter("world_name", "", "which world of that file, if there are several", option="name"),
     NodeParameter("knowledge", "", "SQLite file of the global knowledge, in place of what plans choose"),
@@ -55,7 +55,7 @@ class Options:
     bindings: Path | None
     sensing: Path | None
     goals: Path | None
-    problems: Path
+    problems: Path | None
     world: Path | None
     world_name: str | None
     knowledge: Path | None
@@ -82,7 +82,6 @@ class Options:
             raise InputError("there is nothing to serve; expected a domain and a problem, or a world of plans, or both")
         if given["goals"] and given["domain"] is None:
             raise InputError("goals with names need a domain and a problem; expected both, or no goals")
-        given["problems"] = given["problems"] or Path()
         given["world_name"] = given["world_name"] or None
         given["on_failure"], given["on_conflict"] = OnFailure(given["on_failure"]), OnConflict(given["on_conflict"])
         given["on_change"] = OnChange(given["on_change"])

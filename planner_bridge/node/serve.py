@@ -17,6 +17,7 @@ from planner_bridge.loading import bindings_for, load
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.node.options import PARAMETERS, Options
+from planner_bridge.node.problem_folder import ProblemFolder
 from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ServedProblem
 from planner_bridge.node.world_queries import read_goals
 from planner_bridge.planning.solve import check_planner
@@ -112,6 +113,7 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
         on_failure=options.on_failure,
         on_change=options.on_change,
     )
+    folder = ProblemFolder(options.problems, options.problem)
     goals = read_goals(options.goals) if options.goals else {}
     plans = [program.plan for program in context.runner.programs.values()]
     try:
@@ -128,7 +130,7 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
         limits=TaskLimits(options.max_tasks, options.max_queue, options.on_conflict),
         runner=context.runner,
     )
-    world = ServedProblem(loaded, options.problems, manager.begin_anew)
+    world = ServedProblem(loaded, folder, manager.begin_anew)
     return NodeApi(manager, loaded.make, world, manager.knowledge_of, manager.close)
 
 

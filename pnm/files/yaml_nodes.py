@@ -67,6 +67,7 @@ def _plain(node: yaml.Node, file: str) -> object:
     constructor = yaml.SafeLoader("")
     try:
         value = constructor.construct_object(node)
+        str(value)  # no message and no JSON could name a number of more than 4300 digits, which hexadecimal ones may have
     except (yaml.YAMLError, ValueError, LookupError) as error:
         raise InputError(f"cannot be read as {kind(node)}: {node.value[:40]!r}", position(node, file)) from error
     finally:

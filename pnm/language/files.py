@@ -8,6 +8,7 @@ Of files with plans, the heads of the plans and the domain are read here, so tha
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -204,10 +205,10 @@ def beside(entry: Mapped, key: str, path: str) -> Path:
         InputError: there is no such file.
     """
     file = Path(entry.file).parent / path
-    if not file.is_file():
-        others = sorted(path.name for path in file.parent.glob("*.y*ml")) if file.parent.is_dir() else []
+    if not os.path.isfile(file):  # unlike `Path.is_file` also for names that are too long
+        others = sorted(path.name for path in file.parent.glob("*.y*ml")) if os.path.isdir(file.parent) else []
         hint = suggestion(file.name, others)
-        raise InputError(f"there is no file {path!r} beside this one{f'; {hint}' if hint else ''}", entry.position(key))
+        raise InputError(f"there is no file {path[:200]!r} beside this one{f'; {hint}' if hint else ''}", entry.position(key))
     return file
 
 

@@ -18,7 +18,7 @@ from pnm.core.machine.requests import Accepted, ActionClient, Ended, Outcome, Ou
 from pnm.errors import InputError
 from pnm.knowledge.sensor_model import Sensing
 from tests.support.files import ROOT
-from tests.support.tasks.rooms import problem
+from tests.support.tasks.rooms import ring
 
 TWO_STEPS = "actions: {go: {params: [place]}}\nplan: [{go: {place: a}}, {go: {place: b}}]\n"
 
@@ -46,7 +46,7 @@ class Robot:
 def test_an_action_client_carries_out_the_plan_and_what_follows_a_failure() -> None:
     robot = Robot()
     assert isinstance(robot, ActionClient)
-    result = achieve(None, problem(), actions=robot, settings=Settings())
+    result = achieve(None, ring(), actions=robot, settings=Settings())
     assert result.goal_reached
     assert robot.sent == ["move(r1, a, b)", "move(r1, a, b)", "move(r1, b, c)"]
     assert result.as_json()["calls"][0]["assumed"]  # type: ignore[index]
@@ -60,7 +60,7 @@ def test_an_action_client_carries_out_a_hand_written_plan(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    "run", [lambda actions, _: achieve(None, problem(), actions=actions), lambda actions, file: carry_out(file, actions=actions)]
+    "run", [lambda actions, _: achieve(None, ring(), actions=actions), lambda actions, file: carry_out(file, actions=actions)]
 )
 @pytest.mark.parametrize(
     ("actions", "message"),
@@ -81,9 +81,9 @@ def test_what_performs_no_actions_is_refused(tmp_path: Path, run: Callable[[Any,
 def test_what_would_be_ignored_is_refused() -> None:
     robot = Robot()
     with pytest.raises(InputError, match="faults belong to simulated robots"):
-        achieve(None, problem(), actions=robot, faults=Faults((Fault("move", FaultKind.ABORT),)))
+        achieve(None, ring(), actions=robot, faults=Faults((Fault("move", FaultKind.ABORT),)))
     with pytest.raises(InputError, match="sensing is about topics and services of ROS 2"):
-        achieve(None, problem(), settings=Settings(sensing=Sensing(stale=1.0)))
+        achieve(None, ring(), settings=Settings(sensing=Sensing(stale=1.0)))
     assert robot.sent == []
 
 
@@ -97,7 +97,7 @@ def test_what_would_be_ignored_is_refused() -> None:
 )
 def test_what_is_of_another_kind_is_refused(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError) as error:
-        achieve(None, problem(), **wrong)
+        achieve(None, ring(), **wrong)
     assert str(error.value) == message
 
 

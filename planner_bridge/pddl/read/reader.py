@@ -25,9 +25,9 @@ from planner_bridge.pddl.read.requirements import Leniency, Requirements, requir
 from planner_bridge.pddl.read.sections import Definition, define
 from planner_bridge.pddl.read.symbols import TOTAL_COST, SymbolTable
 from planner_bridge.pddl.read.terms import TermScope
-from planner_bridge.pddl.syntax.expressions import Atom, Group, text_of, wrong
+from planner_bridge.pddl.syntax.expressions import Atom, Group, text_of, where, wrong
 from pnm.core.logic.conditions import TRUE, Condition
-from pnm.core.logic.domain import Preference
+from pnm.core.logic.domain import Preference, check_choices
 from pnm.core.logic.expressions import fluent_text
 from pnm.errors import Tolerated
 from pnm.files.text import read_any_text
@@ -161,6 +161,9 @@ def _problem(definition: Definition, domain: Domain, warnings: tuple[Tolerated, 
         network,
         words,
     )
+    objects = where((*definition.every(":objects"), definition.whole)[0])
+    for what, choices in problem.ranges():
+        check_choices(choices, objects, f"the quantifiers in {what}")
     for fluent in missing_numbers(problem):
         Leniency.NUMBER_MISSING.note(definition.one(":init") or definition.whole, fluent_text(fluent))
     return replace(problem, warnings=(*domain.warnings, *warnings, *definition.whole.source.tolerated))

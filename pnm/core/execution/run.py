@@ -43,7 +43,7 @@ from pnm.core.execution.run_view import RunView
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.machine import Accepts, EffectsMissing, Ends, PetriNetMachine, Rule, TransitionAction, Withheld
+from pnm.core.machine.machine import Accepts, CallOutcome, EffectsMissing, Ends, PetriNetMachine, Rule, TransitionAction, Withheld
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, OutcomeKind, Report
 from pnm.core.net.firing_engine import Engine
@@ -351,8 +351,7 @@ class Run(RunView):
 
     def _note(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
         missing = self._guards.unseen(call, place) if isinstance(rule.guard, EffectsMissing) else ()
-        finishes = rule.action is TransitionAction.FINISH
-        assumed = finishes and is_assumed(self._calls.action(call), self._guards.context(call, place))
+        assumed = rule.outcome is CallOutcome.SUCCEEDED and is_assumed(self._calls.action(call), self._guards.context(call, place))
         self._results.fired(rule, call, self._state.now, check, missing=missing, assumed=assumed)
         if rule.gives_up:
             self._calls.forget(call)

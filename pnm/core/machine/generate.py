@@ -32,11 +32,17 @@ def generate(
         on_failure: what happens to running calls once a step has failed.
         capacities: how many calls may have a resource at the same time, one for those not listed: those of the `Resources` that the
             machine's runs share with others; the plan's own when not given.
+
+    Raises:
+        InputError: the name of a server or a resource has a part in braces that is not a parameter of its action.
     """
     builder = Builder(plan, bindings or Bindings())
     start, end = builder.net.place("start"), builder.net.place("end")
     goal, failed = builder.net.place("goal"), builder.net.place("failed")
     builder.initial[start] = 1  # the only token besides counters and resources: all others come from it, and end on `goal` or on `failed`
+    for call in plan.calls:
+        if call.action.operation is None:
+            builder.bindings.server(call.action)  # refuses a name that cannot be filled: while the machine runs is too late
     users = Counter(name for call in plan.calls for name in builder.bindings.resources(call.action))
     # The capacities of the pool that runs share win: a net with more units than the pool would promise what it cannot give.
     shared = plan.capacities if capacities is None else capacities

@@ -10,7 +10,21 @@ import sys
 from typing import Final
 
 from pnm.core.logic.computed_values import Parameter
-from pnm.core.logic.conditions import TRUE, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
+from pnm.core.logic.conditions import (
+    TRUE,
+    Any,
+    Compare,
+    Computed,
+    Condition,
+    Exists,
+    ForAll,
+    Holds,
+    Implies,
+    Not,
+    choices_in,
+    conjunction,
+)
+from pnm.core.logic.domain import check_choices
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, ValueOf, Variable
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Node
@@ -55,11 +69,9 @@ def _condition(construct: Form, scope: FormulaScope) -> Condition:
         case "holds":
             return Holds(read_fluent(construct.items(1)[0], scope, "predicate"))
         case "forall":
-            variables, body = read_quantified(construct, "condition", scope)
-            return ForAll(variables, read_condition(body, scope.inside(variables)))
+            return _quantified(ForAll, construct, scope)
         case "exists" if construct.argument.is_mapping and form(construct.argument, QUERIES) is None:
-            variables, body = read_quantified(construct, "condition", scope)
-            return Exists(variables, read_condition(body, scope.inside(variables)))
+            return _quantified(Exists, construct, scope)
         case "comparison":
             return _comparison(construct, *comparison_parts(construct), scope)
         case "operation" if len(operation_parts(construct)[1]) == 2:
@@ -69,6 +81,13 @@ def _condition(construct: Form, scope: FormulaScope) -> Condition:
             raise InputError(f"PDDL has no {construct.written!r}: it knows facts and functions, not variables", construct.position)
         case _:
             return Computed(read_form(construct, scope))
+
+
+def _quantified(kind: type[ForAll | Exists], construct: Form, scope: FormulaScope) -> ForAll | Exists:
+    variables, body = read_quantified(construct, "condition", scope)
+    condition = kind(variables, read_condition(body, scope.inside(variables)))
+    check_choices(choices_in(condition, scope.declared.count), construct.position)
+    return condition
 
 
 def read_quantified(construct: Form, inner: str, scope: FormulaScope) -> tuple[tuple[Variable, ...], Node]:

@@ -12,8 +12,8 @@ from typing import Final, Literal
 
 from pnm.core.logic.computed_values import Layer, Query, parts
 from pnm.core.logic.conditions import TRUE, Condition, conjunction, data_in
-from pnm.core.logic.domain import DurationConstraint
-from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, Set, When
+from pnm.core.logic.domain import DurationConstraint, check_choices
+from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, Set, When, choices_in_effects
 from pnm.core.logic.expressions import UNDEFINED, Constant, Expression, ValueOf
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Node
@@ -67,7 +67,9 @@ def _parts(node: Node, scope: FormulaScope) -> tuple[Effect | Condition, ...]:
             return (_when(construct, scope),)
         case "forall" if "effects" in construct.argument.mapped().nodes:
             variables, body = read_quantified(construct, "effects", scope)
-            return (ForEach(variables, _only_effects(body, scope.inside(variables))),)
+            effects = (ForEach(variables, _only_effects(body, scope.inside(variables))),)
+            check_choices(choices_in_effects(effects, scope.declared.count), construct.position)
+            return effects
         case word if word in _CHANGES:
             return (_change(construct, scope),)
         case _:

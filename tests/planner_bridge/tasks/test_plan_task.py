@@ -28,7 +28,7 @@ trip:
 """
 
 
-def simulate(scenario: Callable[[TaskSimulation], Awaitable[None]]) -> None:
+def simulate_trip(scenario: Callable[[TaskSimulation], Awaitable[None]]) -> None:
     programs = {name: Program.of(plan) for name, plan in parse_plans(TRIP).items()}
     simulate_tasks(scenario, chosen=Settings(), programs=programs)
 
@@ -42,7 +42,7 @@ def test_a_plan_whose_parameter_has_no_value_is_refused_before_anything_of_it_be
         )
         assert simulation.sent(task) == []
 
-    simulate(scenario)
+    simulate_trip(scenario)
 
 
 def test_the_steps_of_a_plan_have_the_values_that_are_known() -> None:
@@ -56,7 +56,7 @@ def test_the_steps_of_a_plan_have_the_values_that_are_known() -> None:
         run.knowledge.local.store({"far": "a1"})
         assert await simulation.ended_with(task) == [Code.GOAL_REACHED], simulation.endings[task]
 
-    simulate(scenario)
+    simulate_trip(scenario)
 
 
 def test_people_read_with_which_parameters_a_plan_is_carried_out() -> None:
@@ -68,7 +68,7 @@ def test_people_read_with_which_parameters_a_plan_is_carried_out() -> None:
         other, goal = simulation.want("trip", is_plan=True), simulation.want("(at r0 a0)")
         await simulation.ended_with(one, other, goal)
 
-    simulate(scenario)
+    simulate_trip(scenario)
     goals = [line.split("goal", 1)[1].strip() for line in shown.getvalue().splitlines() if "  goal  " in line]
     assert goals == ['trip(robot: r0, far: ["a1", 2])', "trip", "(at r0 a0)"]
 

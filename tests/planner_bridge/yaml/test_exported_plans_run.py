@@ -37,7 +37,7 @@ OWN: Final = [
 PAIRS: Final = [*OWN, *((KNOWN / one / "domain.pddl", KNOWN / one / "problem.pddl") for one in SMALLEST if (KNOWN / one).is_dir())]
 
 
-def told(calls: tuple[CallResult, ...]) -> list[tuple[str, ...]]:
+def calls_told(calls: tuple[CallResult, ...]) -> list[tuple[str, ...]]:
     return sorted((one.call.action.name, *one.call.action.arguments, one.outcome, str(one.attempts)) for one in calls)
 
 
@@ -45,7 +45,7 @@ def planned(domain: Path, problem: Path) -> Told:
     loaded = load(domain, problem)
     backend = simulated_backend(loaded, Settings().bindings)
     result = run_async(achieve_at(backend, loaded, Settings(), TaskObserver()), virtual=True)
-    return result.goal_reached, told(result.calls), backend.robots.world.truth.facts()
+    return result.goal_reached, calls_told(result.calls), backend.robots.world.truth.facts()
 
 
 def run_exported(plan: HandWrittenPlan) -> Told:
@@ -56,7 +56,7 @@ def run_exported(plan: HandWrittenPlan) -> Told:
         await backend.open(runner.world)
         result = await runner.execute(runner.prepare_run(plan.name))
         await backend.close()
-        return result.goal, told(result.calls), backend.robots.world.truth.facts()
+        return result.goal, calls_told(result.calls), backend.robots.world.truth.facts()
 
     return run_async(performed(), virtual=True)
 

@@ -31,7 +31,7 @@ from pnm.errors import InputError, RunError
 from pnm.executor import Executor
 from pnm.language.plan import merge_bindings, read_plans
 from pnm.language.runner import PlanRunner, Program
-from tests.support.runs.claims import names
+from tests.support.runs.commands import begun, sent
 from tests.support.runs.plan_graphs import plan_of
 
 SUCCEEDED = Outcome(OutcomeKind.SUCCEEDED)
@@ -39,13 +39,6 @@ SUCCEEDED = Outcome(OutcomeKind.SUCCEEDED)
 
 def arm(name: str, **options: object) -> GroundAction:
     return GroundAction(name, resources=("arm",), **options)  # type: ignore[arg-type]
-
-
-def begun(graph: PlanGraph, number: int = 1, **options: object) -> tuple[Run, list[Command]]:
-    bindings = options.pop("bindings", None)
-    knowledge = Layered(options.pop("world", None) or KnowledgeBase())  # type: ignore[arg-type]
-    run = Run(generate(graph, bindings), knowledge, id=UUID(int=number), bindings=bindings, **options)  # type: ignore[arg-type]
-    return run, run.handle(Begin(), 0.0)
 
 
 def finish(run: Run) -> list[Command]:
@@ -59,20 +52,20 @@ def finish(run: Run) -> list[Command]:
 def test_a_call_that_waits_for_an_answer_has_nothing() -> None:
     asking = Bindings({"asks": Binding(goal={"word": "$word"})})
     run, commands = begun(plan_of(arm("asks"), arm("acts")), bindings=asking, asks=True)
-    assert names(commands) == ["acts"]
+    assert sent(commands) == ["acts"]
     (question,) = [command for command in commands if isinstance(command, Ask)]
     assert run.handle(Answered(question.id, "hello"), 1.0) == []
-    assert names(finish(run)) == ["asks"]
+    assert sent(finish(run)) == ["asks"]
 
 
 def test_a_call_that_waits_for_a_fact_has_nothing_and_stands_in_nobody_s_way() -> None:
     world = KnowledgeBase(sensed={"ready": 5.0})
     run, commands = begun(plan_of(arm("waits", precondition=Holds(("ready",))), arm("first"), arm("second")), world=world)
-    assert names(commands) == ["first"]
-    assert names(finish(run)) == ["second"], "the fact that it needs is not there when the arm is"
+    assert sent(commands) == ["first"]
+    assert sent(finish(run)) == ["second"], "the fact that it needs is not there when the arm is"
     world.update({("ready",): True})
-    assert names(run.handle(KnowledgeChanged(), 2.0)) == []
-    assert names(finish(run)) == ["waits"]
+    assert sent(run.handle(KnowledgeChanged(), 2.0)) == []
+    assert sent(finish(run)) == ["waits"]
 
 
 def test_whoever_cannot_use_it_yet_leaves_the_line() -> None:
@@ -81,9 +74,9 @@ def test_whoever_cannot_use_it_yet_leaves_the_line() -> None:
     for condition in (Holds(("ready",)), asked):
         waits = arm("waits", precondition=condition)
         run, commands = begun(plan_of(arm("first"), waits, arm("behind")), world=world, asks=True)
-        assert names(commands) == ["first"]
+        assert sent(commands) == ["first"]
         assert len(run.resources.line) == 2
-        assert names(finish(run)) == ["behind"]
+        assert sent(finish(run)) == ["behind"]
 
 
 def test_what_need_not_be_done_is_not_waited_for() -> None:
@@ -99,10 +92,10 @@ def test_what_need_not_be_done_is_not_waited_for() -> None:
 def test_a_precondition_is_looked_at_when_the_call_can_start() -> None:
     world = KnowledgeBase(facts={("ready",): False})
     run, commands = begun(plan_of(arm("first"), arm("second", precondition=Holds(("ready",)))), world=world)
-    assert names(commands) == ["first"]
+    assert sent(commands) == ["first"]
     assert not run.ending
     world.update({("ready",): True})
-    assert names(finish(run)) == ["second"]
+    assert sent(finish(run)) == ["second"]
 
 
 def test_a_deadline_counts_while_a_call_waits_for_resources() -> None:
@@ -119,24 +112,26 @@ def test_the_steps_of_a_recovery_take_their_own() -> None:
     mending = ActionCall(1, GroundAction("b", resources=("arm", "leg")))
     recovery = Recovery(frozenset({Cause.ABORTED}), Then.RETRY, Flow((mending,)))
     run, commands = begun(PlanGraph((ActionCall(0, arm("a"), recoveries=(recovery,)),)))
-    assert names(commands) == ["a"]
+    assert sent(commands) == ["a"]
     commands = run.handle(Ended(run.open_requests[0], Outcome(OutcomeKind.ABORTED)), 1.0)
-    assert names(commands) == ["b"]
+    assert sent(commands) == ["b"]
     assert [one.names for one in run.resources.held] == [("arm", "leg")]
-    assert names(finish(run)) == ["a"]
+    assert sent(finish(run)) == ["a"]
 
 
 def test_runs_with_one_pool_take_turns_by_priority_then_in_order() -> None:
     pool = Resources()
-    low, commands = begun(plan_of(arm("low")), 1, resources=pool)
-    assert names(commands) == ["low"]
-    waiting = [begun(plan_of(arm(name)), number, resources=pool, priority=rank)[0] for number, (name, rank) in enumerate(LINE, 2)]
+    low, commands = begun(plan_of(arm("low")), resources=pool)
+    assert sent(commands) == ["low"]
+    waiting = [
+        begun(plan_of(arm(name)), id=UUID(int=number), resources=pool, priority=rank)[0] for number, (name, rank) in enumerate(LINE, 2)
+    ]
     assert pool.outranked() == {low.task}
     finish(low)
     order = []
     for _ in LINE:
         for run in waiting:
-            order += names(run.handle(ResourcesChanged(), 2.0))
+            order += sent(run.handle(ResourcesChanged(), 2.0))
         finish(next(run for run in waiting if run.open_requests))
     assert order == ["high", "second", "third"]
     assert (pool.held, pool.line) == ((), ())
@@ -147,8 +142,8 @@ LINE = (("second", 0), ("third", 0), ("high", 1))
 
 def test_a_claim_is_withdrawn_when_the_call_is_skipped() -> None:
     pool = Resources()
-    begun(plan_of(arm("first")), 1, resources=pool)
-    run, _ = begun(plan_of(arm("second")), 2, resources=pool)
+    begun(plan_of(arm("first")), resources=pool)
+    run, _ = begun(plan_of(arm("second")), id=UUID(int=2), resources=pool)
     assert len(pool.line) == 1
     run.handle(Stop(), 1.0)
     assert run.over

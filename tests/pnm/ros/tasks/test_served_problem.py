@@ -10,7 +10,7 @@ from planner_bridge.loading import load
 from pnm.ros.node.service_client import ServiceClient
 from tests.support.files import ROOT
 from tests.support.processes import LIMIT, Program
-from tests.support.ros.child_process import run
+from tests.support.ros.child_process import run_bounded
 from tests.support.ros.task_client import ABORTED, CANCELED, SERVICES, TaskClient, uuid_data
 
 ERRANDS = ROOT / "domains/delivery/plans/world.yaml"
@@ -60,7 +60,7 @@ def test_a_node_tells_and_is_told_what_is_so(ros, tmp_path):
 
     try:
         node.until(lambda: any(line.startswith("ready") for line in node.out))
-        run(main())
+        run_bounded(main())
     finally:
         node.close()
 
@@ -115,6 +115,6 @@ def test_a_node_with_plans_only_pauses_and_cancels_them_and_says_what_it_has_not
 
     try:
         node.until(lambda: any(line.startswith("ready") for line in node.out))
-        run(main())
+        run_bounded(main())
     finally:
         node.close()
