@@ -21,14 +21,14 @@ def missing_numbers(problem: ProblemModel) -> tuple[Fluent, ...]:
     assigned = {effect.fluent[0] for effect in effects if isinstance(effect, Set) and effect.operation == "assign"}
     assigned |= {fluent[0] for change in problem.timed for fluent in change.changes}
     numbers = {name for name, declared in problem.domain.functions.items() if not declared.values} - assigned
-    read = dict.fromkeys(fluent for action in actions for fluent in _numbers_read(problem, action) if fluent[0] in numbers)
+    read = dict.fromkeys(fluent for action in actions for fluent in numbers_read(problem, action) if fluent[0] in numbers)
     return tuple(fluent for fluent in read if fluent not in problem.init)
 
 
-def _numbers_read(problem: ProblemModel, action: ActionSchema) -> Iterator[Fluent]:
+def numbers_read(problem: ProblemModel, action: ActionSchema) -> Iterator[Fluent]:
     """Yield what the action reads with no parameter, or one, for all objects of its type; untyped ones may stand for any object."""
     types = {variable.name: variable.types for variable in action.parameters if variable.types != ("object",)}
-    for fluent in chain.from_iterable(map(expression_fluents, _expressions(action))):
+    for fluent in chain.from_iterable(map(expression_fluents, expressions_in(action))):
         match fluent:
             case (_,):
                 yield fluent
@@ -38,7 +38,8 @@ def _numbers_read(problem: ProblemModel, action: ActionSchema) -> Iterator[Fluen
                 pass
 
 
-def _expressions(action: ActionSchema) -> Iterator[Expression]:
+def expressions_in(action: ActionSchema) -> Iterator[Expression]:
+    """Yield the expressions that the action computes: in its conditions, its duration and its effects."""
     for part in chain.from_iterable(map(every_part, (action.precondition, action.invariant, action.end_condition))):
         if isinstance(part, Compare):
             yield from (part.left, part.right)

@@ -130,8 +130,10 @@ class CallResults:
         """Keep the message of a request of the call that has ended."""
         self._messages[call] = outcome.message or outcome.kind.value
 
-    def fired(self, rule: Rule, call: int, now: float, check: Explanation | None, *, missing: tuple[str, ...], assumed: bool) -> None:
-        """Record the firing of a transition: it sets the outcome of its call and the cause of a recovery or failure.
+    def fired(
+        self, rule: Rule, call: int, now: float, check: Explanation | None, *, missing: tuple[str, ...], assumed: bool
+    ) -> Explanation | None:
+        """Record the firing of a transition: it sets the outcome of its call and the cause of a recovery or failure, which is returned.
 
         Args:
             rule: of the transition.
@@ -164,10 +166,13 @@ class CallResults:
                 self.current[call] = replace(result, kind=rule.outcome, cause=None, ended=now, assumed=assumed)
         if check is not None:
             self._causes[call] = check
-        elif rule.cause is not None and not is_check(rule.guard):
+            return check
+        if rule.cause is not None and not is_check(rule.guard):
             expected = " ".join(missing) if isinstance(rule.guard, EffectsMissing) else rule.expected or "success"
             message = self._messages.get(call, "")
             self._causes[call] = Explanation(rule.cause, expected, rule.observed.format(message=message) or message)
+            return self._causes[call]
+        return None
 
     def adopted(self, call: ActionCall, before: CallResult) -> None:
         """Record the result so far of a call that another run has sent."""

@@ -37,11 +37,13 @@ from pnm.core.machine.machine import (
     Ending,
     Ends,
     Failing,
+    Guard,
     InvariantFalse,
     PauseAsked,
     Rule,
     Withheld,
 )
+from pnm.core.machine.requests import Accepted, Report
 
 NEVER: Final = float("inf")
 
@@ -219,6 +221,13 @@ class Guards:
                 return Explanation(rule.cause, f"an end within {seconds:g} s of the plan's start", passed)
             case _:
                 return None
+
+
+def admits(guard: Guard, report: Report) -> bool:
+    """Return whether a report about the request opens the guard."""
+    if isinstance(report, Accepted):
+        return isinstance(guard, Accepts)
+    return isinstance(guard, Ends) and report.outcome.kind in guard.kinds
 
 
 def _grounded(condition: Condition, context: EvaluationContext) -> Condition:

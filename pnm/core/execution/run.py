@@ -34,7 +34,7 @@ from pnm.core.execution.events import (
     Wake,
     Withdraw,
 )
-from pnm.core.execution.guards import NEVER, Guards
+from pnm.core.execution.guards import NEVER, Guards, admits
 from pnm.core.execution.handover import UnderWay, check_adoption
 from pnm.core.execution.questions import Questions
 from pnm.core.execution.resources import Resources, RunClaims
@@ -43,7 +43,7 @@ from pnm.core.execution.run_view import RunView
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.machine import Accepts, CallOutcome, EffectsMissing, Ends, PetriNetMachine, Rule, TransitionAction, Withheld
+from pnm.core.machine.machine import CallOutcome, EffectsMissing, PetriNetMachine, Rule, TransitionAction, Withheld
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, OutcomeKind, Report
 from pnm.core.net.firing_engine import Engine
@@ -221,7 +221,7 @@ class Run(RunView):
         """Fire the transition of the call that the report opens, if there is one."""
         missing, rules = self._engine.missing, self._index.rules
         for transition in self._index.reported[call]:  # at most one fires: the request of a call is waited for at one place at a time
-            if not missing[transition] and _admits(rules[transition], report):
+            if not missing[transition] and admits(rules[transition].guard, report):
                 self._fire(transition, None)
                 return True
         return False
@@ -352,7 +352,11 @@ class Run(RunView):
     def _note(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
         missing = self._guards.unseen(call, place) if isinstance(rule.guard, EffectsMissing) else ()
         assumed = rule.outcome is CallOutcome.SUCCEEDED and is_assumed(self._calls.action(call), self._guards.context(call, place))
-        self._results.fired(rule, call, self._state.now, check, missing=missing, assumed=assumed)
+        cause = self._results.fired(rule, call, self._state.now, check, missing=missing, assumed=assumed)
+        if cause is not None:
+            self._observer.hindered(self._calls.as_sent(call), cause, self._state.now)
+        if rule.outcome is CallOutcome.ALREADY_TRUE:
+            self._observer.spared(self._calls.as_sent(call), self._state.now)
         if rule.gives_up:
             self._calls.forget(call)
 
@@ -391,9 +395,3 @@ class Run(RunView):
 def _subject(plan: PlanGraph, call: int | None) -> str:
     """Return for whose sake a question is asked: the action as the plan has it."""
     return "" if call is None or call >= len(plan.calls) else str(plan.calls[call].action)
-
-
-def _admits(rule: Rule, report: Report) -> bool:
-    if isinstance(report, Accepted):
-        return isinstance(rule.guard, Accepts)
-    return isinstance(rule.guard, Ends) and report.outcome.kind in rule.guard.kinds
