@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import signal
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,7 @@ from planner_bridge.cli.options import (
     planning,
     print_warnings,
     problem_in,
+    searching,
     sensing_option,
     write,
     write_files,
@@ -72,7 +74,9 @@ def plan(domain: Path, problem: Path, planner: str, timeout: float, as_json: boo
     from planner_bridge.model.plan import PlanningStatus
     from planner_bridge.planning.solve import solve
 
-    result = solve(problem_in(domain, problem), planner=planner, timeout=timeout)
+    loaded = problem_in(domain, problem)
+    with searching(planner):
+        result = solve(loaded, planner=planner, timeout=timeout)
     if as_json:
         steps = [
             {"action": step.action, "arguments": list(step.arguments), "start": step.start, "duration": step.duration}
@@ -126,7 +130,8 @@ def net(
     else:
         loaded = problem_in(*chosen)
         bound = bindings_for(chosen[0], bindings, loaded.vocabulary)
-        result = solve(loaded, planner=planner, timeout=timeout)
+        with searching(planner):
+            result = solve(loaded, planner=planner, timeout=timeout)
         if result.plan is None:
             print(f"no plan: {result.reason}", file=sys.stderr)
             return 1
@@ -250,7 +255,8 @@ def export(
     from pnm.core.machine.bindings import Bindings
 
     bound = bindings_for(domain, bindings, None)
-    result = exported(domain, problem, with_plan=with_plan, original=original, bindings=bound, planner=planner, timeout=timeout)
+    with searching(planner) if with_plan or original else nullcontext():
+        result = exported(domain, problem, with_plan=with_plan, original=original, bindings=bound, planner=planner, timeout=timeout)
     print_warnings(result.warnings)
     if result.reason:
         print(f"no plan: {result.reason}", file=sys.stderr)

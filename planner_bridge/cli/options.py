@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import wraps
 from math import isfinite
@@ -108,6 +109,17 @@ def chosen_files(domain: Path | None, problem: Path | None, plan_file: Path | No
     if domain is None or problem is None:
         raise InputError("expected DOMAIN and PROBLEM, or --plan and a file")
     return domain, problem
+
+
+@contextmanager
+def searching(planner: str) -> Iterator[None]:
+    """Show on a terminal that a planner is being asked: it may take as long as its limit."""
+    with ExitStack() as shown:
+        if sys.stderr.isatty():
+            from rich.console import Console  # here, because most commands have no use for it
+
+            shown.enter_context(Console(stderr=True).status(f"{planner} is looking for a plan"))
+        yield
 
 
 def problem_in(domain: Path, problem: Path) -> Problem:
