@@ -141,7 +141,7 @@ def check_output(path: Path, *, force: bool) -> None:
     """Raise an `InputError` if a file exists that is not to be replaced, or its folder does not."""
     if not path.parent.is_dir():
         raise InputError(f"{path}: cannot be written: there is no folder {path.parent}")
-    if path.is_file() and not force:
+    if path.is_file() and not force and not path.is_relative_to("/dev"):  # /dev/stdout may be redirected to a file
         raise InputError(f"{path}: there is such a file already; --force replaces it")
 
 

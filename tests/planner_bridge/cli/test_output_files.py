@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -23,6 +25,13 @@ def test_a_file_that_exists_is_not_replaced(domain: Path, command: str) -> None:
     done = pnm(command, str(domain), str(domain.parent / "problem.pddl"), "--log" if command == "simulate" else "-o", str(domain))
     assert (done.returncode, done.stderr) == (2, f"{domain}: there is such a file already; --force replaces it\n")
     assert domain.read_bytes() == before
+
+
+def test_the_output_may_be_a_device_that_is_redirected(domain: Path) -> None:
+    with (domain.parent / "out").open("w") as out:
+        command = [sys.executable, "-m", "planner_bridge", "export", str(domain), "-o", "/dev/stdout"]
+        assert subprocess.run(command, stdout=out, stderr=subprocess.DEVNULL, check=False, cwd=ROOT).returncode == 0
+    assert (domain.parent / "out").read_text().startswith("#")
 
 
 def test_nothing_is_imported_over_files_that_exist(domain: Path) -> None:
