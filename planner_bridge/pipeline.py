@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, cast
@@ -61,7 +62,7 @@ def achieve(
         InputError: an input is wrong; nothing was started.
     """
     settings, observer, seconds = settings or Settings(), observer or TaskObserver(), stopwatch or Stopwatch()
-    check_kinds(settings, observer, faults)
+    check_arguments(settings, observer, faults)
     with seconds.of("parse"):
         loaded = load(domain, problem)
         if settings.bindings == Bindings() and isinstance(domain, Path | str):
@@ -122,7 +123,7 @@ def carry_out(
         InputError: an input is wrong; nothing was started.
     """
     settings, observer, stopwatch = settings or Settings(), observer or TaskObserver(), Stopwatch()
-    check_kinds(settings, observer, faults)
+    check_arguments(settings, observer, faults)
     with stopwatch.of("parse"):
         plans = {name: _with_settings(plan, settings, on_failure) for name, plan in read_plans(file).items()}
         chosen = chosen_plan(plans, name)
@@ -168,8 +169,11 @@ def _no_goal(text: str) -> Condition:
     raise InputError(f"there are no goals here: {text}")
 
 
-def check_kinds(settings: Settings, observer: TaskObserver, faults: Faults) -> None:
-    """Raise an `InputError` if one of these is something else, the name of a file for instance."""
+def check_arguments(settings: Settings, observer: TaskObserver, faults: Faults) -> None:
+    """Raise an `InputError` if one of these is something else, the name of a file for instance, or if an event loop is running already."""
+    with suppress(RuntimeError):
+        asyncio.get_running_loop()
+        raise InputError("an event loop is running here, and this needs one of its own: call it by `await asyncio.to_thread(...)`")
     for value, kind in ((settings, Settings), (observer, TaskObserver), (faults, Faults)):
         if not isinstance(value, kind):
             raise InputError(f"expected {kind.__name__}, found {value!r}")

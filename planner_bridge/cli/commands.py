@@ -232,7 +232,10 @@ def simulate(
 @output_options
 @click.option("--plan", "with_plan", is_flag=True, help="find a plan for the problem, and write it as well")
 @click.option(
-    "--seed-compatible", "original", is_flag=True, help="write the plan as the first implementation of Petri Net Machines loads it"
+    "--seed-compatible",
+    "original",
+    is_flag=True,
+    help="write the plan as the first implementation of Petri Net Machines loads it, which knows no durations",
 )
 @bindings_option
 @planning
