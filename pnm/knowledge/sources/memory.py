@@ -32,13 +32,11 @@ def read_value(text: str) -> object:
     if len(text) > MAX_SIZE:
         raise SourceError(f"{_short(text)} has {len(text)} characters; expected at most {MAX_SIZE}")
     try:
-        return json.loads(text, parse_constant=_refuse, parse_float=_number)
+        return json.loads(
+            text, parse_constant=_refuse, parse_float=lambda written: number if isfinite(number := float(written)) else _refuse(written)
+        )
     except (ValueError, RecursionError) as error:
         raise SourceError(f"{_short(text)!r} is not JSON: {error}") from error
-
-
-def _number(text: str) -> float:
-    return number if isfinite(number := float(text)) else _refuse(text)
 
 
 def _refuse(name: str) -> Never:
