@@ -53,19 +53,10 @@ def exported(
     planner: str = "kairos",
     timeout: float = 30.0,
 ) -> Exported:
-    """Return files as YAML.
+    """Return a PDDL domain as YAML: alone, with a problem for it, or with a plan besides, which the planner has `timeout` seconds to find.
 
-    Args:
-        domain: a PDDL file.
-        problem: a PDDL file for it, which a plan needs.
-        with_plan: whether a plan is found and written, too.
-        original: whether a plan for the first implementation is written.
-        bindings: how actions are bound to servers, written beside them; the first implementation has no place for that.
-        planner: which finds the plan.
-        timeout: seconds that may take.
-
-    Raises:
-        InputError: a file is wrong, or has what cannot be written.
+    The plan can be written for the `original`, the first implementation. Raises `InputError` if a file is wrong, or has what cannot
+    be written. Bindings are written beside the actions; the first implementation has no place for them.
     """
     model = read_domain(domain)
     for name in bindings.actions.keys() - model.actions.keys():
@@ -88,10 +79,9 @@ def exported(
 
 
 def imported(file: Path) -> Imported:
-    """Return the domain of a YAML file, and its problem, as PDDL; and how its actions are bound to servers, as a bindings file.
+    """Return the domain of a YAML file, and its problem, as PDDL, and how its actions are bound as a bindings file.
 
-    Raises:
-        InputError: the file is wrong, or has what PDDL has not.
+    Raises `InputError` if the file is wrong, or has what PDDL has not.
     """
     contents = read(file)
     texts = {"domain.pddl": domain_text(contents.domain, contents.of("domain"))}
