@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from pnm.core.machine.machine import CallOutcome, EffectsMissing, Rule, is_check
+from pnm.core.machine.machine import CallOutcome, EffectsMissing, Rule, TransitionAction, is_check
 from pnm.core.machine.plan_graph import ActionCall, Cause, PlanGraph, Step
 from pnm.core.machine.requests import Outcome
 
@@ -163,6 +163,7 @@ class CallResults:
                 if result.ended is None:
                     self.current[call] = replace(result, kind=rule.outcome, cause=self._causes[call].cause, ended=now)
             case _:
+                assumed = assumed and rule.action is TransitionAction.FINISH
                 self.current[call] = replace(result, kind=rule.outcome, cause=None, ended=now, assumed=assumed)
         if check is not None:
             self._causes[call] = check

@@ -12,11 +12,11 @@ from uuid import UUID
 
 from pnm.core.execution.call_requests import Calls
 from pnm.core.execution.call_results import Explanation
-from pnm.core.execution.effect_checks import already_true, may_be_late
+from pnm.core.execution.effect_checks import already_true
 from pnm.core.execution.questions import EvaluationContext, Questions
 from pnm.core.execution.resources import Claim, RunClaims, who_keeps
 from pnm.core.execution.run_state import RunState
-from pnm.core.logic.conditions import All, Condition, conjuncts, ground, names
+from pnm.core.logic.conditions import Condition, ground, names
 from pnm.core.logic.evaluation import evaluate, explanation, observed
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.machine import (
@@ -37,7 +37,6 @@ from pnm.core.machine.machine import (
     Ends,
     Failing,
     Guard,
-    InvariantFalse,
     PauseAsked,
     Rule,
     Withheld,
@@ -50,8 +49,7 @@ NEVER: Final = float("inf")
 class Guards:
     """Evaluates the guards of a run. Questions may be asked for a guard at a place; without a place only what is known counts.
 
-    The mutable state is since when conditions have not been true, since when resources have been withheld, and which parts of an
-    over-all condition have held since the call began, by transition.
+    The mutable state is since when conditions have not been true, and since when resources have been withheld, by transition.
     """
 
     def __init__(self, state: RunState, calls: Calls, claims: RunClaims, questions: Questions) -> None:
@@ -61,7 +59,6 @@ class Guards:
         self._questions = questions
         self._false_since: dict[int, float] = {}
         self._withheld_since: dict[int, float] = {}
-        self._held: dict[int, list[Condition]] = {}
 
     def opens(self, transition: int, place: int) -> float:
         """Return when the guard opens as far as is known: now or earlier, at a later time, or never by itself.
@@ -93,8 +90,6 @@ class Guards:
                 truth = evaluate(_grounded(condition, context), context)
                 opens = self._after(self._false_since, transition, truth is not True, context.world.lag(names(condition)))
                 return opens if truth is UNKNOWN else NEVER
-            case InvariantFalse(condition):
-                return self._breaks(condition, rule.call, transition, place)
             case AlreadyTrue(call):
                 context = self.context(call, place)
                 return _now_if(already_true(self._calls.ready(call, context), context))
@@ -129,28 +124,12 @@ class Guards:
         since.pop(transition, None)  # a condition that was true in between begins to be false anew
         return NEVER
 
-    def _breaks(self, condition: Condition, call: int | None, transition: int, place: int) -> float:
-        """Return when the over-all condition of the call counts as broken: at once, unless all that is false of it may be a late report."""
-        assert call is not None, "only calls have over-all conditions"
-        context, held = self.context(call, place), self._held.setdefault(transition, [])
-        false: list[Condition] = []
-        for part in conjuncts(_grounded(condition, context)):
-            if evaluate(part, context) is not True:
-                false.append(part)
-            elif part not in held:
-                held.append(part)
-        action = self._calls.action(call)
-        if not all(may_be_late(part, action, context, has_held=part in held) for part in false):
-            return -NEVER
-        return self._after(self._false_since, transition, bool(false), context.world.lag(names(All(tuple(false)))))
-
     def forget(self, place: int) -> Iterator[UUID]:
         """Forget since when guards at the place have been waiting; yield its questions, whose answers are no longer needed."""
         # The next token at this place is a new decision, with delays that begin anew.
         for consumer, _ in self._state.engine.compiled.consumers[place]:
             self._false_since.pop(consumer, None)
             self._withheld_since.pop(consumer, None)
-            self._held.pop(consumer, None)
         return self._questions.left(place)
 
     def context(self, call: int | None, place: int | None) -> EvaluationContext:
@@ -201,7 +180,7 @@ class Guards:
         if rule.cause is None:
             return None
         match rule.guard:
-            case ConditionFalse(condition) | InvariantFalse(condition):
+            case ConditionFalse(condition):
                 return Explanation(rule.cause, *self.explain(condition, rule.call, place))
             case ConditionUnknown(condition):
                 return Explanation(rule.cause, f"{condition} to be true or false", self.explain(condition, rule.call, place)[1])

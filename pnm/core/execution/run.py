@@ -351,7 +351,7 @@ class Run(RunView):
 
     def _note(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
         missing = self._guards.unseen(call, place) if isinstance(rule.guard, EffectsMissing) else ()
-        assumed = rule.outcome is CallOutcome.SUCCEEDED and is_assumed(self._calls.action(call), self._guards.context(call, place))
+        assumed = rule.action is TransitionAction.FINISH and is_assumed(self._calls.action(call), self._guards.context(call, place))
         cause = self._results.fired(rule, call, self._state.now, check, missing=missing, assumed=assumed)
         if cause is not None:
             self._observer.hindered(self._calls.as_sent(call), cause, self._state.now)

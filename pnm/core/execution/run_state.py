@@ -22,7 +22,6 @@ from pnm.core.machine.machine import (
     EffectsMissing,
     EffectsSeen,
     Ends,
-    InvariantFalse,
     OnFailure,
     PetriNetMachine,
     Rule,
@@ -30,7 +29,7 @@ from pnm.core.machine.machine import (
 )
 from pnm.core.net.firing_engine import Engine
 
-_KNOWING: Final = (ConditionTrue, ConditionFalse, ConditionUnknown, InvariantFalse, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
+_KNOWING: Final = (ConditionTrue, ConditionFalse, ConditionUnknown, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
 """Guards whose answer may change when facts change."""
 
 

@@ -6,8 +6,7 @@ A call whose start others wait for *announces* it once: when the first request i
 replaces that (skip, already true, failure). Therefore such a call has its places up to acceptance twice: for the
 attempts before its start was announced and for those after.
 
-An end that must wait for other events (`awaited`) is reached by the robot when it likes. What nothing reports of it is
-believed then, so that a match that went out too early is out for all who need its light; its checks and its `fork`
+An end that must wait for other events (`awaited`) is reached by the robot when it likes; its checks and its `fork`
 wait. A retry moves a token from *budget* to *spent*; giving up takes all of *spent*, by an arc whose weight is the
 whole budget. A recovery that the plan gives for a cause replaces retrying.
 
@@ -48,7 +47,6 @@ from pnm.core.machine.machine import (
     Ending,
     Ends,
     Guard,
-    InvariantFalse,
     PauseAsked,
     Rule,
     TransitionAction,
@@ -129,7 +127,7 @@ class CallBlock(Block[ActionCall]):
         # While other events are awaited the robot is at rest; its resources are free for others then.
         if name in _ALIVE or (name == "finished" and not self.awaited):
             self.builder.alive_places.add(self.name(name))
-        if name in ("returned", "ended", "finished"):
+        if name in ("returned", "finished"):
             self.builder.settling_places[self.name(name)] = self.step.index
         return super().place(name)
 
@@ -240,7 +238,7 @@ class CallBlock(Block[ActionCall]):
         self.fire(Rule("suspend", PauseAsked(), call, action=_CANCEL), "running", "suspending")
         if self.step.action.invariant != TRUE:
             # The failure is marked at once, with the cancellation still to be confirmed: it is the cause, whatever the server answers.
-            broken = check_rule(Cause.INVARIANT_FALSE, InvariantFalse(self.step.action.invariant), call, _CANCEL)
+            broken = check_rule(Cause.INVARIANT_FALSE, ConditionFalse(self.step.action.invariant), call, _CANCEL)
             self.fire(broken, "running", "stopping", "failed")
         if isfinite(self.step.deadline):
             missed = check_rule(Cause.DEADLINE_MISSED, Due(self.step.deadline), call, _CANCEL)
@@ -278,15 +276,11 @@ class CallBlock(Block[ActionCall]):
     def _finish(self, phase: str) -> None:
         """From success to done, once the effects are seen."""
         call = self.step.index
-        if self.awaited:
-            self.place("ended")
-            self.fire(Rule("end", call=call, action=TransitionAction.FINISH), "returned", "ended")
-            # The places are given back at once: here they are only looked at, and `fork` takes them in the end.
-            self.add(Rule("await", call=call), [self.name("ended"), *self.awaited], [self.name("finished"), *self.awaited])
+        if self.awaited:  # the places are given back at once: here they are only looked at, and `fork` takes them in the end
+            self.add(Rule("await", call=call), [self.name("returned"), *self.awaited], [self.name("finished"), *self.awaited])
         # Before the check of the effects: the plan may want to react to a success that only looks like one.
         self._own_checks(Cause.AFTER, "finished")
-        finish = None if self.awaited else TransitionAction.FINISH
-        effects_hold = Rule("effects_hold", EffectsSeen(call), call, action=finish, outcome=CallOutcome.SUCCEEDED)
+        effects_hold = Rule("effects_hold", EffectsSeen(call), call, action=TransitionAction.FINISH, outcome=CallOutcome.SUCCEEDED)
         self.fire(effects_hold, "finished", "done")
         not_so, recover = "the call is done, but that is not so", [self.name(phase + "recover")]
         self._outcome(Cause.EFFECTS_MISSING.value, EffectsMissing(call), "finished", Cause.EFFECTS_MISSING, recover, observed=not_so)

@@ -74,13 +74,6 @@ class ConditionUnknown:
 
 
 @dataclass(frozen=True, slots=True)
-class InvariantFalse:
-    """Open when the over-all condition of a call under way is reported false; only what may not be reported yet gets the time for that."""
-
-    condition: Condition
-
-
-@dataclass(frozen=True, slots=True)
 class AlreadyTrue:
     """Open when all that the call would change is a plain fact and is so already."""
 
@@ -165,7 +158,6 @@ Guard: TypeAlias = (
     | ConditionTrue
     | ConditionFalse
     | ConditionUnknown
-    | InvariantFalse
     | AlreadyTrue
     | DataMissing
     | Withheld
@@ -181,7 +173,7 @@ Guard: TypeAlias = (
 
 def is_check(guard: Guard) -> bool:
     """Return whether the guard compares a condition, data, time or resources with what is known, and no end of a request."""
-    return isinstance(guard, (ConditionTrue, ConditionFalse, ConditionUnknown, InvariantFalse, DataMissing, Withheld, Due))
+    return isinstance(guard, (ConditionTrue, ConditionFalse, ConditionUnknown, DataMissing, Withheld, Due))
 
 
 class TransitionAction(Enum):

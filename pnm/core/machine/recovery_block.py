@@ -1,6 +1,6 @@
 """Recoveries of a call that the plan itself gives: chains of steps, and how to go on after them.
 
-    recovering → (recover) → chain → recovered → ready, where a success leads, done, or done and failed
+    recovering → (recover) → chain → recovered → ready, finished, done, or done and failed
 
 Every use takes a token from *uses left* and gives one to *uses spent*; when all are spent, the call gives up.
 """
@@ -31,7 +31,7 @@ class Recoveries:
     """Checks of the plan's own, before or after: their names, conditions, and what is marked when they hold."""
 
 
-_DIRECT: Final = {Then.SKIP: ("done",), Then.FAIL: ("done", "failed")}
+_DIRECT: Final = {Then.CONTINUE: ("finished",), Then.SKIP: ("done",), Then.FAIL: ("done", "failed")}
 """Places that are marked by recoveries which have nothing to do first."""
 
 
@@ -42,9 +42,7 @@ def build_recoveries(block: Block[ActionCall]) -> Recoveries:
     checks: list[tuple[Cause, str, Condition, list[str]]] = []
     for number, recovery in enumerate(block.step.recoveries):
         # Without a chain and with nothing to repeat there is nothing to count: the token goes on directly.
-        if recovery.chain == EMPTY and recovery.then is Then.CONTINUE:
-            entered = [_succeeded(block)]
-        elif recovery.chain == EMPTY and recovery.then in _DIRECT:
+        if recovery.chain == EMPTY and recovery.then in _DIRECT:
             entered = [block.name(place) for place in _DIRECT[recovery.then]]
         else:
             entered = _chained(block, recovery, number)
@@ -81,7 +79,7 @@ def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> list[
         case Then.RETRY:
             goal = [block.name("ready")]
         case Then.CONTINUE:
-            goal = [_succeeded(block)]
+            goal = [block.name("finished")]
         case Then.SKIP:
             goal = [done]
         # The call is done as well as failed: its successors get their tokens and skip, so that no token is left behind.
@@ -95,11 +93,6 @@ def _chained(block: Block[ActionCall], recovery: Recovery, number: int) -> list[
             assert_never(then)
     block.add(Rule(then.value, replans=then is Then.REPLAN), [recovered], goal, title=f"{then.value} {number}")
     return [recovering]
-
-
-def _succeeded(block: Block[ActionCall]) -> str:
-    """Return the place that is marked when the request has succeeded."""
-    return block.name("returned" if block.awaited else "finished")
 
 
 def abandon(block: Block[ActionCall], place: str, *announced: str, phase: str = "") -> None:
