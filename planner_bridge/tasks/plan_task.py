@@ -60,6 +60,7 @@ class PlanTask:
             context.observer.generated(program.machine, program.proof)
             context.control.enter(TaskState.RUNNING)
             began = asyncio.get_running_loop().time()
+            context.observer.began(began)
             with context.task.stopwatch.of("execute"):
                 run = await self._runner.execute(plan_run)
         stopped = self._context.control.stopped

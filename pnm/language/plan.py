@@ -26,7 +26,7 @@ from pnm.knowledge.sources.registry import SourceChoice
 from pnm.language.actions import LanguageAction
 from pnm.language.declarations import read_facts
 from pnm.language.domain import LanguageDomain, read_goal
-from pnm.language.files import PlanHead, beside, parse_documents, plan_heads, plan_heads_in, read_documents, read_domain
+from pnm.language.files import PlanHead, beside, is_world, parse_documents, plan_heads, plan_heads_in, read_documents, read_domain
 from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, unknown
 from pnm.language.formulas.values import read_literal
 from pnm.language.ground_calls import Facts
@@ -78,7 +78,7 @@ class HandWrittenPlan:
 
 
 def read_plans(path: Path, domain: Path | None = None) -> dict[str, HandWrittenPlan]:
-    """Read all plans of a file, by name.
+    """Read all plans of a file, or of the world in it, by name.
 
     Args:
         path: the file.
@@ -87,6 +87,9 @@ def read_plans(path: Path, domain: Path | None = None) -> dict[str, HandWrittenP
     Raises:
         InputError: there is none, something is malformed, or has names that are not there.
     """
+    documents, _ = read_documents(path)
+    if len(documents) == 1 and is_world(documents[0]):
+        return dict(read_world(path).plans)
     return finished(plan_heads(path, None if domain is None else read_domain(domain)))
 
 

@@ -20,7 +20,7 @@ from planner_bridge.planning.plan_text import read_plan
 from planner_bridge.tasks.context import TaskContext
 from planner_bridge.tasks.goal_loop import GoalLoop
 from planner_bridge.tasks.plan_task import PlanTask
-from planner_bridge.tasks.result import Stopwatch, TaskResult
+from planner_bridge.tasks.result import Stopwatch, TaskResult, join_reasons
 from planner_bridge.tasks.scheduling.planning_queue import PlanningQueue
 from planner_bridge.tasks.scheduling.preemption import Preemption
 from planner_bridge.tasks.settings import OnChange, Settings, TaskObserver
@@ -315,6 +315,11 @@ class TaskManager:
             task.error = error
             if not task.observers:  # which get the error themselves
                 _log.exception("%s cannot be done", task.name)
+        except asyncio.CancelledError:
+            stopped = task.control.stopped
+            reasons = join_reasons(stopped.reason if stopped else "", "what it runs is left alone")
+            ending = TaskEnding(stopped.code if stopped else Code.CANCELLED, reasons)
+            raise
         finally:
             del self._work[task.id]
             self._end(task, ending)

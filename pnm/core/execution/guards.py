@@ -17,7 +17,8 @@ from pnm.core.execution.questions import EvaluationContext, Questions
 from pnm.core.execution.resources import Claim, RunClaims, who_keeps
 from pnm.core.execution.run_state import RunState
 from pnm.core.logic.conditions import All, Condition, conjuncts, ground, names
-from pnm.core.logic.evaluation import evaluate, failing, observed
+from pnm.core.logic.evaluation import evaluate, explanation, observed
+from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.machine import (
     Accepts,
     Adopted,
@@ -27,6 +28,7 @@ from pnm.core.machine.machine import (
     CancelAsked,
     ConditionFalse,
     ConditionTrue,
+    ConditionUnknown,
     DataMissing,
     Due,
     EffectsMissing,
@@ -87,6 +89,11 @@ class Guards:
                 return self._after(self._false_since, transition, not self._holds(condition, context), context.world.lag(names(condition)))
             case InvariantFalse(condition):
                 return self._breaks(condition, rule.call, transition, place)
+            case ConditionUnknown(condition):
+                context = self.context(rule.call, place)
+                truth = evaluate(_grounded(condition, context), context)
+                opens = self._after(self._false_since, transition, truth is not True, context.world.lag(names(condition)))
+                return opens if truth is UNKNOWN else NEVER
             case AlreadyTrue(call):
                 context = self.context(call, place)
                 return _now_if(already_true(self._calls.ready(call, context), context))
@@ -192,9 +199,8 @@ class Guards:
     def explain(self, condition: Condition, call: int | None, place: int | None) -> tuple[str, str]:
         """Return which parts of the condition are expected and not so, and what was seen instead."""
         context = self.context(call, place)
-        missing = failing(_grounded(condition, context), context)
-        seen = (*(observed(part, context) for part in missing), *self._questions.silence_at(place))
-        return " ".join(map(str, missing)), "; ".join(seen)
+        expected, seen = explanation(_grounded(condition, context), context)
+        return expected, "; ".join(filter(None, (seen, *self._questions.silence_at(place))))
 
     def explain_check(self, rule: Rule, place: int | None) -> Explanation | None:
         """Return the cause that a check has found, with what was expected and what was seen; None if the rule has no cause or no check."""
@@ -203,6 +209,8 @@ class Guards:
         match rule.guard:
             case ConditionFalse(condition) | InvariantFalse(condition):
                 return Explanation(rule.cause, *self.explain(condition, rule.call, place))
+            case ConditionUnknown(condition):
+                return Explanation(rule.cause, f"{condition} to be true or false", self.explain(condition, rule.call, place)[1])
             case ConditionTrue(condition):
                 return Explanation(rule.cause, rule.expected or f"(not {condition})", observed(condition, self.context(rule.call, place)))
             case DataMissing(call):

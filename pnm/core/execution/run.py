@@ -323,6 +323,7 @@ class Run(RunView):
             self._note(rule, rule.call, place, None if fails else check)
             if rule.action is not None:
                 self._perform(rule.action, rule.call, place)
+        self._results.last_check = check
         was_ending, marked_at = state.ending, state.now
         if rule.action is TransitionAction.ADOPT and rule.call is not None:
             marked_at = state.adopted.pop(rule.call).accepted  # its limits count from there
@@ -349,7 +350,11 @@ class Run(RunView):
     def _note(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
         missing = self._guards.unseen(call, place) if isinstance(rule.guard, EffectsMissing) else ()
         assumed = rule.outcome is CallOutcome.SUCCEEDED and is_assumed(self._calls.action(call), self._guards.context(call, place))
-        self._results.fired(rule, call, self._state.now, check, missing=missing, assumed=assumed)
+        cause = self._results.fired(rule, call, self._state.now, check, missing=missing, assumed=assumed)
+        if cause is not None:
+            self._observer.hindered(self._calls.as_sent(call), cause, self._state.now)
+        if rule.outcome is CallOutcome.ALREADY_TRUE:
+            self._observer.spared(self._calls.as_sent(call), self._state.now)
         if rule.gives_up:
             self._calls.forget(call)
 

@@ -17,6 +17,7 @@ from pnm.core.machine.machine import (
     AlreadyTrue,
     ConditionFalse,
     ConditionTrue,
+    ConditionUnknown,
     DataMissing,
     EffectsMissing,
     EffectsSeen,
@@ -30,7 +31,7 @@ from pnm.core.machine.machine import (
 from pnm.core.machine.requests import Ended, Report
 from pnm.core.net.firing_engine import Engine
 
-_KNOWING: Final = (ConditionTrue, ConditionFalse, InvariantFalse, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
+_KNOWING: Final = (ConditionTrue, ConditionFalse, ConditionUnknown, InvariantFalse, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
 """Guards whose answer may change when facts change."""
 
 

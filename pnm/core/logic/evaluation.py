@@ -72,6 +72,11 @@ def evaluate(condition: Condition, state: State, env: Environment = NOTHING) -> 
             assert_never(condition)
 
 
+def unmet(condition: Condition, state: State) -> tuple[Condition, ...]:
+    """Return the conjuncts that are not true in the state; raises `Unanswered` if one depends on a question that has to be asked first."""
+    return tuple(part for part in conjuncts(condition) if evaluate(part, state) is not True)
+
+
 def negate(truth: Truth) -> Truth:
     """Return the opposite; unknown stays unknown."""
     return truth if truth is UNKNOWN else not truth
@@ -117,21 +122,25 @@ def _compare(operation: str, left: Value | Unknown | None, right: Value | Unknow
     return equal if equal and "=" in operation else not equal and _COMPARE[operation](left, right)
 
 
-def failing(condition: Condition, state: State) -> tuple[Condition, ...]:
-    """Return the conjuncts that do not hold in the state, without those that depend on a question that was never asked."""
-    failed = []
-    for part in conjuncts(condition):
-        with suppress(Unanswered):
-            if evaluate(part, state) is not True:
-                failed.append(part)
-    return tuple(failed)
-
-
 class Witness(State, Protocol):
     """A state that can explain its derived facts."""
 
     def because(self, fluent: Fluent, /) -> str:
         """Return why a derived fact has its truth, to be read after that; empty for a recorded fluent."""
+
+
+def explanation(condition: Condition, state: Witness) -> tuple[str, str]:
+    """Return which conjuncts are expected and not so, and what is observed instead: for people, never to decide, which is for `unmet`.
+
+    A conjunct that depends on a question that was never asked is no reason, unless there is no other.
+    """
+    whole = conjuncts(condition)
+    failed = []
+    for part in whole:
+        with suppress(Unanswered):
+            if evaluate(part, state) is not True:
+                failed.append(part)
+    return " ".join(map(str, failed or whole)), "; ".join(observed(part, state) for part in failed or whole)
 
 
 def observed(condition: Condition, state: Witness) -> str:

@@ -299,7 +299,7 @@ class CallBlock(Block[ActionCall]):
         finish = None if self.awaited else TransitionAction.FINISH
         effects_hold = Rule("effects_hold", EffectsSeen(call), call, action=finish, outcome=CallOutcome.SUCCEEDED)
         self.fire(effects_hold, "finished", "done")
-        not_so, recover = "the action succeeded, but that is not so", [self.name(phase + "recover")]
+        not_so, recover = "the call is done, but that is not so", [self.name(phase + "recover")]
         self._outcome(Cause.EFFECTS_MISSING.value, EffectsMissing(call), "finished", Cause.EFFECTS_MISSING, recover, observed=not_so)
 
     # --- recovery -----------------------------------------------------------------------------

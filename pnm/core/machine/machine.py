@@ -67,6 +67,13 @@ class ConditionFalse:
 
 
 @dataclass(frozen=True, slots=True)
+class ConditionUnknown:
+    """Open when that is so and the condition is unknown: it cannot be computed, or nothing reports what it is about."""
+
+    condition: Condition
+
+
+@dataclass(frozen=True, slots=True)
 class InvariantFalse:
     """Open when the over-all condition of a call under way is reported false; only what may not be reported yet gets the time for that."""
 
@@ -157,6 +164,7 @@ Guard: TypeAlias = (
     | PauseAsked
     | ConditionTrue
     | ConditionFalse
+    | ConditionUnknown
     | InvariantFalse
     | AlreadyTrue
     | DataMissing
@@ -173,7 +181,7 @@ Guard: TypeAlias = (
 
 def is_check(guard: Guard) -> bool:
     """Return whether the guard compares a condition, data, time or resources with what is known, and no end of a request."""
-    return isinstance(guard, (ConditionTrue, ConditionFalse, InvariantFalse, DataMissing, Withheld, Due))
+    return isinstance(guard, (ConditionTrue, ConditionFalse, ConditionUnknown, InvariantFalse, DataMissing, Withheld, Due))
 
 
 class TransitionAction(Enum):

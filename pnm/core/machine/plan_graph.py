@@ -90,6 +90,8 @@ class Cause(StrEnum):
     """Its resources belong to requests that were given up."""
     LOOP_LIMIT = "loop_limit"
     """All rounds of a loop are spent."""
+    CONDITION_UNKNOWN = "condition_unknown"
+    """The condition of a loop or a choice is neither true nor false."""
     GOAL_FALSE = "goal_false"
     """Every step is done, and the goal of the plan does not hold."""
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Final, Protocol, TypeAlias
+from typing import Final, Protocol, TypeAlias, runtime_checkable
 from uuid import UUID
 
 from pnm.core.machine.plan_graph import GroundAction
@@ -81,6 +81,7 @@ Report: TypeAlias = Accepted | Ended | Postponed
 Reporter: TypeAlias = Callable[[Report], None]
 
 
+@runtime_checkable
 class ActionClient(Protocol):
     """Carries out actions. Every method is called on the event loop's thread and returns at once."""
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from math import isfinite
 
 from pnm.core.logic.conditions import Condition
-from pnm.core.machine.machine import After, ConditionFalse, ConditionTrue, Due, Ends, Withheld
+from pnm.core.machine.machine import After, ConditionFalse, ConditionTrue, ConditionUnknown, Due, Ends, Withheld
 from pnm.core.machine.verification.exits import is_timed
 from pnm.core.machine.verification.part import Part, Step
 
@@ -47,7 +47,7 @@ def shape_of(part: Part) -> object:
 def _kind(step: Step, conditions: list[Condition]) -> object:
     """Return what is proved of a guard: when it opens, as far as the world does not decide, and which conditions are the same."""
     match guard := step.guard:
-        case ConditionTrue(condition) | ConditionFalse(condition):
+        case ConditionTrue(condition) | ConditionFalse(condition) | ConditionUnknown(condition):
             if condition not in conditions:  # only whether two guards have the same condition matters: then exactly one of them opens
                 conditions.append(condition)
             return type(guard), conditions.index(condition)
