@@ -41,6 +41,7 @@ from pnm.core.machine.machine import (
 from pnm.core.machine.verification.block_shape import shape_of
 from pnm.core.machine.verification.decompose import Anatomy, Event, step_of
 from pnm.core.machine.verification.explore import Part, Unsound, explore_part
+from pnm.core.machine.verification.plan_in_net import check_events, check_flows
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -76,6 +77,7 @@ def verify(machine: PetriNetMachine) -> Proof:
     Raises:
         Unsound: it is not, or not of the form that `pnm.core.machine` makes.
     """
+    check_flows(machine)
     anatomy = Anatomy(machine)
     proved: set[_Proved] = set()
     waits: dict[Event, set[Event]] = {}
@@ -85,6 +87,7 @@ def verify(machine: PetriNetMachine) -> Proof:
     for owner, names in anatomy.transitions.items():
         _check_rules(anatomy, owner, names)
         block = anatomy.block(owner)
+        check_events(machine, block, names)
         anatomy.note_waits(block, waits)
         proved.add(_proved(block.part))
     try:
