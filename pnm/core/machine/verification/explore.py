@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import Final, NamedTuple, TypeAlias
 
 from pnm.core.machine.machine import Adopted, After, Always, CancelAsked, Due, Ending, Ends, Failing, Guard, PauseAsked
@@ -30,6 +31,28 @@ class Inside:
     """In the place of a guard: what happens inside a region, which takes its time but comes to an end."""
 
 
+class Left(Enum):
+    """How much of a counter is left."""
+
+    ALL = "all"
+    SOME = "some"
+    NONE = "none"
+
+    __hash__ = object.__hash__  # each is there once
+
+
+class Count(NamedTuple):
+    """What a step asks of a counter, a pair of places that one place stands for."""
+
+    place: str
+    cases: frozenset[Left]
+    """Those in which the step is enabled."""
+    possible: frozenset[Left]
+    """All cases of this counter."""
+    restores: bool | None
+    """Whether the step moves a token back, or on; None if it takes all of them away."""
+
+
 class Step(NamedTuple):
     """A transition of a part of a net, or all that happens inside a region."""
 
@@ -37,6 +60,8 @@ class Step(NamedTuple):
     guard: Guard | Inside
     inputs: Weights
     outputs: Weights
+    counted: Count | None = None
+    """What it asks of a counter, which may be so or not at any time."""
 
 
 Tokens: TypeAlias = tuple[int, ...]
@@ -81,6 +106,8 @@ class _State:
     """0: going on, 1: another part asks for the plan to begin anew, 2: a stop, 3: a stop that cancels."""
     supplied: int = 0
     """How many of the supplies have come."""
+    restored: bool = False
+    """Whether something that was counted has come back since the part was entered."""
 
 
 @dataclass
@@ -116,12 +143,15 @@ class _Explorer:
                 tokens[self.index[place]] -= weight
             for place, weight in step.outputs.items():
                 tokens[self.index[place]] += weight
-            yield step.name, _State(tuple(tokens), state.stop, state.supplied)
+            restores = step.counted.restores if step.counted else None
+            if state.restored and restores is False:
+                raise Unsound(f"{step.name} counts on after something was counted back, which may go on for ever")
+            yield step.name, _State(tuple(tokens), state.stop, state.supplied, state.restored or bool(restores))
         if state.supplied < len(self.part.supplies):
             tokens = list(state.tokens)
             for place in self.part.supplies[state.supplied]:
                 tokens[self.index[place]] += 1
-            yield _SUPPLY, _State(tuple(tokens), state.stop, state.supplied + 1)
+            yield _SUPPLY, _State(tuple(tokens), state.stop, state.supplied + 1, state.restored)
         elif self.part.repeats and not self._possible(state):
             tokens = [
                 (0 if number in self.restarts else state.tokens[number]) if number in self.counters else self.part.initial.get(place, 0)
@@ -130,7 +160,7 @@ class _Explorer:
             yield _AGAIN, _State(tuple(tokens), 0 if state.stop == 1 else state.stop)
         for stop in self.stops:
             if stop > state.stop:
-                yield _STOPS[stop], _State(state.tokens, stop, state.supplied)
+                yield _STOPS[stop], _State(state.tokens, stop, state.supplied, state.restored)
 
     def _moods(self, state: _State) -> tuple[bool, bool, bool]:
         failing = state.stop > 1 or any(state.tokens[place] for place in self.failures)
@@ -161,7 +191,7 @@ class _Explorer:
             is_open = _is_open(step.guard, *moods)
             if is_open is not False:
                 found.append(number)
-            if is_open is True:
+            if is_open is True and not step.counted:
                 break
         return found, False
 
@@ -172,7 +202,9 @@ class _Explorer:
             if tokens and place not in self.records:
                 found, waiting = self._exits(place, state, moods, enabled)
                 steps = (self.part.steps[number] for number in found)
-                if any(not waiting or isinstance(step.guard, After | Due) or _is_open(step.guard, *moods) for step in steps):
+                if any(
+                    not waiting or isinstance(step.guard, After | Due) or _is_open(step.guard, *moods) for step in steps if not step.counted
+                ):
                     return False
                 waits = waits or waiting
         return waits
@@ -189,15 +221,30 @@ class _Explorer:
     def _unanswered(self, place: int, state: _State) -> str:
         """Return for which answer of the world no exit opens in finite time, if one is waited for and for no resources."""
         steps = [self.part.steps[number] for number in self.consumers[place]]
-        guards = [step.guard for step in steps if self._is_enabled(step, state)]
+        if any(self._lacks_resources(step, state) for step in steps):
+            return ""
+        enabled = [step for step in steps if self._is_enabled(step, state)]
+        return min((max(self._unsure(case, state) for case in cases) for cases in _cases(enabled)), key=len)
+
+    def _unsure(self, steps: Sequence[Step], state: _State) -> str:
+        """Return for which answer of the world none of the enabled steps at a place opens; empty if one does, or the world is not asked."""
+        guards = [step.guard for step in steps]
         asking = [guard for guard in guards if not isinstance(guard, Inside) and _asks_the_world(guard)]
-        if (
-            not asking
-            or any(_is_open(guard, *self._moods(state)) for guard in guards)
-            or any(self._lacks_resources(step, state) for step in steps)
-        ):
+        if not asking or any(_is_open(guard, *self._moods(state)) for guard in guards):
             return ""
         return missing_exit(asking)
+
+    def is_stuck(self, state: _State) -> bool:
+        """Return whether nothing may happen without something from outside, in some case of the counters."""
+        possible = self._possible(state)
+        if any(not step.counted for step in possible):
+            return False
+        moods = self._moods(state)
+        for place in {place for step in possible for place in step.inputs} - self.part.records:
+            enabled = [step for number in self.consumers[self.index[place]] if self._is_enabled(step := self.part.steps[number], state)]
+            if any(all(any(_is_open(step.guard, *moods) for step in case) for case in cases) for cases in _cases(enabled)):
+                return False
+        return True
 
     def _is_enabled(self, step: Step, state: _State) -> bool:
         return all(state.tokens[self.index[one]] >= weight for one, weight in step.inputs.items())
@@ -272,6 +319,19 @@ def _is_open(guard: Guard | Inside, failing: bool, ending: bool, cancel: bool) -
             return None
 
 
+def _cases(steps: Sequence[Step]) -> Iterator[list[list[Step]]]:
+    """Yield for each counter that the steps ask for, if there is one, which of the steps are enabled in each of its cases.
+
+    Steps that ask for others are left out: they may be enabled or not.
+    """
+    counts = {step.counted.place: step.counted for step in steps if step.counted}
+    if not counts:
+        yield [[*steps]]
+    for place, count in counts.items():
+        own = [step for step in steps if not step.counted or step.counted.place == place]
+        yield [[step for step in own if not step.counted or case in step.counted.cases] for case in count.possible]
+
+
 def _asks_the_world(guard: Guard | Inside) -> bool:
     """Return whether the guard opens because of the world, of a request from outside, or of time."""
     return not isinstance(guard, Inside) and _is_open(guard, False, False, False) is None
@@ -287,7 +347,8 @@ def explore_part(part: Part) -> int:
         raise Unsound(f"a step is called {confusing[0]!r}, as is what happens from outside")
     explorer = _Explorer(part)
     # pauses and entries come from outside, as often as they like: what follows from there is walked through apart
-    apart = {step.name for step in part.steps if isinstance(step.guard, PauseAsked)} | {_AGAIN}
+    # so is what is counted, which comes to an end
+    apart = {step.name for step in part.steps if isinstance(step.guard, PauseAsked) or step.counted} | {_AGAIN}
     start = _State(tuple(part.initial.get(place, 0) for place in part.places))
     roots: list[_Reached] = [(start, None)]
     seen: set[_State] = set()
@@ -307,7 +368,7 @@ def _walk(explorer: _Explorer, root: _Reached, seen: set[_State], apart: Set[str
     def enter(reached: _Reached) -> None:
         state, trace = reached
         nexts = list(explorer.successors(state))
-        stuck = all(name in _FROM_OUTSIDE for name, _ in nexts)
+        stuck = explorer.is_stuck(state)
         if wrong := explorer.check(state, stuck):
             raise Unsound(wrong, _names(trace))
         if len(seen) > MAX_STATES:
