@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator
 from itertools import groupby
 from pathlib import Path
@@ -42,7 +43,7 @@ def bindings_for(domain: Path | None, file: Path | None, known: Vocabulary | Non
     Bindings may use only the names in `known`; any, if it is None.
     """
     beside = domain.parent / "bindings.yaml" if domain else None
-    chosen = file or (beside if beside and beside.is_file() else None)
+    chosen = file or (beside if beside and os.path.isfile(beside) else None)
     return read_bindings(chosen, known) if chosen else Bindings()
 
 

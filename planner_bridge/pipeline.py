@@ -25,7 +25,7 @@ from pnm.errors import InputError, Tolerated
 from pnm.knowledge.sources.registry import Surroundings, open_sources
 from pnm.knowledge.sources.router import Sources
 from pnm.language.plan import HandWrittenPlan, called_plans, chosen_plan, merge_bindings, read_plans, sources_of
-from pnm.language.runner import Performer, Program
+from pnm.language.runner import PlanRunner, Program
 from pnm.ros.backend import Ros2Backend
 from pnm.tasks import Code, Wanted
 
@@ -110,7 +110,7 @@ def carry_out(
         faults: what goes wrong in simulation.
         settings: bindings that come before those of the files, limits, and the planner, for when the plan asks for one.
         observer: notified of every event.
-        on_failure: what running actions do when one has failed, in place of what the plans say.
+        on_failure: what running actions do when one has failed, in place of the plans' own policy.
         knowledge: the file in which global knowledge is kept, in place of what the plan chose.
         warn: called with the warnings about the files.
 
@@ -138,9 +138,9 @@ def carry_out(
             await backend.open(world)
             sources = open_sources(sources_of(plans.values()), Surroundings(getattr(backend, "ros", None), file.parent), knowledge)
             try:
-                performer = Performer(programs, backend, world, sources)
+                runner = PlanRunner(programs, backend, world, sources)
                 wanted = Wanted(uuid4(), chosen, parameters=parameters or {}, is_plan=True)
-                return await _carry_out_at(performer, wanted, replace(settings, bindings=bindings), observer or TaskObserver(), stopwatch)
+                return await _carry_out_at(runner, wanted, replace(settings, bindings=bindings), observer or TaskObserver(), stopwatch)
             finally:
                 await sources.close()
         finally:
@@ -149,15 +149,13 @@ def carry_out(
     return run_async(task(), virtual=actions == "simulated")
 
 
-async def _carry_out_at(
-    performer: Performer, wanted: Wanted, settings: Settings, observer: TaskObserver, stopwatch: Stopwatch
-) -> PlanResult:
-    await performer.check(performer.perform(wanted.text, wanted.parameters))  # before anything is prepared
-    await performer.backend.share(performer.prefix, performer.knowledge_of, performer.source or Sources())
-    await performer.prepare()
+async def _carry_out_at(runner: PlanRunner, wanted: Wanted, settings: Settings, observer: TaskObserver, stopwatch: Stopwatch) -> PlanResult:
+    await runner.check(runner.prepare_run(wanted.text, wanted.parameters))  # before anything is prepared
+    await runner.backend.share(runner.prefix, runner.knowledge_of, runner.source or Sources())
+    await runner.prepare()
     nothing = Problem(wanted.text, Domain(wanted.text))
-    manager = TaskManager(nothing, performer.world, performer.backend, settings, _no_goal, source=performer.source, performer=performer)
-    stop_time = schedule(performer.world, performer.programs[wanted.text].plan.timed, asyncio.get_running_loop().time())
+    manager = TaskManager(nothing, runner.world, runner.backend, settings, _no_goal, source=runner.source, runner=runner)
+    stop_time = schedule(runner.world, runner.programs[wanted.text].plan.timed, asyncio.get_running_loop().time())
     try:
         return cast("PlanResult", await manager.run(wanted, observer, stopwatch))
     finally:

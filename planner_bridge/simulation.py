@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 
 def simulated_backend(described: Problem | HandWrittenPlan, bindings: Bindings, faults: Faults = NO_FAULTS) -> SimulatedBackend:
-    """Return an execution backend of simulated robots, in a world that begins as the problem or plan says."""
+    """Return an execution backend of simulated robots, in the initial world of the problem or plan."""
     return SimulatedBackend(robots_of(described, bindings, faults), bindings.assumed)
 
 
 def robots_of(described: Problem | HandWrittenPlan, bindings: Bindings, faults: Faults, *, speed: float = 1.0) -> SimulatedRobots:
-    """Return simulated robots in a world that begins as the problem or plan says."""
+    """Return simulated robots in the initial world of the problem or plan."""
     if isinstance(described, Problem):
         changing, lasting = dynamic_names(described), described.is_timed
     else:

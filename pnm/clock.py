@@ -15,7 +15,7 @@ import selectors
 from collections.abc import Awaitable, Callable, Coroutine, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager, nullcontext
-from math import isfinite
+from math import isfinite, ulp
 from typing import Any, Final, TypeVar, cast
 
 T = TypeVar("T")
@@ -130,11 +130,16 @@ def short_pauses() -> Iterator[None]:
         gc.unfreeze()
 
 
-class _Jumping(selectors.DefaultSelector):
-    """Waits for file descriptors, but jumps ahead in place of waiting for a timer."""
+_RESOLUTION: Final = 1e-9
+"""Seconds that the virtual clock tells apart at its beginning."""
 
-    def __init__(self) -> None:
+
+class _Jumping(selectors.DefaultSelector):
+    """Waits for file descriptors, but jumps ahead to the next timer in place of waiting for it."""
+
+    def __init__(self, next_timer: Callable[[], float]) -> None:
         super().__init__()
+        self._next_timer = next_timer
         self.now = 0.0
         self.held = 0
 
@@ -143,20 +148,31 @@ class _Jumping(selectors.DefaultSelector):
             return super().select(None if timeout is None or timeout > 0 else timeout)
         ready = super().select(0)
         if not ready and timeout > 0:
-            self.now += timeout
+            self.now = self._next_timer()  # not by the timeout: asyncio waits for a day at most, and sums are rounded
         return ready
 
 
 class VirtualTimeLoop(asyncio.SelectorEventLoop):
     """An event loop whose clock starts at zero and jumps."""
 
+    _scheduled: list[asyncio.TimerHandle]
+
     def __init__(self) -> None:
-        self._jumping = _Jumping()
+        self._jumping = _Jumping(lambda: self._scheduled[0].when())
         super().__init__(self._jumping)
 
     def time(self) -> float:
         """Return the virtual time in seconds."""
         return self._jumping.now
+
+    @property
+    def _clock_resolution(self) -> float:
+        """Seconds by which asyncio lets a timer come early: at least what can be told apart now, or a timer that is due never would be."""
+        return max(_RESOLUTION, ulp(self._jumping.now))
+
+    @_clock_resolution.setter
+    def _clock_resolution(self, _: float) -> None:
+        """Ignore the resolution of the real clock."""
 
     def run_in_executor(self, executor: Executor | None, func: Callable[..., T], *args: Any) -> asyncio.Future[T]:  # type: ignore[override]
         """Run the function in a thread; the clock stands still until it is done."""

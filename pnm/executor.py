@@ -1,4 +1,4 @@
-"""Drives a run: events in from clients, clock and knowledge; commands out to them. Decides nothing."""
+"""The executor of a run: passes events from clients, clock and knowledge to the run, and carries out the commands it returns."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ _log = logging.getLogger(__name__)
 
 
 class Executor:
-    """One run and the client that carries out its actions, on one asyncio loop.
+    """The executor of one run, with the client that carries out its actions, on one asyncio loop.
 
-    The mutable state is the inbox of events, the timer, which changes wait in the inbox, what is listened to, what is
-    being asked or told outside, and whom to tell when something happens.
+    The mutable state is the run, which another may succeed; the inbox of events, and which changes wait in it; the timer; the
+    subscriptions to knowledge and resources; and the open queries and updates of the source.
 
     Args:
         run: what is driven.
         client: what requests are sent to.
-        source: who is asked and told what a run does not know itself.
-        name: what a person may know the run by.
+        source: answers queries and takes updates of what the run does not know itself.
+        name: of the run, for people who are asked.
     """
 
     def __init__(self, run: Run, client: ActionClient, source: Source | None = None, name: str = "") -> None:
@@ -58,17 +58,18 @@ class Executor:
         self._client = client
         self._source = source
         self._asker = Asker(run.id, name)
-        self._talks: dict[UUID, asyncio.Task[None]] = {}
+        self._source_tasks: dict[UUID, asyncio.Task[None]] = {}
         self._inbox: asyncio.Queue[Event] = asyncio.Queue()
         self._timer: asyncio.TimerHandle | None = None
         self._leaving: list[Callable[[], None]] = []
         self._waiting: set[KnowledgeChanged | ResourcesChanged] = set()
-        self._news = asyncio.Event()
+        self._progress = asyncio.Event()
         self.ended = False
         """Whether the run was carried out, and is not any more."""
 
     def stop(self, *, cancel: bool = True, reason: str = "cancelled") -> None:
         """End the run: start nothing more; cancel what runs, or wait for it."""
+        # Through the inbox like everything else: observers may call this while the run handles an event.
         self._inbox.put_nowait(Stop(cancel, reason))
 
     def pause(self, *, at_once: bool = False) -> None:
@@ -81,7 +82,7 @@ class Executor:
 
     @property
     def paused(self) -> bool:
-        """Whether the run was told to pause, nothing is under way, and no queued event can begin anything."""
+        """Whether the run is to pause, nothing is under way, and no queued event can begin anything."""
         return self.run.paused and self._inbox.empty()
 
     def succeed(self, run: Run) -> None:
@@ -91,25 +92,28 @@ class Executor:
         answers of people to what it would ask them as well.
 
         Raises:
-            RunError: this run is not being carried out, or was told to stop; or something of it is under way that
+            RunError: this run is not being carried out, or is to stop; or something of it is under way that
                 the other does not take over.
         """
+        # Before `Begin` is handled the old run has sent nothing that could be taken over, and after the end nothing is listened to.
         if not self._leaving or not self.run.begun:
             raise RunError("the run that is to be succeeded is not being carried out")
-        check_succession(self.run.handover, run.handover)
+        check_succession(self.run.handover, run.handover)  # before anything changes: a refusal leaves the old run going on
+        # From here on reports that wait in the inbox are handled by the new run; they name the request, not the run.
         old, self.run = self.run, run
         self._asker = replace(self._asker, run=run.id)
         self._leave(run.inherit(old))
-        old.retire(run.open_requests)
-        if old.pausing:
+        old.retire(run.open_requests)  # after the new run has claimed what it adopts, which is therefore kept and not free for a moment
+        if old.pausing:  # before `Begin`, so that the new run starts nothing during a pause of the old one
             run.handle(old.pausing, asyncio.get_running_loop().time())
         self._enter()
+        # At once and not through the inbox: events that wait there concern requests that it must have adopted by then.
         self._handle(Begin())
         self._inbox.put_nowait(Tick())  # so that `paused` is looked at again once the inbox is empty
 
     async def happens(self) -> None:
         """Wait until something has happened to the run, or it is not carried out any more."""
-        await self._news.wait()
+        await self._progress.wait()
 
     async def execute(self) -> RunResult:
         """Run to the end and return how it ended; the run's own limits bound the time. The end is that of the last run.
@@ -132,12 +136,13 @@ class Executor:
             self.ended = True
             self._leave()
             self.run.retire()
+            # Reports that came with the last event would be lost, and with them the resources that their requests keep.
             while not self._inbox.empty():
                 self._heard_late(self._inbox.get_nowait())
         return self.run.result()
 
     def _hear(self, report: Report) -> None:
-        if self._leaving:
+        if self._leaving:  # after the end no one reads the inbox, but a server may still confirm what was given up
             self._inbox.put_nowait(report)
         else:
             self._heard_late(report)
@@ -157,19 +162,19 @@ class Executor:
         for stop in self._leaving:
             stop()
         self._leaving = []
-        for identity, talk in self._talks.items():
+        for identity, task in self._source_tasks.items():
             if identity not in asked:
-                talk.cancel()
+                task.cancel()
         self._wake_at(None)
         self._announce()
 
     def _announce(self) -> None:
-        self._news.set()
-        self._news = asyncio.Event()
+        self._progress.set()  # wakes all that wait now; those that begin to wait later wait for the next event
+        self._progress = asyncio.Event()
 
     def _handle(self, event: Event) -> None:
         if isinstance(event, KnowledgeChanged | ResourcesChanged):
-            self._waiting.discard(event)
+            self._waiting.discard(event)  # before it is handled: a change that its own commands cause has to be looked at again
         for command in self.run.handle(event, asyncio.get_running_loop().time()):
             match command:
                 case Send(request):
@@ -179,19 +184,19 @@ class Executor:
                 case Wake(at):
                     self._wake_at(at)
                 case Ask(identity, question):
-                    self._talk(identity, self._ask(identity, question))
+                    self._start(identity, self._ask(identity, question))
                 case Withdraw(identity):
-                    if identity in self._talks:
-                        self._talks[identity].cancel()
+                    if identity in self._source_tasks:
+                        self._source_tasks[identity].cancel()
                 case Store(identity, question, value):
-                    self._talk(identity, self._tell(identity, question, value))
+                    self._start(identity, self._update(identity, question, value))
                 case _:
                     assert_never(command)
         self._announce()
 
-    def _talk(self, identity: UUID, talk: Coroutine[None, None, None]) -> None:
-        task = self._talks[identity] = asyncio.get_running_loop().create_task(talk)
-        task.add_done_callback(lambda _: self._talks.pop(identity, None))
+    def _start(self, identity: UUID, work: Coroutine[None, None, None]) -> None:
+        task = self._source_tasks[identity] = asyncio.get_running_loop().create_task(work)
+        task.add_done_callback(lambda _: self._source_tasks.pop(identity, None))
 
     async def _ask(self, identity: UUID, question: Question) -> None:
         answer: object = MISSING
@@ -208,7 +213,7 @@ class Executor:
             message = f"{question} cannot be asked"
         self._inbox.put_nowait(Answered(identity, answer, message))
 
-    async def _tell(self, identity: UUID, question: Question, value: object) -> None:
+    async def _update(self, identity: UUID, question: Question, value: object) -> None:
         outcome = Outcome(OutcomeKind.SUCCEEDED)
         try:
             if self._source:
@@ -231,6 +236,7 @@ class Executor:
         self._put_once(KnowledgeChanged())
 
     def _put_once(self, event: KnowledgeChanged | ResourcesChanged) -> None:
+        # Many facts change at once; asking the guards once after all of them is enough, and keeps the inbox short.
         if event not in self._waiting:
             self._waiting.add(event)
             self._inbox.put_nowait(event)

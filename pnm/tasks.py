@@ -83,7 +83,7 @@ class Wanted:
         text: a condition in PDDL or the name of a goal; or the name or the text of a plan.
         priority: higher ones come first.
         deadline: seconds from the beginning of the task, None for none.
-        on_conflict: None for what is usual.
+        on_conflict: the policy for conflicts; None for the default of the task manager.
         parameters: of a plan that is loaded.
         is_plan: whether `text` is a plan, which is carried out as it is.
     """
@@ -112,7 +112,7 @@ class TaskStatus:
     restarts: int = 0
     """How often a plan that is loaded was begun anew."""
     parameters: Mapping[str, object] = field(default_factory=dict)
-    """What a plan that is loaded was given."""
+    """The parameters of a loaded plan."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +140,7 @@ class TraceEvent:
         time: on the clock of the event loop.
         kind: one of the words that ``pnm_interfaces/msg/TraceEvent`` lists.
         subject: the call or transition that it is about.
-        text: what is to be said about it.
+        text: details of the event.
     """
 
     task: UUID
@@ -172,7 +172,7 @@ class MadePlan:
     """`GOAL_REACHED` when there is a plan."""
     message: str
     goal: str = ""
-    """What was pursued, in PDDL."""
+    """The goal that was planned for, in PDDL."""
     steps: tuple[TaskStep, ...] = ()
 
 
@@ -193,7 +193,7 @@ class TaskListener:
         """Note that a task has another plan and another net."""
 
     def happened(self, moment: TraceEvent) -> None:
-        """Note an event of a task."""
+        """Note that an event of a task has happened."""
 
     def moved(self, task: UUID) -> None:
         """Note that tokens of its net have moved."""
@@ -212,7 +212,7 @@ class Tasks(Protocol):
     def begin(self, wanted: Wanted, /) -> None:
         """Begin a task. Whatever is wrong with it ends it, with a code and a reason."""
 
-    async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "somebody has paused it") -> None:
+    async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "paused on request") -> None:
         """Start nothing more of a task, or of all; return when nothing of it is under way.
 
         Raises:
@@ -226,7 +226,7 @@ class Tasks(Protocol):
             TaskRefused: there is no such task, or it is not paused.
         """
 
-    async def cancel(self, task: UUID | None, /, *, why: str = "somebody has cancelled it") -> None:
+    async def cancel(self, task: UUID | None, /, *, why: str = "cancelled on request") -> None:
         """End a task, or all; return when what was under way has confirmed it, or the limit for that has passed.
 
         Raises:
@@ -271,5 +271,5 @@ class ServedWorld(Protocol):
     async def load(self, domain: str, problem: str, /) -> None:
         """Begin anew with another domain or problem, each PDDL as a text or the path of a file; refused while there are tasks."""
 
-    def follow(self, tell: Callable[[Mapping[str, object]], None], /) -> Callable[[], None]:
-        """Tell whatever changes from now on, as fields of a ``pnm_interfaces/msg/KnowledgeChange``; return what stops that."""
+    def follow(self, report: Callable[[Mapping[str, object]], None], /) -> Callable[[], None]:
+        """Report every change from now on, as fields of a ``pnm_interfaces/msg/KnowledgeChange``; return what stops that."""

@@ -9,8 +9,29 @@ import pytest
 
 from tests.support.files import ROOT
 
+END_TO_END = ROOT / "tests" / "e2e"
+
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # we are in the background of a shell: our children are not to ignore it as well
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_setupnodes(config: pytest.Config) -> None:
+    """Have the files distributed in the order below; by default, the few long tests of many processes would all be at the end."""
+    config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Spread the files whose tests mostly wait for other processes among the others, so that the processors always have work."""
+    files: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        files.setdefault(item.path, []).append(item)
+    waiting = [file for file in files if END_TO_END in file.parents]
+    others = [file for file in files if END_TO_END not in file.parents]
+    places = [(number * 3 * len(others) // (4 * len(waiting)), file) for number, file in enumerate(waiting)]
+    for place, file in reversed(places):
+        others.insert(place, file)
+    items[:] = [item for file in others for item in files[file]]
 
 
 @pytest.fixture

@@ -106,7 +106,7 @@ def net(
     planner: str,
     timeout: float,
 ) -> int:
-    """Plan, and write the machine; or write that of a plan that somebody has written."""
+    """Plan, and write the machine; or write that of a hand-written plan."""
     from planner_bridge.loading import bindings_for
     from planner_bridge.ordering.plan_to_graph import plan_graph
     from planner_bridge.planning.solve import solve
@@ -169,7 +169,7 @@ def run(
     on_failure: str | None,
     as_json: bool,
 ) -> int:
-    """Plan, execute, and replan until the goal holds; or carry out a plan that somebody has written."""
+    """Plan, execute, and replan until the goal holds; or carry out a hand-written plan."""
     from planner_bridge.cli.options import Files
     from planner_bridge.cli.run import run_problem
     from planner_bridge.tasks.replanning import Limits
@@ -179,7 +179,7 @@ def run(
     if faults and actions == "ros2":
         raise InputError("--faults belongs to simulated robots; give it to `pnm simulate`")
     if sensing and actions != "ros2":
-        raise InputError("--sensing tells of topics and services of ROS 2; expected --actions ros2")
+        raise InputError("--sensing describes topics and services of ROS 2; expected --actions ros2")
     others = Files(bindings, faults, knowledge, sensing)
     policy = OnFailure(on_failure) if on_failure else None
     settings = Settings(planner, timeout, limits=Limits(replans=replans, seconds=seconds), on_failure=policy or OnFailure.DRAIN)

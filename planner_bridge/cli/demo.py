@@ -26,7 +26,7 @@ def examples() -> Path:
 
 
 def show(console: Console) -> int:
-    """Run the delivery example with its faults and say what is to be seen."""
+    """Run the delivery example with its faults and explain what is shown."""
     domain, problems = examples() / "domains" / "delivery", examples() / "problems" / "delivery"
     problem = load(domain / "domain.pddl", problems / "p01.pddl")
     settings = Settings(bindings=read_bindings(domain / "bindings.yaml", problem.vocabulary))

@@ -93,7 +93,7 @@ planning = options(
 as_json_option = click.option("--json", "as_json", is_flag=True, help="print one JSON object as the last line, and nothing else")
 bindings_option = click.option("--bindings", type=FILE, help="how actions are bound to servers; by default bindings.yaml beside DOMAIN")
 knowledge_option = click.option("--knowledge", type=FILE, help="the SQLite file of the global knowledge, in place of what plans choose")
-sensing_option = click.option("--sensing", type=FILE, help="which topics and services of ROS 2 tell what is so in the world")
+sensing_option = click.option("--sensing", type=FILE, help="topics and services of ROS 2 that report the state of the world")
 faults_option = click.option("--faults", type=FILE, help="what goes wrong in simulation")
 
 

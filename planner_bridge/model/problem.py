@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from math import prod
 from typing import Literal
 
+from pnm.core.logic.conditions import choices_in
 from pnm.core.logic.domain import DomainModel, Preference, ProblemModel, Types
 from pnm.core.logic.expressions import Expression
 from pnm.core.logic.trajectory import Constraint
@@ -61,6 +63,18 @@ class Problem(ProblemModel):
     """The problem's own; those of the domain come besides."""
     warnings: tuple[Tolerated, ...] = field(default=(), compare=False, repr=False)
     """What in the file, and in that of the domain, was tolerated though it is not as it should be."""
+
+    def ranges(self) -> Iterator[tuple[str, int]]:
+        """Yield for everything that quantifiers may stand in what it is, and over how many choices of objects they range."""
+        yield from super().ranges()
+        own = (*self.domain.constraints, *self.constraints)
+        of_actions = (preference for schema in self.domain.actions.values() for preference in schema.preferences)
+        for preference in (*self.domain.preferences, *self.preferences, *of_actions):
+            wanted = preference.wanted if isinstance(preference.wanted, tuple) else (Constraint("at end", (preference.wanted,)),)
+            own += tuple(replace(constraint, variables=(*preference.variables, *constraint.variables)) for constraint in wanted)
+        for constraint in own:
+            around = prod(self.count(variable.types) for variable in constraint.variables) if constraint.variables else 0
+            yield str(constraint), sum(choices_in(condition, self.count, around) for condition in constraint.conditions)
 
     @property
     def has_preferences(self) -> bool:

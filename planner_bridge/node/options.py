@@ -17,10 +17,10 @@ from pnm.tasks import OnConflict
 PARAMETERS: Final = (
     NodeParameter("domain", "", "file with the domain, in PDDL"),
     NodeParameter("problem", "", "file with the problem, in PDDL: the world as it is at first, and the goal when none is named"),
-    NodeParameter("bindings", "", "file that says how actions are bound to servers; by default bindings.yaml beside the domain"),
-    NodeParameter("sensing", "", "file that says what topics and services tell about the world"),
+    NodeParameter("bindings", "", "file that binds actions to servers; by default bindings.yaml beside the domain"),
+    NodeParameter("sensing", "", "file that maps topics and services to facts about the world"),
     NodeParameter("goals", "", "YAML file with goals by name"),
-    NodeParameter("problems", ".", "folder in which problem/save and problem/load find files"),
+    NodeParameter("problems", "", "folder of the PDDL files of problem/save and problem/load; without it they name no files"),
     NodeParameter("world", "", "YAML file with a domain and files of hand-written plans, each of which becomes an action server"),
     NodeParameter("world_name", "", "which world of that file, if there are several", option="name"),
     NodeParameter("knowledge", "", "SQLite file of the global knowledge, in place of what plans choose"),
@@ -38,7 +38,7 @@ PARAMETERS: Final = (
         choices=tuple(policy.value for policy in OnChange),
     ),
     NodeParameter(
-        "on_conflict", "plan_around", "what becomes of a goal that cannot be pursued beside others, unless the goal says so",
+        "on_conflict", "plan_around", "what becomes of a goal that cannot be pursued beside others, unless the goal specifies it",
         choices=tuple(policy.value for policy in OnConflict),
     ),
     NodeParameter("cancel", 20.0, "seconds in which tasks have to end when the node is shut down"),
@@ -55,7 +55,7 @@ class Options:
     bindings: Path | None
     sensing: Path | None
     goals: Path | None
-    problems: Path
+    problems: Path | None
     world: Path | None
     world_name: str | None
     knowledge: Path | None
@@ -82,7 +82,6 @@ class Options:
             raise InputError("there is nothing to serve; expected a domain and a problem, or a world of plans, or both")
         if given["goals"] and given["domain"] is None:
             raise InputError("goals with names need a domain and a problem; expected both, or no goals")
-        given["problems"] = given["problems"] or Path()
         given["world_name"] = given["world_name"] or None
         given["on_failure"], given["on_conflict"] = OnFailure(given["on_failure"]), OnConflict(given["on_conflict"])
         given["on_change"] = OnChange(given["on_change"])

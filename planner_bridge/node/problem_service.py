@@ -1,22 +1,16 @@
-"""The problem of a node and the services about it, as `pnm.tasks.ServedWorld`.
-
-Clients name files of domains and problems; these stay inside one folder, and are never half written.
-"""
+"""The problem of a node and the services about it, as `pnm.tasks.ServedWorld`."""
 
 from __future__ import annotations
 
 import asyncio
-import os
-import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
-from pathlib import Path
 from typing import Final
 
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Domain, Problem
 from planner_bridge.node.initial_world import with_names_of, world_of_plans
 from planner_bridge.node.plan_request import make_plan
+from planner_bridge.node.problem_folder import ProblemFolder
 from planner_bridge.node.world_queries import SharedWorld
 from planner_bridge.pddl import parse_domain, parse_problem, read_domain, read_problem
 from planner_bridge.pddl.read.reader import MAX_BYTES
@@ -28,45 +22,7 @@ from pnm.language.plan import HandWrittenPlan
 from pnm.tasks import MadePlan
 
 
-def inside(folder: Path, name: str) -> Path:
-    """Return the path of a file in the folder, symbolic links resolved; raise an `InputError` for any other."""
-    root = folder.resolve()
-    if not name.strip() or "\0" in name:
-        raise InputError(f"not a path: {name!r}; expected the path of a file in {root}")
-    try:
-        path = (root / name).resolve()
-    except (OSError, RuntimeError) as error:
-        raise InputError(f"not a path: {name[:200]!r} ({error})") from error
-    if root not in path.parents:
-        raise InputError(f"{name[:200]!r} is not in the folder {root}; expected the path of a file in it")
-    return path
-
-
-def write_inside(folder: Path, name: str, text: str) -> Path:
-    """Write a file in the folder atomically, and return its path; raise an `InputError` if it is outside, or cannot be written."""
-    path = inside(folder, name)
-    try:
-        if path.is_dir():
-            raise IsADirectoryError(0, "it is a folder")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, draft = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".tmp")
-        try:
-            with open(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            os.chmod(draft, 0o644)
-            os.replace(draft, path)
-        except BaseException:
-            with suppress(OSError):
-                os.unlink(draft)
-            raise
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
-    return path
-
-
-def load_texts(domain: str, problem: str, folder: Path, loaded: Domain) -> Problem:
+def load_texts(domain: str, problem: str, folder: ProblemFolder, loaded: Domain) -> Problem:
     """Return a problem, given as a domain and a problem: each as PDDL, or as the path of a file in the folder.
 
     An empty domain stands for `loaded`, the current one. Raises an `InputError` if one of them cannot be read.
@@ -76,8 +32,8 @@ def load_texts(domain: str, problem: str, folder: Path, loaded: Domain) -> Probl
             raise InputError(f"{len(text)} characters; expected {MAX_BYTES} at most")
     chosen = loaded
     if domain.strip():
-        chosen = parse_domain(domain, "domain") if _is_pddl(domain) else read_domain(inside(folder, domain))
-    return parse_problem(problem, chosen, "problem") if _is_pddl(problem) else read_problem(inside(folder, problem), chosen)
+        chosen = parse_domain(domain, "domain") if _is_pddl(domain) else read_domain(folder.path_of(domain))
+    return parse_problem(problem, chosen, "problem") if _is_pddl(problem) else read_problem(folder.path_of(problem), chosen)
 
 
 def _is_pddl(text: str) -> bool:
@@ -152,7 +108,7 @@ class ServedProblem:
         begin_anew: has the task manager take over another problem; raises an `InputError` if it cannot, and nothing changes.
     """
 
-    def __init__(self, loaded: LoadedProblem, folder: Path, begin_anew: Callable[[Problem], None]) -> None:
+    def __init__(self, loaded: LoadedProblem, folder: ProblemFolder, begin_anew: Callable[[Problem], None]) -> None:
         self._loaded = loaded
         self._folder = folder
         self._begin_anew = begin_anew
@@ -171,7 +127,7 @@ class ServedProblem:
 
     async def save(self, file: str, /) -> str:
         """Write the problem with the current state to a file in the folder; return its whole path."""
-        return str(await asyncio.to_thread(write_inside, self._folder, file, self._loaded.problem_world.problem_text()))
+        return str(await asyncio.to_thread(self._folder.write, file, self._loaded.problem_world.problem_text()))
 
     async def load(self, domain: str, problem: str, /) -> None:
         """Replace domain or problem, and the facts; goals with names must make sense in the new ones as well."""

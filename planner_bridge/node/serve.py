@@ -17,6 +17,7 @@ from planner_bridge.loading import bindings_for, load
 from planner_bridge.model.grounding import initial_knowledge
 from planner_bridge.model.problem import Problem
 from planner_bridge.node.options import PARAMETERS, Options
+from planner_bridge.node.problem_folder import ProblemFolder
 from planner_bridge.node.problem_service import NOTHING, LoadedProblem, ServedProblem
 from planner_bridge.node.world_queries import read_goals
 from planner_bridge.planning.solve import check_planner
@@ -34,7 +35,7 @@ from pnm.knowledge.sources.registry import Surroundings, open_sources
 from pnm.knowledge.sources.router import Sources
 from pnm.knowledge.sources.source import Asker
 from pnm.language.plan import merge_bindings, read_world, sources_of
-from pnm.language.runner import Performer, Program
+from pnm.language.runner import PlanRunner, Program
 from pnm.ros.backend import Ros2Backend
 from pnm.ros.node.parameters import ParameterValue
 from pnm.tasks import Make, ServedWorld, TaskListener, Tasks
@@ -52,7 +53,7 @@ class NodeContext:
 
     options: Options
     problem: Problem | None
-    performer: Performer
+    runner: PlanRunner
     """Runs the plans of the world."""
     bindings: Bindings
     backend: Ros2Backend
@@ -112,8 +113,9 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
         on_failure=options.on_failure,
         on_change=options.on_change,
     )
+    folder = ProblemFolder(options.problems, options.problem)
     goals = read_goals(options.goals) if options.goals else {}
-    plans = [program.plan for program in context.performer.programs.values()]
+    plans = [program.plan for program in context.runner.programs.values()]
     try:
         loaded = LoadedProblem(context.problem or NOTHING, context.knowledge, goals, settings, plans)
     except InputError as error:
@@ -126,9 +128,9 @@ async def make_task_manager(context: NodeContext) -> NodeApi:
         loaded.read_goal,
         source=context.sources,
         limits=TaskLimits(options.max_tasks, options.max_queue, options.on_conflict),
-        performer=context.performer,
+        runner=context.runner,
     )
-    world = ServedProblem(loaded, options.problems, manager.begin_anew)
+    world = ServedProblem(loaded, folder, manager.begin_anew)
     return NodeApi(manager, loaded.make, world, manager.knowledge_of, manager.close)
 
 
@@ -240,23 +242,23 @@ class ServingNode:
         folder = (options.world or options.domain or Path()).parent
         sources = open_sources(sources_of(plans), Surroundings(self._ros, folder), options.knowledge)
         stack.push_async_callback(sources.close)
-        return NodeContext(options, problem, Performer(programs, backend, knowledge, sources), bindings, backend, knowledge, sources)
+        return NodeContext(options, problem, PlanRunner(programs, backend, knowledge, sources), bindings, backend, knowledge, sources)
 
     async def _open_node(self, context: NodeContext, stack: AsyncExitStack) -> None:
         from pnm.ros.action_server.goal_server import check_alone  # here, because rclpy is an extra
         from pnm.ros.tasks.task_node import TaskNode, action_names
 
-        performer = context.performer
-        task_actions, plan_actions = await self._ros.ask(partial(action_names, self._ros, performer.programs))
+        runner = context.runner
+        task_actions, plan_actions = await self._ros.ask(partial(action_names, self._ros, runner.programs))
         self._actions = (*task_actions, *plan_actions.values())
         await check_alone(self._ros, self._actions)
         api = await make_task_manager(context)
 
         def knowledge_of(request: UUID) -> tuple[Layered, Asker] | None:
-            return performer.knowledge_of(request) or api.knowledge_of(request)
+            return runner.knowledge_of(request) or api.knowledge_of(request)
 
-        await context.backend.share(performer.prefix, knowledge_of, context.sources)
-        preparing = asyncio.ensure_future(performer.prepare())
+        await context.backend.share(runner.prefix, knowledge_of, context.sources)
+        preparing = asyncio.ensure_future(runner.prepare())
         stack.callback(preparing.cancel)
         await asyncio.wait((preparing,), timeout=_PREPARED)
         if preparing.done():

@@ -6,7 +6,6 @@ A text that is wrong is refused with the line and column in it, and the nearest 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from math import prod
 from pathlib import Path
 from typing import Final
 
@@ -17,10 +16,11 @@ from planner_bridge.pddl.read.formulas import condition
 from planner_bridge.pddl.read.requirements import Requirements
 from planner_bridge.pddl.read.symbols import SymbolTable
 from planner_bridge.pddl.read.terms import TermScope
-from planner_bridge.pddl.syntax.expressions import Group, Node, parse, wrong
+from planner_bridge.pddl.syntax.expressions import Group, Node, parse, where, wrong
 from planner_bridge.pddl.syntax.words import number, number_text, operands
 from pnm.core.knowledge_base import KnowledgeBase, statement_text
-from pnm.core.logic.conditions import Condition, Exists, ForAll, operands_of
+from pnm.core.logic.conditions import Condition, choices_in
+from pnm.core.logic.domain import check_choices
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Unknown, Value, fluent_text
 from pnm.errors import InputError, Position, suggestion
@@ -30,8 +30,6 @@ MAX_TEXTS: Final = 10_000
 """Questions or changes at once."""
 MAX_LENGTH: Final = 100_000
 """Characters of a question, a change or a goal."""
-MAX_CHOICES: Final = 1_000_000
-"""Choices of objects that the quantifiers of a condition may range over."""
 
 
 class SharedWorld:
@@ -171,16 +169,8 @@ class SharedWorld:
 
     def _checked(self, node: Node) -> Condition:
         checked = condition(node, self._scope)
-        if self._choices(checked) > MAX_CHOICES:
-            raise wrong(node, f"its quantifiers range over more than {MAX_CHOICES} choices of objects")
+        check_choices(choices_in(checked, self.problem.count), where(node))
         return checked
-
-    def _choices(self, condition: Condition) -> int:
-        """Return how many facts and comparisons the condition becomes without quantifiers."""
-        inner = sum(map(self._choices, operands_of(condition))) if operands_of(condition) else 1
-        if isinstance(condition, ForAll | Exists):
-            return inner * prod(len(self._knowledge.objects(variable.types)) for variable in condition.variables)
-        return inner
 
     def _added(self, node: Node) -> tuple[Fluent, Value]:
         if not isinstance(node, Group) or node.head != "=":
@@ -221,9 +211,9 @@ def read_goals(path: Path) -> dict[str, str]:
     top.only("goals")
     node = top.node("goals")
     goals: dict[str, str] = {}
-    for name, where, value in node.mapped().entries() if node is not None and not node.is_null else ():
+    for name, at, value in node.mapped().entries() if node is not None and not node.is_null else ():
         if not name or name[0] in "(;" or name != name.strip():
-            raise InputError(f"{name!r} cannot name a goal; expected a word", where)
+            raise InputError(f"{name!r} cannot name a goal; expected a word", at)
         if value.text is None:
             raise value.wrong(f"expected a condition as a text for {name}")
         goals[name] = value.text

@@ -92,13 +92,14 @@ class CausalLinks:
         """Add a change of fluents by themselves; calls that end before it and could not have gone on get a deadline."""
         tokens = [kept.token for kept in self.kept if kept.fluents is not None and kept.fluents & changed.keys()]
         self.changed_at.update(dict.fromkeys((*changed, *tokens), time))
-        for token in tokens:
+        for token in tokens:  # the change must not come before the last event that the same constraint is about
             if token in self.writer and self.writer[token].moment is Moment.END:
                 self.deadlines.setdefault(self.writer[token].call, time)
         after = _PartialState(self.knowledge, changed)
         for fluent in changed:
             for reader in self.readers.get(fluent, ()):
                 action = self.actions[reader.call]
+                # Only a condition that the change surely makes false ends before it; one that may survive needs no deadline.
                 if action.duration is not None and evaluate(All((action.invariant, action.end_condition)), after) is False:
                     self.deadlines.setdefault(reader.call, time)
 
@@ -114,6 +115,7 @@ class CausalLinks:
                     return
                 self._add_point(start_event, end_event, self._reads(action.precondition, ending), written(ending, self.knowledge), now)
             case HappeningKind.START:
+                # Early conditions of end effects are decided at the start, so their reads belong there.
                 reads = self._reads(action.precondition, start) | self.knowledge.rests_on(read_early(ending, self.knowledge))
                 self._add_point(start_event, start_event, reads, written(start, self.knowledge), now)
             case HappeningKind.OPEN:
@@ -122,9 +124,11 @@ class CausalLinks:
                     self.readers.setdefault(fluent, []).append(_FluentReader(call, end_event, end))
                 for part in conjuncts(action.invariant):
                     group = frozenset(self._relevant(self._reads(part)))
+                    # A write may leave such a part true thanks to another of its fluents, which a reader of single fluents would not show.
                     if len(group) > 1:
                         self.open_conditions.append((call, group, end))
             case HappeningKind.END:
+                # Start effects that are overwritten before the end cannot be seen after it, so they are not expected then.
                 own = (fluent for fluent in written(start, self.knowledge) if self.writer.get(fluent) == start_event)
                 self.lasting[call] = frozenset(own)
                 self._add_point(end_event, end_event, self._reads(action.end_condition, ending), written(ending, self.knowledge), now)
@@ -139,12 +143,14 @@ class CausalLinks:
         """Add reads and writes at one point in time: `waits` comes after earlier events, later events after `releases`."""
         # A write that leaves an over-all condition true may do so only because of the values of its other fluents.
         relied = [group - writes for call, group, until in self.open_conditions if until > now and call != waits.call and group & writes]
+        # Reads before writes: an event that does both waits for others and not for itself.
         for fluent in self._relevant(reads.union(*relied)):
             self._after_writer(fluent, waits)
             self.readers.setdefault(fluent, []).append(_FluentReader(releases.call, releases, now))
         concerned = [kept for kept in self.kept if kept.fluents is None or kept.fluents & writes]
         if any(kept.timed for kept in concerned):
             self.clocked.add(waits.call)
+        # A write comes after the last write and after every read of that value since: else it would break a causal link.
         for fluent in (*self._relevant(writes), *(kept.token for kept in concerned)):
             self._after_writer(fluent, waits)
             still_open = []
@@ -154,9 +160,9 @@ class CausalLinks:
                     self._order(PlanEvent(reader.call, Moment.START), waits, fluent)
                 else:
                     self._order(reader.event, waits, fluent)
-            self.readers[fluent] = still_open
+            self.readers[fluent] = still_open  # readers of the old value are served; those with open conditions go on reading the new one
             self.writer[fluent] = releases
-            self.changed_at.pop(fluent, None)
+            self.changed_at.pop(fluent, None)  # who reads it from now on reads what this event has written, and no longer the timed change
 
     def _after_writer(self, fluent: Fluent, waits: PlanEvent) -> None:
         if fluent in self.writer:
@@ -182,6 +188,7 @@ class CausalLinks:
             )
             for call in calls
         )
+        # A goal that time itself fulfils last must not be looked at before.
         due = max((self.changed_at.get(fluent, 0.0) for fluent in self._reads(goal)), default=0.0)
         return PlanGraph(timed, tuple(_strongest(self.orderings)), goal, self.knowledge.rules, due)
 
@@ -204,7 +211,7 @@ def _strongest(orderings: dict[tuple[PlanEvent, PlanEvent], list[Fluent]]) -> li
     """Merge `start of a < x` into `end of a < x`, and `x < end of b` into `x < start of b`."""
     merged: dict[tuple[PlanEvent, PlanEvent], list[Fluent]] = {}
     for (before, after), protected in sorted(orderings.items(), key=_by_call):
-        for stronger in (
+        for stronger in (  # an ordering implied by a stronger one would cost a place of its own, and order nothing
             (PlanEvent(before.call, Moment.END), PlanEvent(after.call, Moment.START)),
             (PlanEvent(before.call, Moment.END), after),
             (before, PlanEvent(after.call, Moment.START)),

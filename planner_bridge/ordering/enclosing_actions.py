@@ -26,6 +26,7 @@ def delay_enclosing_starts(plan: PlanGraph) -> PlanGraph:
     """Return the plan with the orderings that let every enclosing action start late enough."""
     protected: dict[int, list[Fluent]] = {}
     for ordering in plan.orderings:
+        # An end that another event must precede; the start of a call that is under way cannot be delayed any more.
         if ordering.after.moment is Moment.END and not plan.calls[ordering.after.call].under_way:
             protected.setdefault(ordering.after.call, []).extend(ordering.protects)
     if not protected:
@@ -33,17 +34,20 @@ def delay_enclosing_starts(plan: PlanGraph) -> PlanGraph:
     events = _EventGraph(plan)
     added: list[Ordering] = []
     releases: dict[int, float] = {}
-    for index in sorted(protected):
+    for index in sorted(protected):  # in a fixed order, because each round adds orderings that the next one sees
         start = PlanEvent(index, Moment.START)
+        # Only the outermost action gets slack: an inner one that starts later might outlast the one around it.
         slack = 0.0 if events.is_enclosed(index, protected) else SLACK
         starts_at = events.time(start) + slack * (plan.calls[index].action.duration or 0.0)
         enclosed = events.enclosed(index)
         predecessors = events.predecessors(index, enclosed)
+        # Something inside waits for a release time, which no delay after an event can stand for.
         if any(events.is_released(event, start) for event in (*enclosed, *predecessors)):
             releases[index] = starts_at
         for event in predecessors:
             for anchor in events.last_before(event, start):
                 events.order(anchor, start)
+                # A predecessor that the plan had earlier is waited for directly, without a delay.
                 delay = 0.0 if anchor == event else starts_at - events.time(anchor)
                 added.append(Ordering(anchor, start, tuple(dict.fromkeys(protected[index])), delay))
     calls = tuple(replace(call, release=max(call.release, releases.get(call.index, 0.0))) for call in plan.calls)
@@ -95,6 +99,7 @@ class _EventGraph:
         waiting = [event]
         while waiting:
             candidate = waiting.pop()
+            # An event planned later than the start cannot be waited for by it: those that lead to it are looked at instead.
             if self.time(candidate) <= self.time(start):
                 last.add(candidate)
             else:

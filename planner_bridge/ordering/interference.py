@@ -62,15 +62,17 @@ def read_write_sets(calls: Iterable[ActionCall], goal: Condition, knowledge: Kno
         action = call.action
         effects: Effects = action.end_effects
         conditions += [action.invariant, action.end_condition]
+        # A call that has begun has checked its precondition and made its start effects: only its end is still to come.
         if not call.under_way:
             conditions.append(action.precondition)
             effects = (*action.start_effects, *effects)
         written = _written(effects, knowledge)
+        # An increase reads the fluent that it writes; increases by several plans do not disturb each other.
         reads |= knowledge.rests_on(read(effects, knowledge)) - written.keys()
         for fluent, values in written.items():
             writes.setdefault(fluent, set()).update(values)
     for fluent, needed in chain.from_iterable(_values_needed(condition, True, knowledge) for condition in conditions):
-        if needed is None or fluent[0] in derived:
+        if needed is None or fluent[0] in derived:  # another plan writes what a derived fact rests on, and never the derived fact itself
             reads |= knowledge.rests_on(frozenset({fluent}))
         else:
             facts.setdefault(fluent, set()).add(needed)
@@ -89,6 +91,7 @@ def _values_needed(condition: Condition, value: bool, state: State, env: Environ
         case Not(inner):
             yield from _values_needed(inner, not value, state, env)
         case Implies(condition, then):
+            # An implication also holds when its condition is false, so either of the two may be relied on.
             yield from _values_needed(condition, not value, state, env)
             yield from _values_needed(then, value, state, env)
         case ForAll(variables, body) | Exists(variables, body):
@@ -134,6 +137,7 @@ def optimistic_state(problem: Problem, under_way: Iterable[ActionCall]) -> Probl
     init, world = dict(problem.init), initial_knowledge(problem)
     for call in under_way:
         begun, ended = (_written(effects, world) for effects in (call.action.start_effects, call.action.end_effects))
+        # Numbers and computed values are left as they are: no optimistic value is known for them.
         for fluent in (fluent for fluent, values in (begun | ended).items() if None not in values):
             if_undone = False in begun[fluent] if fluent in begun else problem.init.get(fluent) is True
             init[fluent] = if_undone or True in ended.get(fluent, begun.get(fluent, ()))
@@ -153,7 +157,7 @@ def _protect(problem: Problem, other: ReadWriteSets) -> Problem:
             makers = [
                 (action, _arguments_written(name, not needed, (*action.start_effects, *action.end_effects))) for action in actions.values()
             ]
-            if any(made for _, made in makers):
+            if any(made for _, made in makers):  # a guard that no action can violate would only make the problem larger
                 predicates[guard] = Declaration(guard, domain.predicates[name].parameters)
                 init |= {(guard, *fluent[1:]): True for fluent in kept if fluent[0] == name}
             for action, made in makers:

@@ -43,9 +43,11 @@ def plan_graph(problem: Problem, plan: Plan, under_way: Sequence[ActionCall] = (
     steps = calls_of(problem, plan, len(running))
     calls = [*running, *steps]
     links = causal_links(problem, [call.action for call in calls])
+    # Running calls come first, as if they ended just before the plan begins: its calls then wait for what they write.
     for kind in (HappeningKind.START, HappeningKind.OPEN, HappeningKind.END):
         for call in running:
             links.add_happening(kind, call, _OVER, _OVER if kind is HappeningKind.END else _BEGUN)
+    # Sorted by time and rank: what happens at one time is judged in the order that PDDL demands.
     for time, _, index, kind in sorted(_happenings(problem, plan)):
         if kind == HappeningKind.TIMED:
             links.add_timed_change(time, problem.timed[index].changes)
@@ -64,6 +66,7 @@ def deordered(problem: Problem, calls: tuple[ActionCall, ...], order: Iterable[P
         call = calls[event.call]
         end = positions[PlanEvent(event.call, Moment.END)]
         if event.moment is Moment.START:
+            # The positions in the order stand for times: only before and after matter to causal links.
             links.add_happening(HappeningKind.START, call, end, now)
             links.add_happening(HappeningKind.OPEN, call, end, now)
         else:
@@ -111,8 +114,9 @@ def _happenings(problem: Problem, plan: Plan) -> list[tuple[float, HappeningKind
     timed = HappeningKind.TIMED
     happenings = [(round(change.time, _DIGITS), timed, index, timed) for index, change in enumerate(problem.timed)]
     for index, step in enumerate(plan.steps):
-        start = round(step.start if plan.temporal else float(index), _DIGITS)
+        start = round(step.start if plan.temporal else float(index), _DIGITS)  # a sequential plan has no times; its positions serve as such
         happenings.append((start, HappeningKind.START, index, HappeningKind.START))
+        # An instantaneous action is a single happening, with its conditions and effects together.
         if problem.domain.actions[step.action].duration is None:
             continue
         end = round(step.start + step.duration, _DIGITS)
@@ -124,11 +128,13 @@ def _happenings(problem: Problem, plan: Plan) -> list[tuple[float, HappeningKind
 def causal_links(problem: Problem, actions: Iterable[GroundAction]) -> CausalLinks:
     """Return the causal links of a plan without any happening."""
     knowledge, relevant = initial_knowledge(problem), _relevant(problem)
+    # Facts that stay as they are may be evaluated away, so that a derived fact orders less.
     if knowledge.rules.rules:  # what they read is known only as far as neither the plan nor time may change it
         changing = {fluent for change in problem.timed for fluent in change.changes}
         for action in actions:
             changing |= written((*action.start_effects, *action.end_effects), knowledge)
         knowledge.update(dict.fromkeys(changing, UNKNOWN))
+    # A network of tasks fixes the order of its steps in ways that reads and writes do not show.
     kept = [OrderKept(_NETWORK)] if problem.network else []
     for constraint in (*problem.domain.constraints, *problem.constraints):
         for ground in instances(constraint, knowledge):

@@ -51,7 +51,7 @@ def search_with_engine(problem: Problem, engine: str, timeout: float, cancel: Ca
         status, message = PlanningStatus[ended.answer["status"]], ended.answer["message"]
         if status is not PlanningStatus.SOLVED:
             return PlanningResult(status, message=message)
-        actions = {name.casefold(): name for name in problem.domain.actions}
+        actions = {name.casefold(): name for name in problem.domain.actions}  # engines may change the case of names, which PDDL ignores
         objects = {name.casefold(): name for name in problem.objects}
         try:
             steps = tuple(
@@ -63,12 +63,12 @@ def search_with_engine(problem: Problem, engine: str, timeout: float, cancel: Ca
         return PlanningResult(
             PlanningStatus.SOLVED, Plan(tuple(sorted(steps, key=attrgetter("start"))), temporal=problem.is_timed), message
         )
-    if cancel.is_set():
+    if cancel.is_set():  # an answer that came all the same was used above; only a search without one counts as cancelled
         return PlanningResult(PlanningStatus.CANCELLED)
     if ended.status is None:
         late = f"was stopped after {timeout:g} s" if ended.began else f"did not begin within {START_LIMIT:g} s"
         return PlanningResult(PlanningStatus.TIMED_OUT, message=f"{engine} {late}")
-    if ended.status == -signal.SIGKILL:
+    if ended.status == -signal.SIGKILL:  # we have not killed it (the status would be None), so it was the kernel, for want of memory
         return PlanningResult(PlanningStatus.OUT_OF_MEMORY, message=f"the system killed {engine}, which it does for want of memory")
     return PlanningResult(PlanningStatus.CRASHED, message=f"{engine}: {ended.output or f'exit status {ended.status}'}")
 
@@ -100,17 +100,18 @@ class _Ended:
 def _run(arguments: list[str], files: Mapping[str, str], timeout: float, cancel: CancelToken) -> _Ended:
     """Run an engine process in a new folder with these files until it has answered, ended, or is out of time."""
     with tempfile.TemporaryDirectory(prefix="pnm-", ignore_cleanup_errors=True) as name:
-        folder = Path(name).resolve()
+        folder = Path(name).resolve()  # resolved, because processes are found by comparing this text with their environment
         for file, text in files.items():
             (folder / file).write_text(text, encoding="utf-8")
         with _process_group([sys.executable, "-m", "planner_bridge.planning.unified_planning", *arguments], folder) as process:
+            # First for loading the engine, which does not count; then anew for the search itself.
             deadline, began = time.monotonic() + START_LIMIT, False
             while process.poll() is None and time.monotonic() < deadline and not cancel.is_set() and not (folder / ANSWER).exists():
                 if not began and (folder / BEGAN).exists():
                     deadline, began = time.monotonic() + timeout + _GRACE, True
                 with suppress(subprocess.TimeoutExpired):
                     process.wait(timeout=_POLL)
-            status = process.poll()
+            status = process.poll()  # before the process group is ended: afterwards the status would be that of our own signal
         answer = folder / ANSWER
         return _Ended(
             json.loads(answer.read_text(encoding="utf-8")) if answer.exists() else None,
@@ -137,7 +138,7 @@ def _process_group(command: list[str], folder: Path) -> Iterator[subprocess.Pope
         try:
             yield process
         finally:
-            for number in (signal.SIGTERM, signal.SIGKILL):
+            for number in (signal.SIGTERM, signal.SIGKILL):  # asked first, so that engines can remove what they have outside of our folder
                 _signal_all(number, process.pid, folder)
                 with suppress(subprocess.TimeoutExpired):
                     process.wait(timeout=1.0)
@@ -162,7 +163,7 @@ def _processes_of(folder: Path) -> list[int]:
     mark = f"{_TMPDIR}={folder}".encode()
     pids: list[int] = []
     for environment in Path("/proc").glob("[0-9]*/environ"):
-        with suppress(OSError):
+        with suppress(OSError):  # a process may end between the listing and the reading, or belong to another user
             if mark in environment.read_bytes().split(b"\0"):
                 pids.append(int(environment.parent.name))
     return [pid for pid in pids if pid != os.getpid()]
@@ -171,10 +172,11 @@ def _processes_of(folder: Path) -> list[int]:
 def die_with_parent() -> None:
     """In the engine process: end everything as soon as the process that started us is gone; to be called once, at the beginning."""
     parent = os.dup(0)
+    # Children of the engine would otherwise inherit the pipe as their input, and might read from it.
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
 
     def wait() -> None:
-        os.read(parent, 1)
+        os.read(parent, 1)  # nothing is ever written: this returns at the end of the parent, even if that was killed
         _signal_all(signal.SIGKILL, os.getpgrp(), Path(os.environ[_TMPDIR]))
 
     threading.Thread(target=wait, daemon=True).start()

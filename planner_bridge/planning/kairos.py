@@ -73,7 +73,7 @@ def search_with_kairos(problem: Problem, parsed: kairos.Problem, timeout: float,
     search = kairos.Planner().start(parsed, timeout=timeout, anytime=weighs, threads=_THREADS)  # type: ignore[no-untyped-call]
     deadline = inf
     while search.running() and not cancel.is_set() and time.monotonic() < deadline:
-        if search.next_plan(_POLL):
+        if search.next_plan(_POLL):  # every better plan starts the wait anew; without preferences the first plan ends it
             deadline = time.monotonic() + (_PATIENCE if weighs else 0.0)
     search.stop()
     best = search.best()

@@ -68,9 +68,9 @@ def solve_with_portfolio(
     names = suitable_planners(problem) if planners is None else _known(planners)
     if not names:
         return PlanningResult(PlanningStatus.UNSUPPORTED, message="no planner that is installed here suits the problem")
-    if executor is None:
+    if executor is None:  # with an executor of the caller the planners may be installed elsewhere, so nothing is checked here
         check_members(names)
-    texts = write_domain(problem.domain), write_problem(problem)
+    texts = write_domain(problem.domain), write_problem(problem)  # PDDL as text: plain data, which any executor can pass to any machine
     folder = Path(tempfile.mkdtemp(prefix="pnm-race-"))
     stop_file = folder / "over"
     pool = executor or _ProcessPerJob(stop_file)
@@ -83,13 +83,15 @@ def solve_with_portfolio(
                 future = Future()
                 future.set_exception(error)
             searches[future] = name
+        # Workers first load their planner, which does not count, hence more time here than for each search.
         return _first_decisive(problem, searches, time.monotonic() + timeout + START_LIMIT, cancel or threading.Event())
     finally:
-        stop_file.touch()
+        stop_file.touch()  # in every case, an error included: workers see the file and end themselves
         for future in searches:
             future.cancel()
-        if executor is None:
+        if executor is None:  # the processes are ours; an executor of the caller stays open for other searches
             pool.shutdown()
+        # Not before: a worker that begins without the folder would take our file system for one that it does not share.
         _when_all_have_ended({*searches}, lambda: shutil.rmtree(folder, ignore_errors=True))
 
 
@@ -131,7 +133,7 @@ def _first_decisive(
     failed: list[PlanningResult] = []
     waiting = {*searches}
     while waiting and time.monotonic() < deadline:
-        if cancel.is_set():
+        if cancel.is_set():  # looked at between short waits, because a future cannot be waited for together with a token
             return PlanningResult(PlanningStatus.CANCELLED, planner=", ".join(searches.values()))
         ended, waiting = wait(waiting, timeout=_POLL, return_when=FIRST_COMPLETED)
         for future in (future for future in searches if future in ended):
@@ -141,11 +143,14 @@ def _first_decisive(
                 answer = PlanningResult(PlanningStatus.CANCELLED, message="by the executor")
             except Exception as error:  # whatever befell the planner or the process it ran in
                 answer = PlanningResult(PlanningStatus.CRASHED, message=f"{type(error).__name__}: {error}")
+            # A plan is validated here even if the worker trusts it: the first *valid* plan wins, not the first.
             result = validated(problem, replace(answer, planner=searches[future]))
+            # A proof that there is no plan is as decisive as a plan; `NO_PLAN` only means that one planner found none.
             if result.plan is not None or result.status is PlanningStatus.UNSOLVABLE:
                 return replace(result, message="; ".join(filter(None, (*map(_reason, failed), result.message))))
             failed.append(result)
     failed += (PlanningResult(PlanningStatus.TIMED_OUT, planner=name) for future, name in searches.items() if future in waiting)
+    # Not the last failure but the most telling one, whatever the order in which planners gave up.
     status = min((result.status for result in failed), key=_FAILURES.index)
     return PlanningResult(status, message="; ".join(map(_reason, failed)), planner=", ".join(searches.values()))
 
@@ -159,7 +164,7 @@ class _StopFile:
 
     def __init__(self, file: Path) -> None:
         self._file = file
-        self._is_shared = file.parent.exists()
+        self._is_shared = file.parent.exists()  # looked up once, at the beginning: later a missing folder means that the search is over
 
     def is_set(self) -> bool:
         return self._is_shared and (self._file.exists() or not self._file.parent.exists())
@@ -178,7 +183,7 @@ class _ProcessPerJob(Executor):
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         spawn = multiprocessing.get_context("spawn")  # we may have threads, which do not survive a fork
         pool = ProcessPoolExecutor(1, mp_context=spawn, initializer=_begin_process, initargs=(str(self._stop_file),))
-        self._pools.append(pool)
+        self._pools.append(pool)  # before the submission, so that the pool is shut down even if that fails
         main = sys.modules["__main__"]
         sys.modules["__main__"] = ModuleType("__main__")  # lest the process run the caller's script again
         try:
@@ -199,11 +204,12 @@ def _begin_process(stop_file: str) -> None:
 
 def _exit_when_stopped(stop_file: Path) -> None:
     parent = multiprocessing.parent_process()
+    # Joining the parent is the sleep: its end is noticed at once, and the file within one interval.
     while parent and parent.is_alive() and not stop_file.exists():
         parent.join(_POLL)
-    if parent:
+    if parent:  # a grace period, in which a planner that looks at its token ends properly and cleans up
         parent.join(_GRACE)
-    os._exit(1)
+    os._exit(1)  # not `sys.exit`: this is a thread, and native code of a planner would hold up an orderly end
 
 
 def _when_all_have_ended(futures: set[Future[PlanningResult]], then: Callable[[], None]) -> None:

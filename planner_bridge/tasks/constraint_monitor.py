@@ -41,7 +41,7 @@ class _MonitoredConstraint:
     @property
     def untouched(self) -> bool:
         """Whether all of it is left. (Whether its one time has begun, the present state says as well.)"""
-        return tuple(replace(one, begun=False) for one in self.progress.rest) == (self.constraint,)
+        return tuple(replace(rest, begun=False) for rest in self.progress.rest) == (self.constraint,)
 
 
 class ConstraintMonitor:
@@ -55,18 +55,21 @@ class ConstraintMonitor:
     def __init__(self, problem: Problem, knowledge: Layered) -> None:
         self._problem = problem
         self._knowledge = knowledge
-        self._constraints = [(one, self._instance(one)) for one in (*problem.domain.constraints, *problem.constraints)]
+        self._constraints = [(constraint, self._instance(constraint)) for constraint in (*problem.domain.constraints, *problem.constraints)]
         self._preferences: list[tuple[Preference, list[list[_MonitoredConstraint]]]] = []
         for preference in (*problem.domain.preferences, *problem.preferences):
             wanted = preference.wanted
             constraints = wanted if isinstance(wanted, tuple) else (Constraint("at end", (wanted,)),)
             chosen = choices(preference.variables, knowledge, NOTHING)
-            ground = [[watched for one in constraints for watched in self._instance(one, env)] for env in chosen]
+            ground = [[watched for constraint in constraints for watched in self._instance(constraint, env)] for env in chosen]
             self._preferences.append((preference, ground))
         self._looked = False
 
     def _instance(self, constraint: Constraint, env: Environment = NOTHING) -> list[_MonitoredConstraint]:
-        return [_MonitoredConstraint(one, names_in(one), ConstraintProgress((one,))) for one in instances(constraint, self._knowledge, env)]
+        return [
+            _MonitoredConstraint(ground, names_in(ground), ConstraintProgress((ground,)))
+            for ground in instances(constraint, self._knowledge, env)
+        ]
 
     def _hard(self) -> Iterator[_MonitoredConstraint]:
         return (watched for _, instance in self._constraints for watched in instance)
@@ -106,17 +109,22 @@ class ConstraintMonitor:
 
     def next_look(self, now: float) -> float:
         """Return when to look again even if nothing changes; infinity if that is not needed."""
-        return min((one.progress.next_look(now, self._lag(one)) for one in self._all()), default=inf)
+        return min((watched.progress.next_look(now, self._lag(watched)) for watched in self._all()), default=inf)
 
     def doubtful_until(self) -> float:
         """Return when, at the latest, it will be known of everything that looks violated now whether it is; 0 if nothing does."""
         return max(
-            (one.progress.doubtful_since + self._lag(one) for one in self._all() if one.progress.doubtful_since is not None), default=0.0
+            (
+                watched.progress.doubtful_since + self._lag(watched)
+                for watched in self._all()
+                if watched.progress.doubtful_since is not None
+            ),
+            default=0.0,
         )
 
     def missing(self, now: float) -> tuple[Constraint, ...]:
         """Return the ground constraints that would not be kept if the task ended now."""
-        return tuple(one.constraint for one in self._hard() if not is_fulfilled(one.progress.rest, self._knowledge, now))
+        return tuple(watched.constraint for watched in self._hard() if not is_fulfilled(watched.progress.rest, self._knowledge, now))
 
     def rest_of(self, problem: Problem, now: float) -> Problem:
         """Return the problem from the world as it is with those constraints and preferences that are left."""
@@ -124,13 +132,13 @@ class ConstraintMonitor:
             return problem
         constraints: list[Constraint] = []
         for constraint, instance in self._constraints:
-            constraints += (shifted(constraint, now),) if all(one.untouched for one in instance) else _left(instance, now)
+            constraints += (shifted(constraint, now),) if all(watched.untouched for watched in instance) else _left(instance, now)
         preferences: list[Preference] = []
         for preference, ground in self._preferences:
             if not isinstance(preference.wanted, tuple):
                 preferences.append(preference)
-            elif all(one.untouched for instance in ground for one in instance):
-                preferences.append(replace(preference, wanted=tuple(shifted(one, now) for one in preference.wanted)))
+            elif all(watched.untouched for instance in ground for watched in instance):
+                preferences.append(replace(preference, wanted=tuple(shifted(constraint, now) for constraint in preference.wanted)))
             else:  # fulfilled ones too: metrics name them
                 preferences += (Preference(preference.name, _left(instance, now)) for instance in ground)
         domain = replace(problem.domain, constraints=(), preferences=())
@@ -144,7 +152,7 @@ class ConstraintMonitor:
             return tuple(ConstraintResult(constraint, "not monitored") for constraint, _ in self._constraints)
         results: list[ConstraintResult] = []
         for constraint, instance in self._constraints:
-            violations = tuple(violation for one in instance if (violation := self._violation(one, now)))
+            violations = tuple(violation for watched in instance if (violation := self._violation(watched, now)))
             results.append(ConstraintResult(constraint, "violated" if violations else "fulfilled", violations))
         return tuple(results)
 
@@ -156,18 +164,18 @@ class ConstraintMonitor:
     def preference_results(self, now: float) -> tuple[PreferenceResult, ...]:
         """Return what became of the preferences of every name if the task ends now; those of actions are not monitored."""
         names = dict.fromkeys(preference.name for preference, _ in self._preferences)
-        of_actions = dict.fromkeys(one.name for schema in self._problem.domain.actions.values() for one in schema.preferences)
+        of_actions = dict.fromkeys(preference.name for schema in self._problem.domain.actions.values() for preference in schema.preferences)
         if not self._looked:
             return tuple(PreferenceResult(name, "not monitored") for name in names | of_actions)
         violated = dict.fromkeys(names, 0)
         for preference, ground in self._preferences:
-            violated[preference.name] += sum(any(self._violation(one, now) for one in instance) for instance in ground)
+            violated[preference.name] += sum(any(self._violation(watched, now) for watched in instance) for instance in ground)
         monitored = (PreferenceResult(name, "violated" if count else "fulfilled", count) for name, count in violated.items())
         return (*monitored, *(PreferenceResult(name, "not monitored") for name in of_actions))
 
 
 def _left(instance: list[_MonitoredConstraint], now: float) -> tuple[Constraint, ...]:
-    return tuple(shifted(left, now) for one in instance for left in one.progress.rest)
+    return tuple(shifted(left, now) for watched in instance for left in watched.progress.rest)
 
 
 class TaskMonitor:

@@ -22,7 +22,7 @@ from pnm.core.execution.resources import who_keeps
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import PlanGraph, PlanGraphError
-from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.part import Unsound
 from pnm.tasks import Code, TaskState
 
 
@@ -56,7 +56,7 @@ class GoalLoop:
         with ExitStack() as cleanup:
             try:
                 self._monitor.begin(cleanup)
-                await self._monitor.settle()
+                await self._monitor.settle()  # before anything is planned: a constraint may only look violated because a report is late
                 if self._given is None:
                     plan = await self._search.in_turn(partial(self._search.plan, self._context.forbidden(self._log.history)))
                 else:
@@ -93,7 +93,7 @@ class GoalLoop:
 
     async def _replan(self, execution: PlanExecution) -> PlanGraph | None:
         """Replace the run by that of another plan, or return that plan if the run is over; None if the run goes on."""
-        if execution.is_over:
+        if execution.is_over:  # reports about the last calls may still be on their way; the decision below should know them
             await self._catch_up(execution)
         while True:
             if execution.is_over:
@@ -102,12 +102,15 @@ class GoalLoop:
                 return None
             if (delay := self._backoff(execution)) > 0.0:
                 if not execution.is_over:
+                    # The run goes on during the back-off: what is under way may still succeed.
                     execution.call_attention_at(asyncio.get_running_loop().time() + delay)
                     return None
+                # Decided anew afterwards: the task may have been stopped, or the goal reached, in the meantime.
                 await self._control.wait(delay)
                 continue
             if not execution.is_over:
                 execution.hold()
+                # Only requests that are settled can be handed over; the run has come to its end while it was waited for.
                 if not await execution.at_rest():
                     await self._catch_up(execution)
                     continue
@@ -141,6 +144,7 @@ class GoalLoop:
         """Raise `TaskEnded` if the task ends with this run."""
         result, stopped, problem = execution.result, self._control.stopped, self._context.problem
         ended, is_violated = stopped, stopped is not None and stopped.code is Code.CONSTRAINT_VIOLATED
+        # Order and number of the steps matter there, so the goal alone does not show that all is done.
         is_complete = result.goal or not (problem.network or self._given)  # a network of tasks, or a plan, is more than its goal
         if not is_violated and is_complete and self._goal_holds() and not self._monitor.missing:
             ended = TaskEnded(Code.GOAL_REACHED, "the goal holds")
@@ -161,6 +165,7 @@ class GoalLoop:
         if execution.is_blocked:
             execution.finish("others have begun with what it is in conflict with")
             return False
+        # For these the plan cannot be cut short or replaced in the middle: its steps or its times are part of the task.
         if self._given or context.problem.network or times_that_matter(context.problem):
             return False
         if execution.result.failures:
@@ -187,7 +192,7 @@ class GoalLoop:
         if not (execution.is_over or execution.result.failures) or history.given_up(limits):
             return 0.0
         now, backoff = asyncio.get_running_loop().time(), history.backoff(limits)
-        if self._retry_at is None:
+        if self._retry_at is None:  # fixed once per run: each further change would otherwise push the attempt further away
             is_patient = not (execution.is_over or execution.is_eager)  # reports about the failure may still be under way
             self._retry_at = now + max(backoff, self._context.world.longest_lag if is_patient else 0.0)
         if backoff and now < self._retry_at:
@@ -232,6 +237,7 @@ class GoalLoop:
                 if self._monitor.why_not(Progress.beginning(graph), self._context.forbidden(history)):
                     return None
             if not execution.is_over:
+                # Read again, because the run has gone on while its successor was planned.
                 machine, result = execution.run.machine, execution.result
                 execution.succeed(graph)
                 self._log.follow(machine, result, decision, history)
@@ -255,7 +261,7 @@ class GoalLoop:
                     return (await self._search.plan(forbidden, execution.run.under_way()))[0]
                 return await self._search.in_turn(partial(self._search.plan, forbidden))
             except NoPlan:
-                if is_last:
+                if is_last:  # nothing new has been reported between the attempts, or it has not helped
                     raise
                 await self._control.wait(world.longest_lag)
                 self._control.check()
@@ -270,7 +276,7 @@ class GoalLoop:
         self._monitor.limit.allow(limits.allowed(plan.makespan if plan.temporal else 0.0))
         self._context.observer.planned(plan)
         with self._context.task.stopwatch.of("translate"):
-            return plan_graph(self._monitor.now(), plan, [one.call for one in execution.run.under_way()] if execution else [])
+            return plan_graph(self._monitor.now(), plan, [running.call for running in execution.run.under_way()] if execution else [])
 
     # --- the end --------------------------------------------------------------------------------
 

@@ -104,7 +104,7 @@ class PlanExecution(Observer):
     def progress(self) -> Progress:
         """The progress of the current plan; nothing is under way once the run is over."""
         calls = self.result.calls
-        under_way = () if self.is_over else (one.call.index for one in calls if one.is_under_way)
+        under_way = () if self.is_over else (result.call.index for result in calls if result.is_under_way)
         return Progress(self.run.machine.plan, calls, frozenset(under_way))
 
     @property
@@ -145,7 +145,7 @@ class PlanExecution(Observer):
             await asyncio.wait((self._future, attention), return_when=asyncio.FIRST_COMPLETED)
         finally:
             attention.cancel()
-        self._attention.clear()
+        self._attention.clear()  # after the wait: whatever calls for attention from now on is seen in the next round
 
     def call_attention_at(self, time: float) -> None:
         """Call for attention at a time, on the clock of the event loop."""
@@ -159,6 +159,7 @@ class PlanExecution(Observer):
 
     def _changed(self, changes: Mapping[Fluent, Value | Unknown]) -> None:
         """Call for attention when facts change otherwise than the calls change them."""
+        # During a pause the plan is compared with the world once, when it is resumed.
         if not self.is_eager or self._context.control.is_paused:
             return
         progress = self.progress
@@ -171,6 +172,7 @@ class PlanExecution(Observer):
         """Go on after a pause; if the plan does not work any more, or is in conflict with others, call for attention first."""
         if self._context.scheduler.new_conflicts(self._context.task, lambda: self.footprint):
             self.is_blocked = True
+        # The run stays paused in these cases, so that nothing starts before it is decided what to do.
         if self.is_blocked or self.result.failures or (self.is_eager and self.obstacle()):
             self._attention.set()
         elif not self._is_held:
@@ -195,8 +197,9 @@ class PlanExecution(Observer):
     async def at_rest(self) -> bool:
         """Wait until everything that is under way can be handed over; return whether the run is still going on then."""
         while not self.executor.ended:
-            is_settled = all(one.kind is not CallOutcome.RUNNING for one in self.run.interim_result().calls)
-            if is_settled and set(self.run.open_requests) == {one.request for one in self.run.under_way()}:
+            # A request that is out but not accepted, or that is being cancelled, cannot be handed over yet.
+            is_settled = all(result.kind is not CallOutcome.RUNNING for result in self.run.interim_result().calls)
+            if is_settled and set(self.run.open_requests) == {running.request for running in self.run.under_way()}:
                 return True
             await self.executor.happens()
         await asyncio.wait((self._future,))  # which is done a moment after the executor has ended
@@ -208,7 +211,7 @@ class PlanExecution(Observer):
         Raises:
             Unsound: the plan cannot be executed.
         """
-        under_way = {one.call.index: one for one in self.run.under_way()}
+        under_way = {running.call.index: running for running in self.run.under_way()}
         numbers = (call.index for call in graph.calls if call.under_way)  # in the order that they had in the old plan
         self.executor.succeed(self._run_of(graph, dict(zip(numbers, (under_way[index] for index in sorted(under_way)), strict=True))))
 
@@ -250,7 +253,7 @@ def is_relevant(progress: Progress, changed: Mapping[Fluent, object]) -> bool:
 def is_foreseen(progress: Progress, changed: Mapping[Fluent, Value | Unknown], state: State) -> bool:
     """Return whether calls that have begun make these changes: each to what one of them writes, or a number it computes."""
     mentioned = {fluent[0] for fluent in changed}
-    begun = [one.call for one in progress.calls if one.kind is not CallOutcome.WAITING and _writes(one.call) & mentioned]
+    begun = [result.call for result in progress.calls if result.kind is not CallOutcome.WAITING and _writes(result.call) & mentioned]
     written: dict[Fluent, list[Value | None]] = {}
     for call in begun:
         for fluent, effect, _ in possible_assignments((*call.action.start_effects, *call.action.end_effects), state):

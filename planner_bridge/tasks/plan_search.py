@@ -74,7 +74,7 @@ class PlanSearch:
         """
         context, control, task = self._context, self._control, self._context.task
         while True:
-            await control.unpaused()
+            await control.unpaused()  # before the turn is asked for: a paused task would keep the others from planning
             await control.until(context.scheduler.begin_turn(task))
             blocking: tuple[Conflict, ...] = ()
             try:
@@ -84,6 +84,7 @@ class PlanSearch:
                         break  # the plan may not work any more when the task goes on
                     if plan is not None:
                         return plan
+                    # Tried again at once after preempting them: they have stopped somewhere, and the world is another one now.
                     if all(conflict.yields for conflict in conflicts):
                         await control.until(context.scheduler.preempt(task, conflicts))
                     else:
@@ -118,23 +119,23 @@ class PlanSearch:
         if under_way is None:
             self._begin()
         now = forbid(self._monitor.now(projected_state(context.world, under_way or ())), forbidden)
-        going_on = [one.call for one in under_way or ()]
-        self._control.reserved = None
+        going_on = [open_request.call for open_request in under_way or ()]
+        self._control.reserved = None  # while it plans anew, the last plan must not keep others away
         context.observer.planning(context.settings.planner)
         running = context.scheduler.running_calls(context.task)  # now, and not when the planner has answered
-        found = await self._solve(now)
-        if found.plan is None:
-            context.observer.unplanned(found)
-            conflicts = await self._too_early(now, running, found)
+        result = await self._solve(now)
+        if result.plan is None:
+            context.observer.unplanned(result)
+            conflicts = await self._too_early(now, running, result)
         else:
             self._has_found = True
-            conflicts = self._reserve(now, found.plan, going_on)
-            if any(not one.yields for one in conflicts) and context.on_conflict is OnConflict.PLAN_AROUND:
-                found, conflicts = await self._around(now, going_on, found, conflicts)
+            conflicts = self._reserve(now, result.plan, going_on)
+            if any(not conflict.yields for conflict in conflicts) and context.on_conflict is OnConflict.PLAN_AROUND:
+                result, conflicts = await self._around(now, going_on, result, conflicts)
         self._control.check()
-        if found.plan is None and not conflicts:
-            raise NoPlan(found, forbidden)
-        return self._unless_in_conflict(found.plan, conflicts)
+        if result.plan is None and not conflicts:
+            raise NoPlan(result, forbidden)
+        return self._unless_in_conflict(result.plan, conflicts)
 
     async def given(self, plan: Plan) -> tuple[Plan | None, tuple[Conflict, ...]]:
         """Attempt to carry out a plan that is given."""
@@ -145,6 +146,7 @@ class PlanSearch:
     async def rest(self, rest: PlanGraph) -> tuple[PlanGraph | None, tuple[Conflict, ...]]:
         """Attempt to carry out the rest of a plan."""
         context = self._context
+        # Reserved before conflicts are looked for, with no await in between: of two tasks one always sees the other.
         self._control.reserved = needed = cache(partial(read_write_sets, rest.calls, rest.goal, context.world))
         return self._unless_in_conflict(rest, context.scheduler.new_conflicts(context.task, needed))
 
@@ -164,41 +166,44 @@ class PlanSearch:
             return None, conflicts
         return plan, ()
 
-    async def _too_early(self, now: Problem, running: tuple[RunningCalls, ...], found: PlanningResult) -> tuple[Conflict, ...]:
+    async def _too_early(self, now: Problem, running: tuple[RunningCalls, ...], result: PlanningResult) -> tuple[Conflict, ...]:
         """Return the tasks after whose running calls there may be a plan: while a robot moves, it is nowhere."""
-        if not running or found.status not in _NO_PLAN:
+        if not running or result.status not in _NO_PLAN:
             return ()
-        optimistic = optimistic_state(now, [call for one in running for call in one.calls])
+        optimistic = optimistic_state(now, [call for theirs in running for call in theirs.calls])
         other = await self._solve(optimistic)
         if other.plan is None:
             return ()
         needed, world = read_write_sets(calls_of(optimistic, other.plan), now.goal, initial_knowledge(optimistic)), initial_knowledge(now)
-        conflicts = [Conflict(one.task, one.name, read_write_sets(one.calls, TRUE, world), str(one), one.yields) for one in running]
-        return tuple(one for one in conflicts if needed.disturbed_by(one.footprint)) or tuple(conflicts)
+        conflicts = [
+            Conflict(theirs.task, theirs.name, read_write_sets(theirs.calls, TRUE, world), str(theirs), theirs.yields) for theirs in running
+        ]
+        return tuple(conflict for conflict in conflicts if needed.disturbed_by(conflict.footprint)) or tuple(conflicts)
 
     async def _around(
-        self, now: Problem, under_way: list[ActionCall], found: PlanningResult, conflicts: tuple[Conflict, ...]
+        self, now: Problem, under_way: list[ActionCall], result: PlanningResult, conflicts: tuple[Conflict, ...]
     ) -> tuple[PlanningResult, tuple[Conflict, ...]]:
         """Search for a plan that avoids the conflicts with tasks that do not yield, and those that it would bring itself."""
         avoided: dict[UUID, Conflict] = {}
-        while new := {one.task: one for one in conflicts if one.task not in avoided and not one.yields}:
+        while new := {conflict.task: conflict for conflict in conflicts if conflict.task not in avoided and not conflict.yields}:
             avoided |= new
-            other = await self._solve(avoid_interference(now, [one.footprint for one in avoided.values()]))
+            other = await self._solve(avoid_interference(now, [conflict.footprint for conflict in avoided.values()]))
             if other.plan is None:
-                return found, tuple(avoided.values())
+                return result, tuple(avoided.values())
             conflicts = self._reserve(now, other.plan, under_way)
-            if all(one.yields for one in conflicts):
+            if all(conflict.yields for conflict in conflicts):
                 return other, conflicts
-        return found, conflicts
+        return result, conflicts
 
     async def _solve(self, problem: Problem) -> PlanningResult:
         """Ask the planner, in a thread, and leave needless calls of its plan out."""
         settings, stop = self._context.settings, self._control.planner_stop
+        # The planner may not take longer than the task has left.
         timeout = max(0.01, min(settings.planner_timeout, self._monitor.limit.left))
         search = partial(solve, problem, planner=settings.planner, timeout=timeout, cancel=stop, executor=settings.executor)
         try:
             with self._context.task.stopwatch.of("plan"):
-                found = await asyncio.to_thread(search)
+                result = await asyncio.to_thread(search)
         except asyncio.CancelledError:
             stop.set()
             if cast("asyncio.Task[object]", asyncio.current_task()).cancelling():
@@ -208,7 +213,7 @@ class PlanSearch:
             if not self._has_found:
                 raise
             return PlanningResult(PlanningStatus.INVALID, message=str(error))
-        return found if found.plan is None else replace(found, plan=without_needless_calls(problem, found.plan))
+        return result if result.plan is None else replace(result, plan=without_needless_calls(problem, result.plan))
 
 
 def without_needless_calls(problem: Problem, plan: Plan) -> Plan:
@@ -219,7 +224,11 @@ def without_needless_calls(problem: Problem, plan: Plan) -> Plan:
     """
     domain, metric = problem.domain, problem.metric
     is_short = metric is None or (metric.direction == "minimize" and str(metric.expression) in ("(total-cost)", "(total-time)"))
-    preferences = (*domain.preferences, *problem.preferences, *(one for schema in domain.actions.values() for one in schema.preferences))
+    preferences = (
+        *domain.preferences,
+        *problem.preferences,
+        *(preference for schema in domain.actions.values() for preference in schema.preferences),
+    )
     asks_for_more = problem.network or problem.constraints or domain.constraints or preferences or not is_short
     if plan.temporal or len(plan.steps) > MAX_SHORTENED or asks_for_more:
         return plan

@@ -23,7 +23,7 @@ from pnm.core.machine.machine import CallOutcome
 from pnm.core.machine.plan_graph import ActionCall, Cause
 from pnm.errors import InputError
 from pnm.executor import Executor
-from pnm.language.runner import Performance, Performer
+from pnm.language.runner import PlanRun, PlanRunner
 from pnm.tasks import Code, TaskState
 
 
@@ -33,20 +33,18 @@ class PlanTask:
     When it is paused at once, a plan that it calls is cancelled and begins anew later.
 
     Args:
-        performer: carries out the plan.
+        runner: carries out the plan.
         context: of the task.
 
     Raises:
         InputError: there is no such plan, or it has no such parameter.
     """
 
-    def __init__(self, performer: Performer, context: TaskContext) -> None:
+    def __init__(self, runner: PlanRunner, context: TaskContext) -> None:
         wanted, observer = context.task.wanted, context.observer
-        self._performer = performer
+        self._runner = runner
         self._context = context
-        self._performance: Performance = performer.perform(
-            wanted.text, wanted.parameters, observer, task=wanted.id, priority=wanted.priority
-        )
+        self._plan_run: PlanRun = runner.prepare_run(wanted.text, wanted.parameters, observer, task=wanted.id, priority=wanted.priority)
 
     async def carry_out(self) -> PlanResult:
         """Carry the plan out and return how it ended.
@@ -54,25 +52,23 @@ class PlanTask:
         Raises:
             InputError: a parameter has no value; nothing was started.
         """
-        context, performance = self._context, self._performance
-        program = performance.program
+        context, plan_run = self._context, self._plan_run
+        program = plan_run.program
         with context.control.executing(self):
-            context.control.limit_time(performance.limit)
-            await self._performer.check(performance)
+            context.control.limit_time(plan_run.limit)
+            await self._runner.check(plan_run)
             context.observer.generated(program.machine, program.proof)
             context.control.enter(TaskState.RUNNING)
             began = asyncio.get_running_loop().time()
             with context.task.stopwatch.of("execute"):
-                run = await self._performer.execute(performance)
+                run = await self._runner.execute(plan_run)
         stopped = self._context.control.stopped
         code = code_of_run(run, stopped.code if stopped else Code.TIMED_OUT)  # what else stops it is its own limit
         reason = stopped.reason if stopped and run.stopped and not run.goal else run.reason
         cause = "" if run.goal or run.stopped else run.failures[0].cause if run.failures else Cause.GOAL_FALSE
-        episode = Episode(self._performance.program.machine, run)
-        seconds, variables = self._context.task.stopwatch.seconds, self._performance.variables
-        result = PlanResult(
-            code, reason, 0, (episode,), seconds, began, results=self._performance.results, variables=variables, cause=cause
-        )
+        episode = Episode(self._plan_run.program.machine, run)
+        seconds, variables = self._context.task.stopwatch.seconds, self._plan_run.variables
+        result = PlanResult(code, reason, 0, (episode,), seconds, began, results=self._plan_run.results, variables=variables, cause=cause)
         if context.control.stopped or not any(failure.replan for failure in run.failures):
             return result
         return await self._replanned(result)
@@ -82,7 +78,7 @@ class PlanTask:
     @property
     def executor(self) -> Executor:
         """The executor of the plan."""
-        return self._performance.executor
+        return self._plan_run.executor
 
     @property
     def footprint(self) -> ReadWriteSets:
@@ -96,12 +92,12 @@ class PlanTask:
     @property
     def running(self) -> tuple[str, ...]:
         """The calls that are under way, those in plans that it calls as well."""
-        return self._performance.running
+        return self._plan_run.running
 
     @property
     def awaits_answers(self) -> bool:
         """Whether nothing goes on before a person has answered."""
-        return self._performance.awaits_answers
+        return self._plan_run.awaits_answers
 
     def resume(self) -> None:
         """Go on after a pause."""
@@ -115,7 +111,7 @@ class PlanTask:
         context.observer.resigned(result.reason)
         asking = (failure.call for failure in result.failures if failure.replan)  # for another plan: they are given up
         given_up = {ForbiddenCall.of(call.action): context.settings.limits.forbid_after for call in asking if isinstance(call, ActionCall)}
-        unconfirmed = (one.call.action for one in result.calls if one.kind is CallOutcome.UNCONFIRMED)
+        unconfirmed = (call_result.call.action for call_result in result.calls if call_result.kind is CallOutcome.UNCONFIRMED)
         history = History(given_up, frozenset(map(ForbiddenCall.of, unconfirmed)))
         try:
             problem = await self._problem()
@@ -135,7 +131,7 @@ class PlanTask:
 
     async def _problem(self) -> Problem:
         """Return the problem of reaching the plan's goal from the world as it is."""
-        plan = self._performance.program.plan
+        plan = self._plan_run.program.plan
         if plan.goal == TRUE:
             raise InputError(f"the plan {plan.name} has no goal")
         if not plan.domain_file:

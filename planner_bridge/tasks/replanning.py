@@ -32,7 +32,7 @@ class Limits:
     replans: int = 10
     """New nets after the first, whether or not a planner was asked."""
     seconds: float | None = None
-    """From the start of the task, pauses left out, on the clock of its runs. By default an hour, or what `allowed` says."""
+    """From the start of the task, pauses left out, on the clock of its runs. By default an hour, or the result of `allowed`."""
     forbid_after: int = 2
     """A ground action that failed so often since it last succeeded is not planned with any more."""
     backoff: float = 0.5
@@ -40,7 +40,7 @@ class Limits:
     longest_backoff: float = 30.0
 
     def allowed(self, planned: float = 0.0) -> float:
-        """Return how many seconds a task may take whose plan takes so many: three times as long if nothing else is said."""
+        """Return how many seconds a task may take, given the seconds of its plan: three times as long by default."""
         return max(3600.0, 3.0 * planned) if self.seconds is None else self.seconds
 
 
@@ -61,21 +61,21 @@ class History:
         """Return the history with one more failed run."""
         calls, failures = tuple(calls), tuple(failures)
         failed = dict(self.failed)
-        of_calls = [(one, one.call) for one in failures if isinstance(one.call, ActionCall)]
+        of_calls = [(failure, failure.call) for failure in failures if isinstance(failure.call, ActionCall)]
         for failure, failed_call in of_calls:
             if failure.cause not in _WORLD:
                 call = ForbiddenCall.of(failed_call.action)
                 failed[call] = failed.get(call, 0) + 1
-        for one in calls:
-            if one.kind is CallOutcome.SUCCEEDED:
-                failed.pop(ForbiddenCall.of(one.call.action), None)
+        for result in calls:
+            if result.kind is CallOutcome.SUCCEEDED:
+                failed.pop(ForbiddenCall.of(result.call.action), None)
         at_work = [call for failure, call in of_calls if failure.unconfirmed]
-        at_work += [one.call for one in calls if one.kind is CallOutcome.UNCONFIRMED]
-        progress = any(one.kind is CallOutcome.SUCCEEDED for one in calls)
+        at_work += [result.call for result in calls if result.kind is CallOutcome.UNCONFIRMED]
+        progress = any(result.kind is CallOutcome.SUCCEEDED for result in calls)
         return History(
             failed,
             self.unconfirmed | {ForbiddenCall.of(call.action) for call in at_work},
-            self.lacking.union(*(one.lacking for one in failures)),
+            self.lacking.union(*(failure.lacking for failure in failures)),
             self.replans + 1,
             0 if progress else self.fruitless + 1,
         )
@@ -148,7 +148,7 @@ class Progress:
 
     @cached_property
     def _finished(self) -> frozenset[int]:
-        over = (one.call.index for one in self.calls if one.is_done)
+        over = (result.call.index for result in self.calls if result.is_done)
         return frozenset(over) - self.under_way
 
     @cached_property
@@ -200,10 +200,10 @@ def decide(
 
 
 def times_that_matter(now: Problem) -> str:
-    """Say why only a planner knows what a delay means; empty when times do not matter."""
+    """Return why only a planner can judge a delay; empty when times do not matter."""
     if now.timed:
         return "facts will change by themselves, so the times of the plan matter"
-    timed = [str(one) for one in (*now.domain.constraints, *now.constraints) if one.times]
+    timed = [str(constraint) for constraint in (*now.domain.constraints, *now.constraints) if constraint.times]
     return f"the times of the plan matter to {', '.join(timed)}" if timed else ""
 
 
@@ -211,7 +211,7 @@ def rest_of(now: Problem, progress: Progress) -> PlanGraph:
     """Return the calls that are not over, in an order of events of the old plan, with the orderings that their causes demand."""
     number = {call.index: position for position, call in enumerate(progress.rest)}
     renumbered = tuple(replace(call, index=number[call.index], under_way=call.index in progress.under_way) for call in progress.rest)
-    begun = [PlanEvent(number[one], Moment.START) for one in sorted(progress.under_way)]
+    begun = [PlanEvent(number[index], Moment.START) for index in sorted(progress.under_way)]
     order = [*begun, *(PlanEvent(number[event.call], event.moment) for event in progress.events)]
     return deordered(now, renumbered, order)
 
@@ -229,7 +229,7 @@ def why_not(
     """
     plan = progress.plan
     for call in progress.rest:
-        if call.index not in progress.under_way and any(one.covers(call.action) for one in forbidden):
+        if call.index not in progress.under_way and any(forbidden_call.covers(call.action) for forbidden_call in forbidden):
             return f"{call.action} has failed too often, or a server may still be at work on it or with what it needs"
     simulation = PlanSimulation(snapshot(knowledge), {number: plan.calls[number].action for number in progress.under_way})
     progression = ConstraintProgression(constraints, simulation.state)

@@ -138,25 +138,30 @@ class TaskResult:
             "replans": self.replans,
             "calls": [
                 {
-                    "action": one.call.action.name,
-                    "arguments": list(one.call.action.arguments),
-                    "outcome": one.outcome,
-                    "attempts": one.attempts,
-                    "started": None if one.started is None else round(one.started - self.began, 4),
-                    "ended": None if one.ended is None else round(one.ended - self.began, 4),
-                    "assumed": one.assumed,
+                    "action": result.call.action.name,
+                    "arguments": list(result.call.action.arguments),
+                    "outcome": result.outcome,
+                    "attempts": result.attempts,
+                    "started": None if result.started is None else round(result.started - self.began, 4),
+                    "ended": None if result.ended is None else round(result.ended - self.began, 4),
+                    "assumed": result.assumed,
                 }
-                for one in self.calls
+                for result in self.calls
             ],
             "failures": [
-                {"call": str(one.call), "cause": one.cause, "expected": one.expected, "observed": one.observed} for one in self.failures
+                {"call": str(failure.call), "cause": failure.cause, "expected": failure.expected, "observed": failure.observed}
+                for failure in self.failures
             ],
             "decisions": [_decision_as_json(episode.decision) for episode in self.episodes if episode.decision],
             "constraints": [
-                {"constraint": str(one.constraint), "status": one.status, "violations": [each.as_json() for each in one.violations]}
-                for one in self.constraints
+                {
+                    "constraint": str(result.constraint),
+                    "status": result.status,
+                    "violations": [each.as_json() for each in result.violations],
+                }
+                for result in self.constraints
             ],
-            "preferences": [{"name": one.name, "status": one.status, "violated": one.violated} for one in self.preferences],
+            "preferences": [{"name": result.name, "status": result.status, "violated": result.violated} for result in self.preferences],
             "seconds": {name: round(seconds, 6) for name, seconds in self.seconds.items()},
         }
 

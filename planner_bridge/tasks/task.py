@@ -68,7 +68,7 @@ class Task(TaskObserver):
     observers: tuple[TaskObserver, ...] = ()
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
     goal: str = ""
-    """The goal in PDDL, when its text does not say it."""
+    """The goal in PDDL; empty for a task that is a plan."""
     start: StartTask | None = None
     observer: TaskObserver = field(init=False)
     """The task, and all who listen to it besides."""
@@ -227,7 +227,7 @@ class Task(TaskObserver):
 
     def withheld(self, call: ActionCall, names: tuple[str, ...], now: float) -> None:
         """Note that a request was given up, and what it keeps."""
-        kept = f", and keeps {', '.join(names)} until its server says that it is over" if names else ""
+        kept = f", and keeps {', '.join(names)} until its server reports the end" if names else ""
         self.note("withheld", str(call.action), f"has not confirmed that it is over{kept}")
 
     def waiting(self, is_so: bool, now: float) -> None:

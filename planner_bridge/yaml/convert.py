@@ -65,12 +65,12 @@ def exported(
     whole = read_problem(problem, model)
     if not with_plan and not original:
         return Exported(write_problem(whole, _both(domain, problem)), whole.warnings)
-    found = solve(whole, planner=planner, timeout=timeout)
-    if found.plan is None:
-        return Exported(warnings=whole.warnings, reason=found.reason)
+    result = solve(whole, planner=planner, timeout=timeout)
+    if result.plan is None:
+        return Exported(warnings=whole.warnings, reason=result.reason)
     if original:
-        return Exported(write_original(whole, found.plan), whole.warnings)
-    graph = plan_graph(whole, found.plan)
+        return Exported(write_original(whole, result.plan), whole.warnings)
+    graph = plan_graph(whole, result.plan)
     return Exported(write_problem(whole, _both(domain, problem), plan_entries(graph, whole.domain)), whole.warnings)
 
 
@@ -80,13 +80,13 @@ def imported(file: Path) -> Imported:
     Raises:
         InputError: the file is wrong, or has what PDDL has not.
     """
-    found = read(file)
-    texts = {"domain.pddl": domain_text(found.domain, found.of("domain"))}
-    domain = parse_domain(texts["domain.pddl"], "domain.pddl")  # which tells of requirements that other planners will miss
-    warnings = (*found.domain.warnings, *domain.warnings)
-    if found.problem:
-        texts["problem.pddl"] = problem_text(found.problem, found.of("problem"))
-        warnings = (*found.domain.warnings, *parse_problem(texts["problem.pddl"], domain, "problem.pddl").warnings)
+    contents = read(file)
+    texts = {"domain.pddl": domain_text(contents.domain, contents.of("domain"))}
+    domain = parse_domain(texts["domain.pddl"], "domain.pddl")  # which warns of requirements that other planners will miss
+    warnings = (*contents.domain.warnings, *domain.warnings)
+    if contents.problem:
+        texts["problem.pddl"] = problem_text(contents.problem, contents.of("problem"))
+        warnings = (*contents.domain.warnings, *parse_problem(texts["problem.pddl"], domain, "problem.pddl").warnings)
     return Imported(texts, warnings)
 
 

@@ -44,7 +44,7 @@ def scalar(text: str, *, in_flow: bool = False) -> str:
 
 def quoted(text: str) -> str:
     """Write a text in quotes."""
-    return _ESCAPED.sub(lambda found: f"\\u{ord(found[0]):04x}", json.dumps(text, ensure_ascii=False))
+    return _ESCAPED.sub(lambda match: f"\\u{ord(match[0]):04x}", json.dumps(text, ensure_ascii=False))
 
 
 def is_plain(text: str, *, in_flow: bool = False) -> bool:

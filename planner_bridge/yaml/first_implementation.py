@@ -239,19 +239,19 @@ class _UnrolledPlan:
 
 def _expanded(effects: Effects, state: State, condition: Condition = TRUE) -> list[tuple[Set, Condition]]:
     """Return effects without quantifiers, each with the condition it happens under."""
-    found: list[tuple[Set, Condition]] = []
+    expanded: list[tuple[Set, Condition]] = []
     for effect in effects:
         match effect:
             case Set():
-                found.append((effect, condition))
+                expanded.append((effect, condition))
             case When(tested, inner):
-                found += _expanded(inner, state, tested if condition == TRUE else All((condition, tested)))
+                expanded += _expanded(inner, state, tested if condition == TRUE else All((condition, tested)))
             case ForEach(variables, inner):
                 for chosen in choices(variables, state, NOTHING):
-                    found += _expanded(ground_effects(inner, chosen), state, condition)
+                    expanded += _expanded(ground_effects(inner, chosen), state, condition)
             case _:
                 assert_never(effect)
-    return found
+    return expanded
 
 
 # --- what it reads -------------------------------------------------------------------------
@@ -292,8 +292,8 @@ def _both(word: str, left: Value, right: Value) -> Value:
 
 def _nested(word: str, values: Iterable[Value]) -> Value:
     """Join conditions two by two: it cannot load three."""
-    found = list(values)
-    while len(found) > 1:
-        pairs = [_both(word, *pair) for pair in zip(found[::2], found[1::2], strict=False)]
-        found = [*pairs, *found[2 * len(pairs) :]]
-    return found[0] if found else single(word, Sequence())
+    parts = list(values)
+    while len(parts) > 1:
+        pairs = [_both(word, *pair) for pair in zip(parts[::2], parts[1::2], strict=False)]
+        parts = [*pairs, *parts[2 * len(pairs) :]]
+    return parts[0] if parts else single(word, Sequence())

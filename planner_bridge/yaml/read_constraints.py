@@ -31,12 +31,12 @@ _IS_VIOLATED: Final = "is-violated"
 
 def read_constraint(node: Node, scope: FormulaScope, variables: tuple[Variable, ...] = ()) -> Constraint:
     """Read a constraint, around which these variables are bound."""
-    found = needed_form(node, (*CONSTRAINT_WORDS, "forall"), "a constraint")
-    if found.word == "forall":
-        inner, body = read_quantified(found, "constraint", scope)
+    construct = needed_form(node, (*CONSTRAINT_WORDS, "forall"), "a constraint")
+    if construct.word == "forall":
+        inner, body = read_quantified(construct, "constraint", scope)
         return read_constraint(body, scope.inside(inner), (*variables, *inner))
-    times, conditions = CONSTRAINT_WORDS[found.word]
-    operands = found.items(times + conditions) if times + conditions > 1 else (found.argument,)
+    times, conditions = CONSTRAINT_WORDS[construct.word]
+    operands = construct.items(times + conditions) if times + conditions > 1 else (construct.argument,)
     wanted = tuple([read_condition(operand, scope) for operand in operands[times:]])
     seconds: list[float] = []
     for operand in operands[:times]:
@@ -44,7 +44,7 @@ def read_constraint(node: Node, scope: FormulaScope, variables: tuple[Variable, 
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < float("inf"):
             raise operand.wrong(f"expected a time of at least 0, found {operand.written or 'something else'}")
         seconds.append(float(value))
-    return Constraint(found.word.replace("_", " "), wanted, tuple(seconds), variables)
+    return Constraint(construct.word.replace("_", " "), wanted, tuple(seconds), variables)
 
 
 def read_preference(node: Node, scope: FormulaScope, *, timed: bool = False) -> Preference:
@@ -87,8 +87,8 @@ def read_metric(entry: Mapped, scope: FormulaScope, preferences: Collection[str]
     node = entry.filled("metric")
     if node is None:
         return None
-    found = needed_form(node, _DIRECTIONS, "a metric")
-    argument = found.argument
+    construct = needed_form(node, _DIRECTIONS, "a metric")
+    argument = construct.argument
     expression = read_expression(argument)
     if isinstance(expression, Constant) and isinstance(expression.value, str):
         raise argument.wrong(f"expected a number or a function such as (total-time), found {expression}")
@@ -102,4 +102,4 @@ def read_metric(entry: Mapped, scope: FormulaScope, preferences: Collection[str]
                     raise InputError(f"there is no preference {name!r} here; {hint}", argument.position_of(name))
             case _:
                 scope.check_number(fluent, argument)
-    return Metric(_DIRECTIONS[found.word], expression)
+    return Metric(_DIRECTIONS[construct.word], expression)

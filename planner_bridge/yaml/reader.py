@@ -94,7 +94,7 @@ def _domain(model: ProblemModel, top: Mapped) -> Domain:
     left_out = [(f"{key!r}", top.nodes[key][0]) for key in _LEFT_OUT if key in top.nodes]
     for name, entry in top.mapping("actions").items():
         left_out += [(f"{key!r} of {name}", position) for key, (position, _) in entry.nodes.items() if key not in _PDDL_PARTS]
-    left_out.sort(key=lambda found: (found[1].line, found[1].column))
+    left_out.sort(key=lambda item: (item[1].line, item[1].column))
     return Domain(
         **{**_fields(model.domain), "actions": actions},
         requirements=_requirements(top),

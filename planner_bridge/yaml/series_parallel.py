@@ -49,10 +49,10 @@ def closure(before: Sequence[Iterable[int]]) -> list[int]:
     """Return, for elements numbered in an order that fits, the set of all that come before each."""
     earlier: list[int] = []
     for own in before:
-        found = 0
+        ancestors = 0
         for element in own:
-            found |= earlier[element] | 1 << element
-        earlier.append(found)
+            ancestors |= earlier[element] | 1 << element
+        earlier.append(ancestors)
     return earlier
 
 
@@ -60,8 +60,8 @@ def blocks(before: Sequence[tuple[int, ...]]) -> Block:
     """Take apart a transitively reduced order of at least one element."""
     earlier = closure(before)
     related = list(earlier)
-    for number, found in enumerate(earlier):
-        for element in _members(found):
+    for number, ancestors in enumerate(earlier):
+        for element in _members(ancestors):
             related[element] |= 1 << number
     return _block((1 << len(before)) - 1, before, earlier, related)
 
@@ -72,7 +72,7 @@ def _block(members: int, before: Sequence[tuple[int, ...]], earlier: Sequence[in
     beside = _components(members, related)
     if len(beside) > 1:
         return Parallel(tuple([_block(part, before, earlier, related) for part in beside]))
-    chained = _components(members, [~found for found in related])
+    chained = _components(members, [~neighbours for neighbours in related])
     if len(chained) > 1:
         chained.sort(key=lambda part: (earlier[_lowest(part)] & members & ~part).bit_count())
         return Series(tuple([_block(part, before, earlier, related) for part in chained]))
@@ -81,7 +81,7 @@ def _block(members: int, before: Sequence[tuple[int, ...]], earlier: Sequence[in
 
 def _components(members: int, neighbours: Sequence[int]) -> list[int]:
     """Return the parts of a set that no neighbours connect, by their lowest members."""
-    found: list[int] = []
+    parts: list[int] = []
     left = members
     while left:
         part = frontier = 1 << _lowest(left)
@@ -91,9 +91,9 @@ def _components(members: int, neighbours: Sequence[int]) -> list[int]:
                 reached |= neighbours[element]
             frontier = reached & left & ~part
             part |= frontier
-        found.append(part)
+        parts.append(part)
         left &= ~part
-    return found
+    return parts
 
 
 def _lowest(members: int) -> int:

@@ -64,7 +64,7 @@ def domain_entries(domain: Domain, notes: Notes) -> list[Entry]:
     own = notes.at("domain")
     root = own.take().joined(notes.take())
     lines = [("types", ((name, above or ("object",)) for name, above in domain.types.items())), ("constants", domain.constants.items())]
-    found = [
+    entries = [
         _requirements(domain.requirements, own),
         *(_names(key, pairs, own) for key, pairs in lines),
         _declarations("predicates", domain.predicates.values(), own),
@@ -78,10 +78,10 @@ def domain_entries(domain: Domain, notes: Notes) -> list[Entry]:
     for schema in domain.actions.values():
         inner = own.at(ACTION, schema.name.lower())
         actions.append(Entry(Mapping(tuple(_parts(schema, inner))), schema.name, inner.take(), apart=bool(actions)))
-    found.append(Entry(Mapping(tuple(actions)), "actions"))
+    entries.append(Entry(Mapping(tuple(actions)), "actions"))
     return [
         Entry(domain.name, "name", root),
-        *(replace(entry, apart=entry.key != "requirements") for entry in found if not _is_empty(entry)),
+        *(replace(entry, apart=entry.key != "requirements") for entry in entries if not _is_empty(entry)),
     ]
 
 
@@ -119,8 +119,8 @@ def _rule(rule: DerivationRule, notes: Notes) -> Entry:
 def _constraints(whole: Domain | Problem, notes: Notes) -> Entry:
     own = notes.at(":constraints")
     note = own.take() if whole.constraints or any(isinstance(preference.wanted, tuple) for preference in whole.preferences) else None
-    found = constraints(whole.constraints, own)
-    return Entry(found, "constraints", note) if note else Entry(found, "constraints")
+    written = constraints(whole.constraints, own)
+    return Entry(written, "constraints", note) if note else Entry(written, "constraints")
 
 
 def _parts(schema: ActionSchema, notes: Notes) -> Iterator[Entry]:
@@ -143,7 +143,7 @@ def _parts(schema: ActionSchema, notes: Notes) -> Iterator[Entry]:
     if schema.duration is None:
         conditional = effects(schema.end_effects, changing) if schema.end_effects else None
     else:
-        conditional = _moments((key, effects(found, changing)) for key, found in changes if found)
+        conditional = _moments((key, effects(timed, changing)) for key, timed in changes if timed)
     if conditional is not None:
         yield Entry(conditional, "effects", changing.take())
 
@@ -158,7 +158,7 @@ def _moments(parts: Iterable[tuple[str, Value]]) -> Value | None:
 
 def _problem(problem: Problem, notes: Notes) -> Iterator[Entry]:
     goal, facts = notes.at(":goal"), notes.at(":init")
-    found = [
+    entries = [
         _requirements(problem.requirements, notes),
         _names("objects", problem.own_objects.items(), notes),
         Entry(Sequence(tuple(_initial(problem, facts))), "init", facts.take()),
@@ -166,7 +166,7 @@ def _problem(problem: Problem, notes: Notes) -> Iterator[Entry]:
         Entry(preferences(problem.preferences, goal, notes.at(":constraints")), "preferences"),
     ]
     yield Entry(problem.name, "name")
-    yield from (entry for entry in found if not _is_empty(entry))
+    yield from (entry for entry in entries if not _is_empty(entry))
     if problem.network:
         yield Entry(problem.network, "network", notes.at(*hierarchy_anchor(problem.network)).take())
     if problem.goal != TRUE or not problem.network:

@@ -101,10 +101,10 @@ def expression(value: Expression) -> Value:
 # --- effects -------------------------------------------------------------------------------
 
 
-def effects(found: Effects, notes: Notes) -> Sequence:
+def effects(listed: Effects, notes: Notes) -> Sequence:
     """Write effects, each an item of a list."""
     entries: list[Entry] = []
-    for effect in found:
+    for effect in listed:
         own = notes.at(form_anchor(effects_form((effect,)))) if notes else NO_NOTES
         entries.append(Entry(_effect(effect, own), note=own.take()))
     return Sequence(tuple(entries))
@@ -139,10 +139,10 @@ def duration(bounds: tuple[DurationConstraint, ...]) -> Value:
             return items(single(bound.operation, expression(bound.bound), short=True) for bound in bounds)
 
 
-def constraints(found: Iterable[Constraint], notes: Notes) -> Sequence:
+def constraints(listed: Iterable[Constraint], notes: Notes) -> Sequence:
     """Write constraints on the course of states, each an item of a list."""
     entries: list[Entry] = []
-    for constraint in found:
+    for constraint in listed:
         own = notes.at(form_anchor(constraint_form(constraint)))
         times: list[Entry] = [Entry(Bare(number_text(time))) for time in constraint.times]
         operands = [*times, *(_noted(condition, NO_NOTES) for condition in constraint.conditions)]
@@ -153,10 +153,10 @@ def constraints(found: Iterable[Constraint], notes: Notes) -> Sequence:
     return Sequence(tuple(entries))
 
 
-def preferences(found: Iterable[Preference], states: Notes, courses: Notes) -> Sequence:
+def preferences(listed: Iterable[Preference], states: Notes, courses: Notes) -> Sequence:
     """Write preferences, each an item of a list; the notes are those of the sections where PDDL has them."""
     entries: list[Entry] = []
-    for preference in found:
+    for preference in listed:
         wanted, quantifiers = preference.wanted, nested(preference.variables)
         own = (courses if isinstance(wanted, tuple) else states).at(form_anchor(preference_form(preference)))
         keys: list[Entry] = [Entry(preference.name, "name")] if preference.name else []
@@ -174,9 +174,9 @@ def preferences(found: Iterable[Preference], states: Notes, courses: Notes) -> S
 
 def nested(variables: tuple[Variable, ...]) -> list[tuple[Variable, ...]]:
     """Split the variables of quantifiers where one hides another of the same name."""
-    found: list[list[Variable]] = []
+    groups: list[list[Variable]] = []
     for variable in variables:
-        if not found or variable.name.lower() in {other.name.lower() for other in found[-1]}:
-            found.append([])
-        found[-1].append(variable)
-    return [tuple(group) for group in found]
+        if not groups or variable.name.lower() in {other.name.lower() for other in groups[-1]}:
+            groups.append([])
+        groups[-1].append(variable)
+    return [tuple(group) for group in groups]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from pnm.core.knowledge_base import parse_fluent
@@ -55,7 +55,7 @@ def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAUL
                 raise InputError(error.message, entry.position("goal")) from error
     server = entry.string("server")
     if server is not None:
-        _check_pattern(server, entry.position("server"), "/{robot}/navigate")
+        check_pattern(server, entry.position("server"), "/{robot}/navigate")
     return Binding(
         server=server,
         type=entry.string(type_key),
@@ -75,7 +75,7 @@ def _read_resources(entry: Mapped) -> Iterator[tuple[str, Position]]:
     names, node = entry.strings("resources"), entry.node("resources")
     items = (node.items if node else None) or ()
     for name, item in zip(names, items, strict=True):
-        _check_pattern(name, item.position, "{robot}/base")
+        check_pattern(name, item.position, "{robot}/base")
         yield name, item.position
 
 
@@ -87,9 +87,11 @@ def read_texts(entry: Mapped, key: str, expected: str) -> dict[str, str]:
     return texts or {}
 
 
-def _check_pattern(pattern: str, position: Position, example: str) -> None:
+def check_pattern(pattern: str, position: Position, example: str, parameters: Collection[str] | None = None) -> None:
+    """Refuse the pattern of a name that has in braces what is no parameter: none of these, or, without them, not even a name."""
     try:
-        wrong = [f"{{{name}}} is no parameter" for name in placeholders(pattern) if not _NAME.match(name)]
+        names = [*placeholders(pattern)]
+        wrong = [f"{{{name}}} is no parameter" for name in names if not (_NAME.match(name) if parameters is None else name in parameters)]
     except ValueError as error:
         wrong = [str(error)]
     if wrong:

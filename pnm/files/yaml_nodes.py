@@ -65,7 +65,9 @@ def _plain(node: yaml.Node, file: str) -> object:
         return node.value
     constructor = yaml.SafeLoader("")
     try:
-        return constructor.construct_object(node)
+        value = constructor.construct_object(node)
+        str(value)  # no message and no JSON could name a number of more than 4300 digits, which hexadecimal ones may have
+        return value
     except (yaml.YAMLError, ValueError, LookupError) as error:
         raise InputError(f"cannot be read as {kind(node)}: {node.value[:40]!r}", position(node, file)) from error
     finally:

@@ -103,16 +103,16 @@ class _AnyObject:
 
 
 def _in_effects(effects: Effects, *, values: bool = False) -> frozenset[str]:
-    found: set[str] = set()
+    names: set[str] = set()
     for effect in effects:
         match effect:
             case Set(fluent, value):
-                found |= variables_in(fluent) | (expression_variables(value) if values else frozenset())
+                names |= variables_in(fluent) | (expression_variables(value) if values else frozenset())
             case When(condition, inner):
-                found |= (free_variables(condition) if values else _in_fluents(condition)) | _in_effects(inner, values=values)
+                names |= (free_variables(condition) if values else _in_fluents(condition)) | _in_effects(inner, values=values)
             case ForEach(variables, inner):
-                found |= _in_effects(inner, values=values) - {variable.name for variable in variables}
-    return frozenset(found)
+                names |= _in_effects(inner, values=values) - {variable.name for variable in variables}
+    return frozenset(names)
 
 
 def read_schema(name: str, entry: Mapped, scope: FormulaScope) -> ActionSchema:
@@ -186,13 +186,13 @@ def _kind(entry: Mapped) -> ActionKind:
 
 def _simulated(entry: Mapped, scope: FormulaScope) -> tuple[tuple[str, Data], ...]:
     """Read what a simulated server answers; like a real one it knows its goal and the world, but no variables."""
-    found: list[tuple[str, Data]] = []
+    answers: list[tuple[str, Data]] = []
     for name, _, value in entry.section("simulated").entries():
         data = read_data(value, scope)
         if any(isinstance(part, Query) for part in parts(data)):
             raise value.wrong(f"a simulated server knows its goal, not the variables of the run; expected something like ?{name}")
-        found.append((name, data))
-    return tuple(found)
+        answers.append((name, data))
+    return tuple(answers)
 
 
 def read_class(node: Node) -> tuple[str, str]:

@@ -49,7 +49,7 @@ def _names(node: Node | None, scope: FormulaScope) -> dict[str, Types]:
 
 
 def _declarations(nodes: Iterable[Node], kind: str, scope: FormulaScope) -> dict[str, Declaration]:
-    found: dict[str, Declaration] = {}
+    declarations: dict[str, Declaration] = {}
     for item in nodes:
         name, parameters, after = declaration_parts(item)
         values = tuple(after.strip("()").split())
@@ -59,17 +59,17 @@ def _declarations(nodes: Iterable[Node], kind: str, scope: FormulaScope) -> dict
                 scope.check_type(value, item)
         variables = read_typed_text(parameters, item, scope, distinct=False)
         declared = Declaration(name, variables, () if values == ("number",) else values)
-        if found.setdefault(name, declared) != declared:
+        if declarations.setdefault(name, declared) != declared:
             raise InputError(f"the {kind} {name!r} is declared twice, and differently", item.position_of(name))
-    return found
+    return declarations
 
 
 def declaration_parts(node: Node) -> tuple[str, str, str]:
     """Return the name in a declaration, the text of the parameters, and that of the types behind it."""
-    found = _DECLARED.match(node.text.strip()) if node.text is not None else None
-    if found is None:
+    match = _DECLARED.match(node.text.strip()) if node.text is not None else None
+    if match is None:
         raise node.wrong("expected something like (at ?r - robot ?p - place)")
-    return found[1], found[2], found[3] or ""
+    return match[1], match[2], match[3] or ""
 
 
 # --- derived facts -------------------------------------------------------------------------
@@ -103,14 +103,14 @@ def read_rule(node: Node, scope: FormulaScope) -> DerivationRule:
 def _narrowed(variables: tuple[Variable, ...], declared: Declaration, node: Node, scope: FormulaScope) -> tuple[Variable, ...]:
     if len(variables) != len(declared.parameters):
         raise node.wrong(f"expected {declared}, found {len(variables)} variables")
-    found: list[Variable] = []
+    typed: list[Variable] = []
     for given, needed in zip(variables, declared.parameters, strict=True):
         narrowed = Variable(given.name, needed.types) if given.types == ("object",) else given
         if scope.strict and not all(scope.declared.domain.matches((kind,), needed.types) for kind in narrowed.types):
             types = f"{' or '.join(given.types)}; expected {' or '.join(needed.types)}"
             raise InputError(f"{given.name!r} is of type {types}", node.position_of(given.name))
-        found.append(narrowed)
-    return tuple(found)
+        typed.append(narrowed)
+    return tuple(typed)
 
 
 # --- initial facts -------------------------------------------------------------------------
@@ -118,7 +118,7 @@ def _narrowed(variables: tuple[Variable, ...], declared: Declaration, node: Node
 
 def read_facts(nodes: Iterable[Node], scope: FormulaScope) -> dict[Fluent, Value]:
     """Read facts: texts ``(at r1 hall)``, ``(= (battery r1) 80)``, ``(not (at r1 hall))``."""
-    found: dict[Fluent, Value] = {}
+    facts: dict[Fluent, Value] = {}
     for node in nodes:
         try:
             fluent, value = parse_statement(node.text or "")
@@ -129,10 +129,10 @@ def read_facts(nodes: Iterable[Node], scope: FormulaScope) -> dict[Fluent, Value
         scope.check_change(fluent, node, Constant(value))
         if isinstance(value, str):
             scope.check_object(value, node)
-        if scope.strict and found.get(fluent, value) != value:
+        if scope.strict and facts.get(fluent, value) != value:
             raise node.wrong(f"{fluent_text(fluent)} has another value before; expected one value")
-        found[fluent] = value
-    return found
+        facts[fluent] = value
+    return facts
 
 
 def read_initial(problem: Mapped, scope: FormulaScope) -> tuple[dict[Fluent, Value], tuple[TimedChange, ...]]:

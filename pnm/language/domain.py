@@ -99,14 +99,14 @@ def _read_sources(top: Mapped) -> tuple[SourceChoice, ...]:
     ``external_knowledge_base`` has a class of the original implementation, for which a registered source stands; ``knowledge``
     has names of sources, or ``{name: {option: value}}``: one, or a list of them.
     """
-    found: list[SourceChoice] = []
+    sources: list[SourceChoice] = []
     external = top.filled("external_knowledge_base")
     if external is not None:
         name = check_source(".".join(read_class(external)), external.position)
-        found.append(SourceChoice(name, {}, external.position))
+        sources.append(SourceChoice(name, {}, external.position))
     for node in top.listed("knowledge"):
         if node.text is not None:
-            found.append(SourceChoice(check_source(node.text, node.position), {}, node.position))
+            sources.append(SourceChoice(check_source(node.text, node.position), {}, node.position))
         elif not node.is_mapping:
             raise node.wrong(f"expected the name of a source of knowledge, found {shown(node)}")
         else:
@@ -114,5 +114,5 @@ def _read_sources(top: Mapped) -> tuple[SourceChoice, ...]:
                 plain = {} if options.is_null else options.plain()
                 if not isinstance(plain, dict):
                     raise options.wrong(f"expected options of {name} (option: value), found {shown(options)}")
-                found.append(SourceChoice(check_source(name, position), plain, position))
-    return tuple(found)
+                sources.append(SourceChoice(check_source(name, position), plain, position))
+    return tuple(sources)

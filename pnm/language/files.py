@@ -8,6 +8,7 @@ Of files with plans, the heads of the plans and the domain are read here, so tha
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -55,10 +56,10 @@ def parse_documents(text: str, file: str) -> tuple[tuple[Mapped, ...], tuple[Tol
         if not changed:
             raise
         try:
-            found = parse_yaml(suggestion, file, ANCHORS)
+            parsed = parse_yaml(suggestion, file, ANCHORS)
         except InputError:
             raise error from None
-        return found, tuple(Tolerated(message, Position(file, line, 1)) for line, message in changed)
+        return parsed, tuple(Tolerated(message, Position(file, line, 1)) for line, message in changed)
 
 
 def _mended(text: str) -> tuple[str, list[tuple[int, str]]]:
@@ -70,10 +71,10 @@ def _mended(text: str) -> tuple[str, list[tuple[int, str]]]:
         lines[first] = ""
         changed.append((first + 1, "'...' at the beginning is left out"))
     for number, line in enumerate(lines):
-        found = _LONE_KEY.match(line)
-        if found is None or number + 1 == len(lines):
+        match = _LONE_KEY.match(line)
+        if match is None or number + 1 == len(lines):
             continue
-        dash, key = len(found[1]), len(found[1]) + 1 + len(found[2])
+        dash, key = len(match[1]), len(match[1]) + 1 + len(match[2])
         if dash < _indent(lines[number + 1]) < key:
             changed.append((number + 2, f"indented by less than what it belongs to in line {number + 1}"))
             more = " " * (key + 1 - _indent(lines[number + 1]))
@@ -144,7 +145,7 @@ def plan_heads_in(documents: tuple[Mapped, ...], warnings: tuple[Tolerated, ...]
     """Read the heads of all plans of a file's documents; see `plan_heads`."""
     top = domain_document(documents)
     own = None if top is None else domain_from(top, warnings)
-    found: list[PlanHead] = []
+    heads: list[PlanHead] = []
     for document in documents:
         for name, entry in _entries(document):
             _check_classes(entry)
@@ -154,10 +155,10 @@ def plan_heads_in(documents: tuple[Mapped, ...], warnings: tuple[Tolerated, ...]
             if path is not None and own is not None:
                 raise InputError("the file has a domain itself; it cannot name another", entry.position("domain"))
             chosen = own or domain or LanguageDomain() if path is None else read_domain(beside(entry, "domain", path))
-            found.append(PlanHead(name, entry, chosen, parameters, tuple(dict.fromkeys((*warnings, *chosen.warnings)))))
-    if not found:
+            heads.append(PlanHead(name, entry, chosen, parameters, tuple(dict.fromkeys((*warnings, *chosen.warnings)))))
+    if not heads:
         raise InputError("there is no plan in the file; expected the key 'plan'", documents[0].start)
-    return found
+    return heads
 
 
 def _entries(document: Mapped) -> list[tuple[str, Mapped]]:
@@ -167,7 +168,7 @@ def _entries(document: Mapped) -> list[tuple[str, Mapped]]:
         return [(document.string("name") or Path(document.file).stem, document)]
     if "plans" in document.nodes:
         raise InputError("this is a world; expected a plan", document.nodes["plans"][0])
-    found: list[tuple[str, Mapped]] = []
+    recipes: list[tuple[str, Mapped]] = []
     for key, where, node in document.entries():
         if key in DOMAIN_KEYS:
             continue
@@ -181,8 +182,8 @@ def _entries(document: Mapped) -> list[tuple[str, Mapped]]:
             continue
         recipe.only(*RECIPE_KEYS)
         recipe.needed("plan")
-        found.append((key, recipe))
-    return found
+        recipes.append((key, recipe))
+    return recipes
 
 
 def domain_document(documents: Iterable[Mapped]) -> Mapped | None:
@@ -191,10 +192,10 @@ def domain_document(documents: Iterable[Mapped]) -> Mapped | None:
     Raises:
         InputError: several have.
     """
-    found = [document for document in documents if document.nodes.keys() & _ONLY_DOMAINS]
-    if len(found) > 1:
-        raise InputError("there is a domain in this file already", found[1].start)
-    return found[0] if found else None
+    domains = [document for document in documents if document.nodes.keys() & _ONLY_DOMAINS]
+    if len(domains) > 1:
+        raise InputError("there is a domain in this file already", domains[1].start)
+    return domains[0] if domains else None
 
 
 def beside(entry: Mapped, key: str, path: str) -> Path:
@@ -203,12 +204,12 @@ def beside(entry: Mapped, key: str, path: str) -> Path:
     Raises:
         InputError: there is no such file.
     """
-    found = Path(entry.file).parent / path
-    if not found.is_file():
-        others = sorted(path.name for path in found.parent.glob("*.y*ml")) if found.parent.is_dir() else []
-        hint = suggestion(found.name, others)
-        raise InputError(f"there is no file {path!r} beside this one{f'; {hint}' if hint else ''}", entry.position(key))
-    return found
+    file = Path(entry.file).parent / path
+    if not os.path.isfile(file):  # unlike `Path.is_file` also for names that are too long
+        others = sorted(path.name for path in file.parent.glob("*.y*ml")) if os.path.isdir(file.parent) else []
+        hint = suggestion(file.name, others)
+        raise InputError(f"there is no file {path[:200]!r} beside this one{f'; {hint}' if hint else ''}", entry.position(key))
+    return file
 
 
 def _check_classes(entry: Mapped) -> None:

@@ -27,9 +27,9 @@ def filled_operation(operation: KnowledgeOperation, values: Mapping[str, Data]) 
     if isinstance(operation, Update):
         name, value, meta = (filled_data(data, values) for data in (operation.name, operation.value, operation.meta))
         return Update(name, value, operation.layer, meta)
-    found = filled_data(operation, values)
-    assert isinstance(found, Query | Operation)
-    return found
+    filled = filled_data(operation, values)
+    assert isinstance(filled, Query | Operation)
+    return filled
 
 
 EFFECT_RETRIES: Final = 3
@@ -115,8 +115,8 @@ def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tu
 def outer_values(action: LanguageAction, own: Substitution) -> dict[str, Data]:
     """Return what parameters stand for in the chains of a call: what it is given, or what it will find."""
     names = (variable.name for variable in action.schema.parameters)
-    found: dict[str, Data] = {name: Query(Literal.of(name[1:]), Layer.ALL) for name in names}
-    return {**found, **own.values}
+    queries: dict[str, Data] = {name: Query(Literal.of(name[1:]), Layer.ALL) for name in names}
+    return {**queries, **own.values}
 
 
 def _parameters(step: CallStep, operation: KnowledgeOperation | None) -> tuple[str, ...]:
@@ -137,11 +137,11 @@ def usual_recoveries(action: LanguageAction) -> tuple[Recovery, ...]:
     A call that was preempted counts as done, unless it would be believed to have effects that it may not have had; one whose
     effects are missing is repeated.
     """
-    found: list[Recovery] = []
+    recoveries: list[Recovery] = []
     schema = action.schema
     has_effects = bool(schema.start_effects or schema.end_effects)
     if action.kind is not ActionKind.KB and not has_effects:
-        found.append(Recovery(frozenset({Cause.CANCELED}), Then.CONTINUE, EMPTY))
+        recoveries.append(Recovery(frozenset({Cause.CANCELED}), Then.CONTINUE, EMPTY))
     if schema.expected != TRUE or schema.end_condition != TRUE or has_effects:
-        found.append(Recovery(frozenset({Cause.EFFECTS_MISSING}), Then.RETRY, EMPTY, EFFECT_RETRIES))
-    return tuple(found)
+        recoveries.append(Recovery(frozenset({Cause.EFFECTS_MISSING}), Then.RETRY, EMPTY, EFFECT_RETRIES))
+    return tuple(recoveries)

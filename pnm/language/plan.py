@@ -100,14 +100,14 @@ def parse_plans(text: str, file: str = "plan.yaml", domain: LanguageDomain | Non
     return finished(plan_heads_in(*parse_documents(text, file), domain))
 
 
-def finished(found: Sequence[PlanHead]) -> dict[str, HandWrittenPlan]:
+def finished(heads: Sequence[PlanHead]) -> dict[str, HandWrittenPlan]:
     """Read plans whose heads are known, so that they may call each other.
 
     Raises:
         InputError: two have the same name, they call each other in a circle, or something in them is wrong.
     """
     by_name: dict[str, PlanHead] = {}
-    for head in found:
+    for head in heads:
         if head.name in by_name or head.name in head.domain.actions:
             what = "a plan" if head.name in by_name else "an action"
             raise InputError(f"there is {what} called {head.name!r} already", head.entry.start)

@@ -162,12 +162,12 @@ def read_recoveries(node: Node, scope: FormulaScope, read_steps: ReadSteps) -> t
         return ()
     entry = node.mapped()
     entry.only("before", "during", "after")
-    found = [_recovery(long, _BEFORE, Cause.BEFORE, scope, read_steps) for long in _each(entry.filled("before"))]
+    recoveries = [_recovery(long, _BEFORE, Cause.BEFORE, scope, read_steps) for long in _each(entry.filled("before"))]
     outcomes = entry.section("during")
     outcomes.only(*_DURING)
     for outcome, _, chains in outcomes.entries():
-        found += [_recovery(long, frozenset({_DURING[outcome]}), None, scope, read_steps) for long in _each(chains)]
-    return (*found, *(_recovery(long, _AFTER, Cause.AFTER, scope, read_steps) for long in _each(entry.filled("after"))))
+        recoveries += [_recovery(long, frozenset({_DURING[outcome]}), None, scope, read_steps) for long in _each(chains)]
+    return (*recoveries, *(_recovery(long, _AFTER, Cause.AFTER, scope, read_steps) for long in _each(entry.filled("after"))))
 
 
 def _each(node: Node | None) -> tuple[Node, ...]:

@@ -1,9 +1,7 @@
-"""Carries out hand-written plans: as many at the same time as are asked for, each with local knowledge of its own.
+"""Runs of hand-written plans: any number at the same time, each with its own local knowledge.
 
-A plan that calls another has it carried out here as well, as a run of its own: what it is given are its parameters,
-what it gives back are its results.
-
-Parameters of a hand-written plan: those that it declares, and a value for each.
+A run begins with a value for every parameter that its plan declares. A call of another plan becomes a run of its own here:
+the arguments of the call are its parameters, its result variables are the result of the call.
 """
 
 from __future__ import annotations
@@ -54,7 +52,7 @@ async def check_values(plan: HandWrittenPlan, knowledge: Layered, source: Source
     """See to it that every parameter has a value, or that a person may be asked for it when it is needed.
 
     Args:
-        plan: which says what its parameters are; if it does not, nothing is expected.
+        plan: has the parameters; if it declares none, nothing is expected.
         knowledge: of the run, before it begins; what is null in it need not have a value.
         source: has the global knowledge, in which there may be a value as well.
         asker: who asks.
@@ -78,7 +76,7 @@ async def check_values(plan: HandWrittenPlan, knowledge: Layered, source: Source
 async def _is_known(name: str, source: Source | None, asker: Asker) -> bool:
     try:
         return source is not None and await source.query(Question(name, Layer.GLOBAL, "null"), asker) not in (MISSING, None)
-    except Exception:  # a knowledge base that cannot be asked: the run tells of it if it needs the value
+    except Exception:  # a knowledge base that cannot be asked: the run reports that if it needs the value
         return True
 
 
@@ -98,7 +96,7 @@ class Program:
         """Generate the machine and prove it; `capacities` are those of shared resources, in the place of the plan's own.
 
         Raises:
-            InputError: it is said that a call of another plan has resources.
+            InputError: a call of another plan is given resources.
         """
         for call in plan.graph.calls:
             if call.action.name in plan.calls and (names := plan.bindings.resources(call.action)):
@@ -114,7 +112,7 @@ class Program:
 
 
 @dataclass
-class Performance:
+class PlanRun:
     """One run of a plan. The mutable state is `result`."""
 
     program: Program
@@ -134,18 +132,18 @@ class Performance:
     @property
     def running(self) -> tuple[str, ...]:
         """The calls that are under way, those in a plan that this one calls behind the name of the call."""
-        found: list[str] = []
+        names: list[str] = []
         for request, call in self.executor.run.open_calls.items():
-            called = self.client.performance(request)
-            found += [f"{call.action}: {inner}" for inner in called.running] if called and called.running else [str(call.action)]
-        return tuple(found)
+            called = self.client.plan_run(request)
+            names += [f"{call.action}: {inner}" for inner in called.running] if called and called.running else [str(call.action)]
+        return tuple(names)
 
     @property
     def awaits_answers(self) -> bool:
         """Whether nothing goes on before a person has answered, neither here nor in plans that this one calls."""
         run = self.executor.run
-        called = [self.client.performance(request) for request in run.open_requests]
-        return run.awaits_answers or (bool(called) and all(one is not None and one.awaits_answers for one in called))
+        called = [self.client.plan_run(request) for request in run.open_requests]
+        return run.awaits_answers or (bool(called) and all(plan_run is not None and plan_run.awaits_answers for plan_run in called))
 
     @property
     def variables(self) -> dict[str, object]:
@@ -155,15 +153,15 @@ class Performance:
     @property
     def results(self) -> dict[str, object]:
         """The result variables of the plan; those without a value are left out."""
-        found = {name: self.executor.run.knowledge.local.variable(name) for name in self.program.plan.results}
-        return {name: value for name, value in found.items() if value is not MISSING}
+        known = {name: self.executor.run.knowledge.local.variable(name) for name in self.program.plan.results}
+        return {name: value for name, value in known.items() if value is not MISSING}
 
 
 @dataclass
-class Performer:
+class PlanRunner:
     """Carries out the plans of a world on a backend.
 
-    The mutable state is the performances that go on.
+    The mutable state is the runs that go on.
 
     Args:
         programs: by the name of the plan.
@@ -180,7 +178,7 @@ class Performer:
     """Shared by all runs, those of plans that are called included."""
     prefix: bytes = field(default_factory=partial(os.urandom, 4))
     """The first four bytes of the identities of all runs and requests: action servers find this process by them."""
-    going_on: list[Performance] = field(default_factory=list)
+    going_on: list[PlanRun] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         capacities: dict[str, int] = {}
@@ -191,7 +189,7 @@ class Performer:
         self.programs = {name: program.sharing(self.resources) for name, program in self.programs.items()}
 
     async def prepare(self) -> tuple[str, ...]:
-        """Get ready to carry out everything that is in the plans, as far as the plans tell who does it.
+        """Prepare the backend for all actions of the plans whose servers the bindings name.
 
         Returns the names of servers that are not there yet.
         """
@@ -203,7 +201,7 @@ class Performer:
         ]
         return await self.backend.prepare(dict.fromkeys(needed))
 
-    def perform(
+    def prepare_run(
         self,
         name: str,
         parameters: Mapping[str, object] | None = None,
@@ -211,8 +209,8 @@ class Performer:
         *,
         task: UUID | None = None,
         priority: int = 0,
-    ) -> Performance:
-        """Get a run of the plan ready; `execute` carries it out.
+    ) -> PlanRun:
+        """Make a run of the plan; `execute` carries it out.
 
         Args:
             name: of the plan.
@@ -244,30 +242,30 @@ class Performer:
             task=task or identity,
             priority=priority,
         )
-        return Performance(program, Executor(run, client, self.source, name), client)
+        return PlanRun(program, Executor(run, client, self.source, name), client)
 
-    async def check(self, performance: Performance) -> None:
+    async def check(self, plan_run: PlanRun) -> None:
         """See to it that every parameter of the plan has a value, before it is carried out; see `check_values`."""
-        run, plan = performance.executor.run, performance.program.plan
+        run, plan = plan_run.executor.run, plan_run.program.plan
         await check_values(plan, run.knowledge, self.source, Asker(run.id, plan.name))
 
-    async def execute(self, performance: Performance) -> RunResult:
+    async def execute(self, plan_run: PlanRun) -> RunResult:
         """Carry the plan out, within its time."""
-        self.going_on.append(performance)
-        performance.limit.begin()
+        self.going_on.append(plan_run)
+        plan_run.limit.begin()
         try:
-            performance.result = await performance.executor.execute()
-            return performance.result
+            plan_run.result = await plan_run.executor.execute()
+            return plan_run.result
         finally:
-            self.going_on.remove(performance)
-            performance.limit.close()
+            self.going_on.remove(plan_run)
+            plan_run.limit.close()
 
     def knowledge_of(self, request: UUID) -> tuple[Layered, Asker] | None:
         """Return what the run knows whose request this is, and whom it asks as; None when it is not, or no longer, open."""
-        for performance in self.going_on:
-            run = performance.executor.run
+        for plan_run in self.going_on:
+            run = plan_run.executor.run
             if request in run.open_requests:
-                return run.knowledge, Asker(run.id, performance.program.plan.name)
+                return run.knowledge, Asker(run.id, plan_run.program.plan.name)
         return None
 
 
@@ -275,76 +273,76 @@ class PlansClient:
     """Carries out calls of plans as runs of their own, and passes all others on to the backend.
 
     Args:
-        performer: carries out the plans.
+        runner: has the plans and their shared resources.
         observer: of the runs of called plans as well.
         task: on whose behalf they are carried out.
         priority: of their claims to resources.
 
-    The mutable state is the performances by request, the requests that were cancelled, and the tasks that carry them out.
+    The mutable state is the runs of plans by request, the requests that were cancelled, and the tasks that carry them out.
     """
 
-    def __init__(self, performer: Performer, observer: Observer | None, task: UUID, priority: int) -> None:
-        self._performer = performer
+    def __init__(self, runner: PlanRunner, observer: Observer | None, task: UUID, priority: int) -> None:
+        self._runner = runner
         self._observer = observer
         self._task = task
         self._priority = priority
-        self._performances: dict[UUID, Performance] = {}
+        self._plan_runs: dict[UUID, PlanRun] = {}
         self._cancelled: set[UUID] = set()
         self._tasks: set[asyncio.Task[None]] = set()
 
     @property
     def _client(self) -> ActionClient:
-        return self._performer.backend.client
+        return self._runner.backend.client
 
     def goal_fields(self, action: GroundAction, /) -> tuple[str, ...] | None:
         """Return the parameters of the plan, or the fields that the server's goal has."""
-        program = self._performer.programs.get(action.name)
+        program = self._runner.programs.get(action.name)
         return self._client.goal_fields(action) if program is None else program.plan.parameters
 
     def send(self, request: Request, report: Reporter, /) -> None:
         """Begin to carry the plan out, or send the goal."""
-        if request.action.name not in self._performer.programs:
+        if request.action.name not in self._runner.programs:
             self._client.send(request, partial(self._reported, report))
             return
-        task = asyncio.get_running_loop().create_task(self._perform(request, report))
+        task = asyncio.get_running_loop().create_task(self._run_plan(request, report))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
     def cancel(self, request: UUID, /) -> None:
         """Have the plan, or the action, cancelled."""
-        if request in self._performances:
+        if request in self._plan_runs:
             self._cancelled.add(request)
-            self._performances[request].executor.stop()
+            self._plan_runs[request].executor.stop()
         else:
             self._client.cancel(request)
 
-    def performance(self, request: UUID) -> Performance | None:
-        """Return what goes on for a request that calls a plan."""
-        return self._performances.get(request)
+    def plan_run(self, request: UUID) -> PlanRun | None:
+        """Return the run that a request for a plan has started; None if it has none, or it is over."""
+        return self._plan_runs.get(request)
 
     def _reported(self, report: Reporter, what: Report) -> None:
         if isinstance(what, Ended):
-            self._performer.backend.over(what.request)
+            self._runner.backend.over(what.request)
         report(what)
 
-    async def _perform(self, request: Request, report: Callable[[Accepted | Ended], None]) -> None:
+    async def _run_plan(self, request: Request, report: Callable[[Accepted | Ended], None]) -> None:
         given = {name: value for name, value in request.goal.items() if name not in ABOUT_THE_CALL}
         try:
-            performance = self._performer.perform(request.action.name, given, self._observer, task=self._task, priority=self._priority)
+            plan_run = self._runner.prepare_run(request.action.name, given, self._observer, task=self._task, priority=self._priority)
         except InputError as error:
             report(Ended(request.id, Outcome(OutcomeKind.REJECTED, message=str(error))))
             return
-        self._performances[request.id] = performance
+        self._plan_runs[request.id] = plan_run
         report(Accepted(request.id))
         try:
-            result = await self._performer.execute(performance)
+            result = await self._runner.execute(plan_run)
         except Exception as error:  # the calling plan waits for its end
             _log.exception("%s has come to no end", request.action)
             report(Ended(request.id, Outcome(OutcomeKind.ABORTED, message=f"internal error: {type(error).__name__}: {error}")))
             return
         finally:
-            del self._performances[request.id]
+            del self._plan_runs[request.id]
         unsuccessful = OutcomeKind.CANCELED if request.id in self._cancelled else OutcomeKind.ABORTED
         self._cancelled.discard(request.id)
         kind = OutcomeKind.SUCCEEDED if result.goal else unsuccessful
-        report(Ended(request.id, Outcome(kind, performance.results, "" if result.goal else result.reason)))
+        report(Ended(request.id, Outcome(kind, plan_run.results, "" if result.goal else result.reason)))

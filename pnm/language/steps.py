@@ -8,7 +8,7 @@ from functools import cached_property
 from math import inf
 from typing import Final
 
-from pnm.actions.bindings_file import read_texts
+from pnm.actions.bindings_file import check_pattern, read_texts
 from pnm.core.logic.computed_values import KnowledgeOperation
 from pnm.core.logic.domain import ProblemModel
 from pnm.core.machine.plan_graph import Moment
@@ -146,6 +146,12 @@ class StepReader:
         entries = [entry for entry in arguments.entries() if action.kind is not ActionKind.KB or entry[0] != OPERATION]
         given = {key: self._given(action, key, where, node) for key, where, node in entries}
         options = Mapped(entry.file, entry.start, {key: value for key, value in entry.nodes.items() if key != name})
+        resources = tuple(options.strings("resources"))
+        if action.kind is not ActionKind.KB:
+            names = given if action.is_open else [variable.name[1:] for variable in action.schema.parameters]
+            example = next((f"{{{parameter}}}/base" for parameter in names), "base")
+            for pattern in (action.binding.server or "", *action.resources, *resources):
+                check_pattern(pattern, options.position("resources") if pattern in resources else entry.nodes[name][0], example, names)
         recoveries = options.node("recoveries")
         return CallStep(
             place,
@@ -158,7 +164,7 @@ class StepReader:
             duration=options.number("duration", None),
             release=options.number("release", 0.0),
             deadline=options.number("deadline", inf),
-            resources=tuple(options.strings("resources")),
+            resources=resources,
             store=read_texts(options, "store", "expected result fields and the variables to store them in"),
         )
 

@@ -252,7 +252,7 @@ class _After:
 def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[_After, ...]]:
     """Return for every step of a list what it waits for."""
     numbers = {step.place.id: number for number, step in enumerate(steps) if step.place.id is not None}
-    found: list[tuple[_After, ...]] = []
+    all_waits: list[tuple[_After, ...]] = []
     for number, step in enumerate(steps):
         waits = [_After(numbers[wait.id], wait.moment, wait.delay) for wait in step.place.after or ()]
         if step.place.after is None and number and in_sequence:
@@ -264,9 +264,9 @@ def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[_
         for wait in (*(step.place.after or ()), *step.place.end_after):
             if wait.moment is Moment.START and not isinstance(steps[numbers[wait.id]], CallStep):
                 raise InputError(f"{wait.id!r} is no call; only the end of such a step can be waited for", wait.position)
-        found.append(tuple(dict.fromkeys(waits)))
-    _check_cycles(steps, found)
-    return found
+        all_waits.append(tuple(dict.fromkeys(waits)))
+    _check_cycles(steps, all_waits)
+    return all_waits
 
 
 def _check_cycles(steps: tuple[WrittenStep, ...], waits: list[tuple[_After, ...]]) -> None:

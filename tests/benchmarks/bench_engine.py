@@ -5,10 +5,7 @@ The unit is one turn of a plain Python loop over integers, measured in the same 
 
 from __future__ import annotations
 
-import gc
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 from uuid import UUID
 
@@ -23,17 +20,7 @@ from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.verify import verify
 from pnm.core.net.firing_engine import CompiledNet, Engine
 from pnm.core.net.net import NetBuilder, PetriNet
-
-
-def seconds(work: Callable[[], object], times: int = 3) -> float:
-    """The shortest of a few runs."""
-    found = []
-    for _ in range(times):
-        gc.collect()
-        began = time.perf_counter()
-        work()
-        found.append(time.perf_counter() - began)
-    return min(found)
+from tests.support.runs.timing import seconds
 
 
 def loop(turns: int = 1_000_000) -> None:
@@ -42,7 +29,7 @@ def loop(turns: int = 1_000_000) -> None:
         total += turn & 1
 
 
-def chain(length: int) -> PetriNet:
+def chain_net(length: int) -> PetriNet:
     """p0 -> t0 -> p1 -> … of so many transitions."""
     net = NetBuilder()
     places = [net.place(f"p{index}") for index in range(length + 1)]
@@ -66,7 +53,7 @@ def fork_join(length: int, width: int = 8) -> PetriNet:
     return net.build()
 
 
-def play(compiled: CompiledNet, first: str) -> int:
+def firings(compiled: CompiledNet, first: str) -> int:
     """Fire until nothing is enabled, following the tokens; return the number of firings."""
     engine = Engine(compiled, {first: 1})
     agenda, fired = [compiled.place_id[first]], 0
@@ -105,14 +92,14 @@ def inline(run: Run) -> int:
 def main() -> None:
     unit = seconds(loop) / 1_000_000
     print(f"unit: one turn of a plain loop, {unit * 1e9:.0f} ns")
-    for make in (chain, fork_join):
+    for make in (chain_net, fork_join):
         costs = {}
         for size in (100, 1_000, 10_000, 100_000):
             compiled = CompiledNet(make(size))
             first = compiled.net.places[0]
             rounds = max(1, 100_000 // size)
-            fired = play(compiled, first) * rounds
-            costs[size] = seconds(lambda: [play(compiled, first) for _ in range(rounds)]) / fired
+            fired = firings(compiled, first) * rounds
+            costs[size] = seconds(lambda: [firings(compiled, first) for _ in range(rounds)]) / fired
         row = ", ".join(f"{size}: {cost / unit:.0f} units" for size, cost in costs.items())
         print(f"{make.__name__}: a firing at {row}; ratio 100000 / 100 = {costs[100_000] / costs[100]:.2f} (at most 4)")
     for calls in (100, 1_000, 10_000):

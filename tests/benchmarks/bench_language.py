@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import sys
 import tempfile
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import yaml
@@ -22,6 +20,7 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.verification.verify import verify
 from pnm.language.plan import read_plans
 from tests.support.runs.direct import drive
+from tests.support.runs.timing import seconds
 
 ROOT = Path(__file__).parents[2]
 
@@ -33,16 +32,6 @@ STEP = (
 )
 PER_STEP = 7
 """Steps in one `STEP`, those inside others included."""
-
-
-def seconds(function: Callable[[], object]) -> float:
-    """Return the best of three."""
-    best = float("inf")
-    for _ in range(3):
-        began = time.perf_counter()
-        function()
-        best = min(best, time.perf_counter() - began)
-    return best
 
 
 def main() -> None:

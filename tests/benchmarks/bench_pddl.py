@@ -11,7 +11,6 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -21,24 +20,15 @@ sys.path.insert(0, str(ROOT))
 
 from planner_bridge.loading import load
 from pnm.errors import InputError
+from tests.support.runs.timing import seconds
 
 KNOWN = ROOT.parent / "shared" / "pddl"
 LIMIT = 60.0
 
 
-def seconds(work: Callable[[], object], times: int = 5) -> float:
-    """The shortest of a few runs."""
-    found = []
-    for _ in range(times):
-        began = time.perf_counter()
-        work()
-        found.append(time.perf_counter() - began)
-    return min(found)
-
-
 def ours(pair: Path) -> float | None:
     try:
-        return seconds(lambda: load(pair / "domain.pddl", pair / "problem.pddl"))
+        return seconds(lambda: load(pair / "domain.pddl", pair / "problem.pddl"), 5)
     except InputError:
         return None
 

@@ -78,7 +78,7 @@ def measured(problem: Problem, bindings: Bindings) -> list[tuple[float, float]]:
     return found
 
 
-def named(arguments: list[str]) -> list[tuple[str, Problem, Bindings]]:
+def problems_named(arguments: list[str]) -> list[tuple[str, Problem, Bindings]]:
     """The problems to be measured, those left out that cannot be read."""
     found = []
     if not arguments:
@@ -98,7 +98,7 @@ def named(arguments: list[str]) -> list[tuple[str, Problem, Bindings]]:
 def main(arguments: list[str]) -> None:
     every: list[tuple[float, float]] = []
     print(f"{'problem':34} {'failures':>8} {'median':>9} {'planner':>9} {'worst':>9}")
-    for name, problem, bindings in named(arguments):
+    for name, problem, bindings in problems_named(arguments):
         found = measured(problem, bindings)
         every += found
         if found:

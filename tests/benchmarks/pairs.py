@@ -22,7 +22,7 @@ KNOWN = ROOT.parent / "shared" / "pddl"
 HEAD = "| problem | read | planner | calls | planned | executed | goal |\n|---|---|---|---:|---:|---:|---|\n"
 
 
-def one(folder: Path) -> dict[str, Any]:
+def do_pair(folder: Path) -> dict[str, Any]:
     """Do everything with one pair, in this process."""
     from planner_bridge import TaskObserver, achieve, load
     from planner_bridge.model.plan import Plan, PlanningResult
@@ -51,7 +51,7 @@ def one(folder: Path) -> dict[str, Any]:
     return found
 
 
-def tried(folder: Path) -> dict[str, Any]:
+def try_pair(folder: Path) -> dict[str, Any]:
     """Do everything with one pair, in a process that is stopped when its time is up."""
     command = [sys.executable, __file__, "--one", str(folder)]
     try:
@@ -61,10 +61,10 @@ def tried(folder: Path) -> dict[str, Any]:
     return json.loads(done.stdout) if done.returncode == 0 else {"goal": f"crashed: {done.stderr.splitlines()[-1]}"}  # type: ignore[no-any-return]
 
 
-def table(folder: Path) -> str:
+def pairs_table(folder: Path) -> str:
     """The table for one folder, and how many of its pairs reach the goal."""
     pairs = json.loads((folder / "manifest.json").read_text())
-    found = {pair["name"]: tried(folder / pair["name"]) for pair in pairs}
+    found = {pair["name"]: try_pair(folder / pair["name"]) for pair in pairs}
     keys = ("read", "planner", "calls", "planned", "executed", "goal")
     rows = [f"| {name} | {' | '.join(_cell(row.get(key)) for key in keys)} |\n" for name, row in found.items()]
     read = sum(not str(row.get("read", "refused")).startswith("refused") for row in found.values())
@@ -79,12 +79,12 @@ def _cell(value: object) -> str:
 def main() -> None:
     arguments = [one for one in sys.argv[1:] if not one.startswith("--")]
     if "--one" in sys.argv:
-        print(json.dumps(one(Path(arguments[0]))))
+        print(json.dumps(do_pair(Path(arguments[0]))))
         return
     folders = [Path(name) for name in arguments] or [KNOWN / "robots", KNOWN / "ipc"]
     text = "# Which problems work\n\nMade by `python tests/benchmarks/pairs.py --write`. Every pair has a process of its own, and 60\n"
     text += "seconds for reading, planning, proving and executing. Times are the plan's and the simulation's, in seconds.\n\n"
-    text += "\n".join(map(table, folders))
+    text += "\n".join(map(pairs_table, folders))
     if "--write" in sys.argv:
         (ROOT / "docs" / "pairs.md").write_text(text.rstrip("\n") + "\n", encoding="utf-8")
     print(text)

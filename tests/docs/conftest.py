@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.yaml.original import Run
+from tests.support.yaml.original import RunOriginal
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Run:
-    return Run(tmp_path)
+def run(tmp_path: Path) -> RunOriginal:
+    return RunOriginal(tmp_path)

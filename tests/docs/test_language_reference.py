@@ -25,21 +25,19 @@ from pnm.language.formulas.values import read_data
 from pnm.language.plan_tree import COMMANDS
 from pnm.language.runner import Program
 from pnm.language.steps import OPTIONS
-from tests.support.docs.language_reference import PAGE, Shown, blocks, example_files, inside_of, put_files, shown
+from tests.support.docs.language_reference import PAGE, Shown, blocks_of, command_shown, example_files, inside_of, put_files
 from tests.support.files import ROOT
 
 TEXT = PAGE.read_text(encoding="utf-8")
 FILES = example_files(TEXT)
-COMMANDS_SHOWN = [shown(body) for _, body in blocks("console", TEXT)]
+COMMANDS_SHOWN = [command_shown(body) for _, body in blocks_of("console", TEXT)]
 FACTS: dict[Fluent, Value | Unknown] = {("at", "r1", "kitchen"): True, ("battery", "r1"): 80.0}
-KNOWN = EvaluationContext(
-    Layered(KnowledgeBase(FACTS, objects={"robot": ("r1", "r2")}), KnowledgeBase(variables={"v": 3, "list": [1, 2]})),
-)
+KNOWN = EvaluationContext(Layered(KnowledgeBase(FACTS, objects={"robot": ("r1", "r2")}), KnowledgeBase(variables={"v": 3, "list": [1, 2]})))
 
 
 def items(kind: str) -> list[tuple[Node, str]]:
     """Return the items of a list, each with what the comment behind it says."""
-    ((_, body),) = [(name, body) for name, body in blocks("yaml", TEXT) if name == kind]
+    ((_, body),) = [(name, body) for name, body in blocks_of("yaml", TEXT) if name == kind]
     (top,) = parse_yaml("items:\n" + body, kind)
     node = top.node("items")
     assert node is not None

@@ -34,7 +34,7 @@ def files() -> dict[str, Path]:
 FILES = files()
 
 
-def imported(path: Path) -> Iterator[str]:
+def imports_of(path: Path) -> Iterator[str]:
     """The modules a file imports, at any depth; a name imported from a package may be a module."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -53,7 +53,7 @@ def room(path: Path) -> str:
     return "" if path.name == "__init__.py" else str(folder / path.name)
 
 
-def table() -> dict[str, tuple[str, ...]]:
+def rooms_table() -> dict[str, tuple[str, ...]]:
     """The rooms of the architecture page, with those that each may import from."""
     match = re.search(r"```imports\n(.*?)```", ARCHITECTURE, re.DOTALL)
     assert match
@@ -64,7 +64,7 @@ def table() -> dict[str, tuple[str, ...]]:
 def imports_of_rooms() -> dict[str, set[str]]:
     rooms: dict[str, set[str]] = {room(path): set() for path in FILES.values()}
     for path in FILES.values():
-        rooms[room(path)] |= {room(FILES[module]) for module in imported(path) if module in FILES}
+        rooms[room(path)] |= {room(FILES[module]) for module in imports_of(path) if module in FILES}
     return {name: others - {name, ""} for name, others in rooms.items() if name}
 
 
@@ -75,7 +75,7 @@ def is_allowed(other: str, allowed: tuple[str, ...]) -> bool:
 
 
 def test_each_room_imports_only_what_the_architecture_page_allows() -> None:
-    allowed, rooms = table(), imports_of_rooms()
+    allowed, rooms = rooms_table(), imports_of_rooms()
     assert allowed.keys() | {"pnm/errors.py"} == rooms.keys()
     wrong = [
         f"{name} imports {other}" for name, others in rooms.items() for other in others if not is_allowed(other, allowed.get(name, ()))
@@ -87,7 +87,7 @@ def test_the_page_allows_nothing_that_nobody_needs() -> None:
     rooms = imports_of_rooms()
     unused = [
         f"{name}: {entry}"
-        for name, allowed in table().items()
+        for name, allowed in rooms_table().items()
         for entry in allowed
         if not any(is_allowed(o, (entry,)) for o in rooms[name])
     ]
@@ -95,7 +95,7 @@ def test_the_page_allows_nothing_that_nobody_needs() -> None:
 
 
 def test_there_is_no_cycle_of_rooms_or_modules() -> None:
-    modules = {name: {other for other in imported(path) if other in FILES} - {name} for name, path in FILES.items()}
+    modules = {name: {other for other in imports_of(path) if other in FILES} - {name} for name, path in FILES.items()}
     for graph in (imports_of_rooms(), modules):
         TopologicalSorter(graph).prepare()  # raises CycleError
 
@@ -122,7 +122,7 @@ def test_the_architecture_page_names_only_files_and_functions_that_are_there() -
 
 @pytest.mark.parametrize("library", ONLY)
 def test_a_library_is_imported_in_its_room_alone(library: str) -> None:
-    users = {str(path.relative_to(ROOT)) for path in FILES.values() if library in {module.split(".")[0] for module in imported(path)}}
+    users = {str(path.relative_to(ROOT)) for path in FILES.values() if library in {module.split(".")[0] for module in imports_of(path)}}
     assert users
     assert not [user for user in users if not user.startswith(ONLY[library])]
 
@@ -138,7 +138,7 @@ def test_the_core_does_no_io() -> None:
     files = [*(ROOT / "pnm" / "core").rglob("*.py")]
     assert files
     for file in files:
-        used = {*imported(file)}
+        used = {*imports_of(file)}
         io = {"asyncio", "threading", "time", "socket", "sqlite3", "os", "pathlib", "random"}
         assert not {module.split(".")[0] for module in used} & io, file
         assert all(module == "pnm.errors" or module.startswith("pnm.core.") for module in used if module.startswith("pnm")), file

@@ -10,8 +10,8 @@ import pytest
 from planner_bridge.pipeline import carry_out
 from pnm.core.machine.requests import Outcome, OutcomeKind, Request
 from tests.support.files import ROOT
-from tests.support.runs.direct import outcomes
-from tests.support.yaml.original import COUNTING, Run, causes, counted, variables
+from tests.support.runs.direct import answering_with
+from tests.support.yaml.original import COUNTING, RunOriginal, causes, counted, variables
 
 PAGE = (ROOT / "docs" / "original.md").read_text(encoding="utf-8")
 
@@ -44,49 +44,49 @@ plan:
     assert calls == [("dummy_server", ("3",), 0.0), *(("wait", (time,), 1.0) for time in ("3", "3", "5", "6"))]
 
 
-def test_golden_counting_loop(run: Run) -> None:
+def test_golden_counting_loop(run: RunOriginal) -> None:
     trace = run(COUNTING, counted, knowledge="{value: 5}")
     assert trace.result.goal
     assert [goal["value"] for name, goal in trace.sent if name == "given"] == [5, 6, 7, 8, 9]
     assert variables(trace) == {"value": 10, "result": 10}
 
 
-def test_golden_single_abort_fails(run: Run) -> None:
-    trace = run("[{a: {}}, {b: {}}]", outcomes(a=["aborted"]))
+def test_golden_single_abort_fails(run: RunOriginal) -> None:
+    trace = run("[{a: {}}, {b: {}}]", answering_with(a=["aborted"]))
     assert (trace.result.goal, trace.actions, causes(trace)) == (False, ["a"], ["aborted"])
 
 
-def test_golden_single_preempt_continues(run: Run) -> None:
-    trace = run("[{a: {}}, {b: {}}]", outcomes(a=["canceled"]))
+def test_golden_single_preempt_continues(run: RunOriginal) -> None:
+    trace = run("[{a: {}}, {b: {}}]", answering_with(a=["canceled"]))
     assert (trace.result.goal, trace.actions) == (True, ["a", "b"])
 
 
-def test_golden_precondition_false_fails(run: Run) -> None:
+def test_golden_precondition_false_fails(run: RunOriginal) -> None:
     trace = run("[{ready: {}}]", knowledge="{ready: false}")
     assert (trace.result.goal, trace.actions, causes(trace)) == (False, [], ["precondition_false"])
 
 
-def test_golden_fork_with_one_abort_fails_and_the_others_end(run: Run) -> None:
-    trace = run("[{concurrent_actions: [{a: {}}, {b: {}}]}, {c: {}}]", outcomes(a=["aborted"]))
+def test_golden_fork_with_one_abort_fails_and_the_others_end(run: RunOriginal) -> None:
+    trace = run("[{concurrent_actions: [{a: {}}, {b: {}}]}, {c: {}}]", answering_with(a=["aborted"]))
     assert (trace.result.goal, trace.actions, causes(trace)) == (False, ["a", "b"], ["aborted"])
     assert {call.call.action.name: call.outcome for call in trace.result.calls}["b"] == "succeeded"
 
 
-def test_golden_fork_with_all_aborts_fails(run: Run) -> None:
-    trace = run("[{concurrent_actions: [{a: {}}, {b: {}}]}]", outcomes(a=["aborted"], b=["aborted"]))
+def test_golden_fork_with_all_aborts_fails(run: RunOriginal) -> None:
+    trace = run("[{concurrent_actions: [{a: {}}, {b: {}}]}]", answering_with(a=["aborted"], b=["aborted"]))
     assert (trace.result.goal, causes(trace)) == (False, ["aborted", "aborted"])
 
 
-def test_golden_empty_plan_succeeds(run: Run) -> None:
+def test_golden_empty_plan_succeeds(run: RunOriginal) -> None:
     assert run("[]").result.goal
 
 
-def test_golden_loop_with_zero_rounds(run: Run) -> None:
+def test_golden_loop_with_zero_rounds(run: RunOriginal) -> None:
     trace = run("[{while: {condition: {Comparison: [lt, [LocalQuery: value, 0]]}, actions: [{a: {}}]}}, {b: {}}]", knowledge="{value: 5}")
     assert (trace.result.goal, trace.actions) == (True, ["b"])
 
 
-def test_golden_effects_that_hold_spare_the_action_even_if_its_precondition_is_false(run: Run) -> None:
+def test_golden_effects_that_hold_spare_the_action_even_if_its_precondition_is_false(run: RunOriginal) -> None:
     trace = run("[{both: {}}]", knowledge="{result: 1}")
     assert (trace.result.goal, trace.actions) == (True, [])
     assert causes(run("[{both: {}}]")) == ["precondition_false"]
@@ -102,7 +102,7 @@ def test_golden_effects_that_hold_spare_the_action_even_if_its_precondition_is_f
         ("[{kb: {operation: {LocalUpdate: [z, 1]}}}, restart_plan]", True, ["a", "b"]),
     ],
 )
-def test_golden_recovery_before(run: Run, recovery: str, goal: bool, sent: list[str]) -> None:
+def test_golden_recovery_before(run: RunOriginal, recovery: str, goal: bool, sent: list[str]) -> None:
     when = "{not: {Exists: [LocalQuery: z]}}"
     trace = run(f"[{{a: {{}}, recoveries: {{before: {{when: {when}, do: {recovery}}}}}}}, {{b: {{}}}}]")
     assert (trace.result.goal, trace.actions) == (goal, sent)
@@ -120,8 +120,8 @@ def test_golden_recovery_before(run: Run, recovery: str, goal: bool, sent: list[
         ("restart_plan", True, ["a", "a", "b"]),
     ],
 )
-def test_golden_recovery_during(run: Run, recovery: str, goal: bool, sent: list[str]) -> None:
-    trace = run(f"[{{a: {{}}, recoveries: {{during: {{aborted: {recovery}}}}}}}, {{b: {{}}}}]", outcomes(a=["aborted"]))
+def test_golden_recovery_during(run: RunOriginal, recovery: str, goal: bool, sent: list[str]) -> None:
+    trace = run(f"[{{a: {{}}, recoveries: {{during: {{aborted: {recovery}}}}}}}, {{b: {{}}}}]", answering_with(a=["aborted"]))
     assert (trace.result.goal, trace.actions) == (goal, sent)
 
 
@@ -129,7 +129,7 @@ def test_golden_recovery_during(run: Run, recovery: str, goal: bool, sent: list[
     ("recovery", "goal", "sent"),
     [("skip_action", True, ["found", "b"]), ("fail", False, ["found"]), ("[{c: {}}, restart_action]", True, ["found", "c", "b"])],
 )
-def test_golden_recovery_after(run: Run, recovery: str, goal: bool, sent: list[str]) -> None:
+def test_golden_recovery_after(run: RunOriginal, recovery: str, goal: bool, sent: list[str]) -> None:
     def answer(request: Request) -> Outcome:
         return Outcome(OutcomeKind.SUCCEEDED, {"result": 1} if request.action.name == "c" else {})
 
@@ -137,7 +137,7 @@ def test_golden_recovery_after(run: Run, recovery: str, goal: bool, sent: list[s
     assert (trace.result.goal, trace.actions) == (goal, sent)
 
 
-def test_golden_before_with_a_chain_is_if_then_else(run: Run) -> None:
+def test_golden_before_with_a_chain_is_if_then_else(run: RunOriginal) -> None:
     plan = "[{a: {}, recoveries: {before: {when: {not: {Query: z}}, do: [{b: {}}, skip_action]}}}]"
     assert run(plan, knowledge="{z: true}").actions == ["a"]
     assert run(plan, knowledge="{z: false}").actions == ["b"]

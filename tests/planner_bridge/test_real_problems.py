@@ -101,7 +101,7 @@ def read_by_kairos(domain: str, problem: str) -> kairos.Problem:
 
 
 def verdict(problem: kairos.Problem) -> tuple[kairos.Status, float | None]:
-    result = kairos.Planner().solve(problem, timeout=30, anytime=False, threads=1)
+    result = kairos.Planner().solve(problem, timeout=60, anytime=False, threads=1)
     return result.status, result.plan.cost if result.plan else None
 
 

@@ -11,11 +11,13 @@ Lines that begin with three characters of comment (``;;;`` or ``###``) are for t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
 import pytest
+
+from pnm.errors import InputError
 
 ROOT: Final = Path(__file__).parents[2]
 SHARED: Final = ROOT.parent / "shared"
@@ -27,6 +29,15 @@ def written(path: Path, content: str | bytes) -> Path:
     file = path / "plan.yaml" if path.is_dir() else path
     file.write_bytes(content.encode() if isinstance(content, str) else content)
     return file
+
+
+def input_error(read: Callable[[], object]) -> InputError | None:
+    """Return why an input is refused, or None if it is read; any other exception passes."""
+    try:
+        read()
+    except InputError as error:
+        return error
+    return None
 
 
 MARKS = {".pddl": (";! ", ";;;"), ".yaml": ("#! ", "###")}

@@ -12,16 +12,14 @@ from typing import Any
 
 from pnm.clock import run_async
 from pnm.core.logic.computed_values import MISSING, Layer, Question
-from pnm.knowledge.sources import (
-    Asker,
-)
+from pnm.knowledge.sources import Asker
 
 
 def about(name: str, layer: Layer = Layer.GLOBAL, meta: object = None) -> Question:
     return Question(name, layer, json.dumps(meta))
 
 
-def run(main: Coroutine[Any, Any, Any], *, virtual: bool = True) -> Any:
+def run_questions(main: Coroutine[Any, Any, Any], *, virtual: bool = True) -> Any:
     async def bounded() -> Any:
         return await asyncio.wait_for(main, 1000.0)
 

@@ -144,3 +144,17 @@ def pnm(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
 
 def result(done: subprocess.CompletedProcess[str]) -> dict[str, object]:
     return json.loads(done.stdout.splitlines()[-1])
+
+
+def say(line: str) -> None:
+    """Print a line that a test is waiting for."""
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
+
+
+def say_json(value: object) -> None:
+    say(json.dumps(value))
+
+
+def say_event(event: str, **fields: object) -> None:
+    say_json({"event": event, **fields})

@@ -24,9 +24,9 @@ from planner_bridge.pddl.read.requirements import Leniency, Requirements, requir
 from planner_bridge.pddl.read.sections import Definition, define
 from planner_bridge.pddl.read.symbols import TOTAL_COST, SymbolTable
 from planner_bridge.pddl.read.terms import TermScope
-from planner_bridge.pddl.syntax.expressions import Atom, Group, text_of, wrong
+from planner_bridge.pddl.syntax.expressions import Atom, Group, text_of, where, wrong
 from pnm.core.logic.conditions import TRUE, Condition
-from pnm.core.logic.domain import Preference
+from pnm.core.logic.domain import Preference, check_choices
 from pnm.errors import Tolerated
 from pnm.files.text import read_any_text
 
@@ -146,7 +146,7 @@ def _problem(definition: Definition, domain: Domain, warnings: tuple[Tolerated, 
     goal, goals = _goal(definition, TermScope(symbols))
     hard, soft = constraints(definition.parts(":constraints"), TermScope(symbols))
     metric = _metric(definition, TermScope(symbols, metric=True))
-    return Problem(
+    problem = Problem(
         definition.name,
         replace(domain, functions={**domain.functions, TOTAL_COST: symbols.costs}) if symbols.costs else domain,
         own,
@@ -160,6 +160,10 @@ def _problem(definition: Definition, domain: Domain, warnings: tuple[Tolerated, 
         words,
         (*domain.warnings, *warnings, *definition.whole.source.tolerated),
     )
+    objects = where((*definition.every(":objects"), definition.whole)[0])
+    for what, choices in problem.ranges():
+        check_choices(choices, objects, f"the quantifiers in {what}")
+    return problem
 
 
 def _check_domain_name(definition: Definition, domain: Domain) -> None:

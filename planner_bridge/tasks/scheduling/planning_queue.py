@@ -61,15 +61,17 @@ class PlanningQueue(Generic[T]):
     def changed(self) -> None:
         """Let the tasks whose attempts failed try again."""
         self._waiting_for_change.clear()
-        self._outdated = {*self._planning}
+        self._outdated = {*self._planning}  # they plan from a world that is no longer so; if they fail, that says nothing about the new one
         self._failures = 0
         self._admit()
 
     def _admit(self) -> None:
+        # One at a time, because each plan must respect those found before; a slow planner holds up the others only for a moment.
         if self._planning.keys() - self._slow:
             return
         ready = (task for task, turn in self._waiting.items() if task not in self._waiting_for_change and not turn.done())
         first = min(ready, key=self._rank, default=None)
+        # After several failures in a row the rest would most likely fail as well, and planning is expensive.
         if first is not None and self._failures < MAX_FAILURES:
             self._planning[first] = asyncio.get_running_loop().call_later(SLOW, self._admit_beside, first)
             self._waiting[first].set_result(None)

@@ -39,29 +39,30 @@ class Preemption(TaskListener):
     def conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
         """Return the active tasks that conflict with a plan of the task. `footprint` is called only if there are any."""
         others = self._others(task)
-        if not others:
+        if not others:  # the footprint is computed only when needed: it walks through the whole plan
             return ()
-        found, needed = list[Conflict](), footprint()
+        conflicts, needed = list[Conflict](), footprint()
         for other in others:
             its = other.control.footprint
             if its is not None and (why := interference(needed, its)):
-                found.append(Conflict(other.id, other.name, its, why, other.wanted.priority < task.wanted.priority))
-        return tuple(found)
+                conflicts.append(Conflict(other.id, other.name, its, why, other.wanted.priority < task.wanted.priority))
+        return tuple(conflicts)
 
     def new_conflicts(self, task: Task, footprint: Callable[[], ReadWriteSets]) -> tuple[Conflict, ...]:
         """Return the conflicts in which neither task has been preempted for the other yet."""
+        # Between these the order is decided already; asking again would preempt them in a circle.
         settled = task.preempted_by | {other.id for other in self._others(task) if task.id in other.preempted_by}
-        return tuple(one for one in self.conflicts(task, footprint) if one.task not in settled)
+        return tuple(conflict for conflict in self.conflicts(task, footprint) if conflict.task not in settled)
 
     def running_calls(self, task: Task) -> tuple[RunningCalls, ...]:
         """Return the calls of other tasks that have begun and not ended; tasks that are being paused or cancelled are among them."""
-        found: list[RunningCalls] = []
+        running: list[RunningCalls] = []
         for other in self._tasks.values():
             run = other.control.run if other is not task else None
             if run is not None and (calls := (*run.open_calls.values(), *run.settling)):
                 yields = other.is_active and other.wanted.priority < task.wanted.priority
-                found.append(RunningCalls(other.id, other.name, calls, yields))
-        return tuple(found)
+                running.append(RunningCalls(other.id, other.name, calls, yields))
+        return tuple(running)
 
     def _others(self, task: Task) -> list[Task]:
         return [other for other in self._tasks.values() if other is not task and other.is_active]
@@ -78,19 +79,21 @@ class Preemption(TaskListener):
 
     async def preempt(self, task: Task, conflicts: tuple[Conflict, ...]) -> None:
         """Have the tasks of lower priority pause until this task is over; return when nothing of theirs is under way."""
-        yielding = {one.task for one in conflicts if one.yields}
+        yielding = {conflict.task for conflict in conflicts if conflict.yields}
         await asyncio.gather(*(self._pause_for(other, task) for other in self._others(task) if other.id in yielding))
 
     async def _pause_for(self, task: Task, other: Task) -> None:
-        if task.control.state is TaskState.CANCELLING:
+        if task.control.state is TaskState.CANCELLING:  # it cannot be paused any more, but ends soon; waiting for that has the same effect
             await task.control.over.wait()
         self._set_preempted(task, other)
         if pausing := self._pausing.get(task.id):
+            # Shielded: the other task may be cancelled while this one is being paused, which must be completed.
             await asyncio.shield(pausing)
 
     def preempt_holders(self) -> None:
         """Preempt the tasks that have what a claim of higher priority waits for."""
         outranked = self._resources.outranked()
+        # Only holders of something that this very claim needs: others of lower priority stay undisturbed.
         for claim in self._resources.line:
             for held in self._resources.held:
                 is_outranked = held.task in outranked and held.priority < claim.priority and self._resources.gives(held)
@@ -112,6 +115,7 @@ class Preemption(TaskListener):
     def update(self, task: Task) -> None:
         """Pause a task if it is preempted; resume it if it is not, and no operator has paused it."""
         control = task.control
+        # An operator's pause is stronger than preemption, and a task that is being cancelled is past both.
         if task.is_held or task.id not in self._tasks or control.state is TaskState.CANCELLING:
             return
         if not (why := self._why_preempted(task)):
@@ -120,17 +124,18 @@ class Preemption(TaskListener):
             self._pausing[task.id] = asyncio.get_running_loop().create_task(self._pause(task))
 
     def _why_preempted(self, task: Task) -> str:
-        others = [self._tasks[one] for one in task.preempted_by if one in self._tasks]
-        names = [other.name for other in sorted(others, key=lambda one: one.rank) if other.goes_on]
+        others = [self._tasks[identity] for identity in task.preempted_by if identity in self._tasks]
+        names = [other.name for other in sorted(others, key=lambda other: other.rank) if other.goes_on]
         return f"makes way for {', '.join(names)}" if names else ""
 
     async def _pause(self, task: Task) -> None:
         try:
+            # A turn of the event loop has passed since it was decided.
             if (why := self._why_preempted(task)) and not task.is_held:  # still
                 self._queue.leave(task)
                 await task.control.pause(why, at_once=True)
         finally:
             del self._pausing[task.id]
-        self._queue.changed()
+        self._queue.changed()  # what the paused task kept from others is free now, so those that failed may try again
         if task.is_active:
             self.update(task)  # another task may have preempted it meanwhile

@@ -35,7 +35,7 @@ from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.net.net import Marking
 from pnm.errors import InputError
 from pnm.knowledge.sources.source import Asker, Source
-from pnm.language.runner import Performer
+from pnm.language.runner import PlanRunner
 from pnm.tasks import Code, OnConflict, TaskEnding, TaskListener, TaskRefused, TaskState, TaskStatus, TaskStep, Wanted
 
 _REMEMBERED: Final = 20
@@ -51,7 +51,7 @@ class TaskLimits:
     Args:
         active: the number of tasks that go on at the same time.
         queue: the number of tasks that wait besides.
-        on_conflict: what to do about a goal that is in conflict with those of other tasks, if it does not say.
+        on_conflict: what to do about a goal that is in conflict with those of other tasks, if the goal does not specify it.
     """
 
     active: int = 20
@@ -72,7 +72,7 @@ class TaskManager:
         read_goal: reads a goal; raises InputError.
         source: answers what runs do not know.
         limits: how many tasks there may be.
-        performer: carries out the plans that are loaded; all tasks share its resources.
+        runner: carries out the plans that are loaded; all tasks share its resources.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class TaskManager:
         *,
         source: Source | None = None,
         limits: TaskLimits | None = None,
-        performer: Performer | None = None,
+        runner: PlanRunner | None = None,
     ) -> None:
         self._problem = problem
         self._knowledge = knowledge
@@ -94,9 +94,9 @@ class TaskManager:
         self._read_goal = read_goal
         self._source = source
         self._limits = limits or TaskLimits()
-        self._performer = performer
-        self._resources = performer.resources if performer else Resources()
-        self._prefix = performer.prefix if performer else os.urandom(4)
+        self._runner = runner
+        self._resources = runner.resources if runner else Resources()
+        self._prefix = runner.prefix if runner else os.urandom(4)
         self._loop = asyncio.get_running_loop()
         self._began = self._loop.time()
         # state
@@ -142,51 +142,54 @@ class TaskManager:
             raise task.error or InputError(task.control.reason)
         return task.result
 
-    async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "somebody has paused it") -> None:
+    async def pause(self, task: UUID | None, /, *, at_once: bool, why: str = "paused on request") -> None:
         """Start nothing more of a task, or of all; return when nothing of it is under way."""
-        if task is None:
+        if task is None:  # tasks that come later begin paused as well
             self._is_held = True
         chosen = self._chosen(task)
-        reasons = [one.control.reason if one.is_held else why for one in chosen]
-        for one in chosen:
-            one.is_held = True
-            self._queue.leave(one)
-        await asyncio.gather(*(one.control.pause(reason, at_once=at_once) for one, reason in zip(chosen, reasons, strict=True)))
+        # A task that is paused already keeps its reason: it is not this request that stops it.
+        reasons = [active_task.control.reason if active_task.is_held else why for active_task in chosen]
+        for active_task in chosen:
+            active_task.is_held = True
+            self._queue.leave(active_task)
+        await asyncio.gather(
+            *(active_task.control.pause(reason, at_once=at_once) for active_task, reason in zip(chosen, reasons, strict=True))
+        )
         self._queue.changed()
 
     async def resume(self, task: UUID | None, /, *, but: Collection[UUID] = ()) -> None:
         """Let a task that was paused go on, or all but these."""
-        chosen = [one for one in self._chosen(task) if one.id not in but]
+        chosen = [active_task for active_task in self._chosen(task) if active_task.id not in but]
         if task is None:
             self._is_held = False
         elif not chosen[0].is_held:
             raise TaskRefused(f"the task {task} was not paused")
-        for one in chosen:
-            one.is_held = False
-            self._preemption.update(one)
+        for active_task in chosen:
+            active_task.is_held = False
+            self._preemption.update(active_task)  # not resumed directly: another task may have preempted it meanwhile
         self._admit()
 
-    async def cancel(self, task: UUID | None, /, *, why: str = "somebody has cancelled it") -> None:
+    async def cancel(self, task: UUID | None, /, *, why: str = "cancelled on request") -> None:
         """End a task, or all; return when what was under way has confirmed it, or the limit for that has passed."""
         chosen = self._chosen(task)
-        for one in chosen:
-            self._stop(one, Code.CANCELLED, why)
-        for one in chosen:
-            await one.control.over.wait()
+        for active_task in chosen:  # all are asked to end before the first is waited for, so that they end side by side
+            self._stop(active_task, Code.CANCELLED, why)
+        for active_task in chosen:
+            await active_task.control.over.wait()
 
     def status(self) -> tuple[TaskStatus, ...]:
         """Return the status of all tasks that are not over, in the order in which they are served, and of those that ended last."""
-        return tuple(one.status for one in (*sorted(self._tasks.values(), key=lambda one: one.rank), *self._past))
+        return tuple(task.status for task in (*sorted(self._tasks.values(), key=lambda task: task.rank), *self._past))
 
     def plan(self, task: UUID, /) -> tuple[int, tuple[TaskStep, ...]]:
         """Return the number of plans that the task has had before, and the steps of its plan; none when it has none."""
-        found = self._tasks.get(task)
-        return (max(0, found.plans - 1), found.steps) if found else (0, ())
+        active_task = self._tasks.get(task)
+        return (max(0, active_task.plans - 1), active_task.steps) if active_task else (0, ())
 
     def net(self, task: UUID, /) -> tuple[int, PetriNetMachine, Marking] | None:
         """Return the number of nets that the task has had before, the net that it has now, and its marking."""
-        found = self._tasks.get(task)
-        return found.net if found else None
+        active_task = self._tasks.get(task)
+        return active_task.net if active_task else None
 
     def listen(self, listener: TaskListener, /) -> Callable[[], None]:
         """Have a listener listen from now on; return what stops that."""
@@ -217,7 +220,7 @@ class TaskManager:
         """Cancel all tasks, and wait until they are over; leave them alone when this is cancelled."""
         tasks = tuple(self._tasks.values())
         for task in tasks:
-            self._stop(task, Code.CANCELLED, "whoever does the task is being shut down")
+            self._stop(task, Code.CANCELLED, "the task manager is being shut down")
         try:
             for task in tasks:
                 await task.control.over.wait()
@@ -231,7 +234,7 @@ class TaskManager:
     # --- beginning ------------------------------------------------------------------------------
 
     def _begin(self, task: Task) -> None:
-        waiting = sum(not one.control.has_begun for one in self._tasks.values())
+        waiting = sum(not other.control.has_begun for other in self._tasks.values())
         if task.id in self._tasks:
             self._end(task, TaskEnding(Code.ERROR, "there is a task of this id already"))
             return
@@ -249,7 +252,7 @@ class TaskManager:
             task.error = error
             self._end(task, TaskEnding(Code.INVALID_GOAL, str(error)))
             return
-        self._tasks[task.id] = task
+        self._tasks[task.id] = task  # from here on the task is listed, and its deadline can end it even before it is admitted
         if task.wanted.deadline is not None:
             reason = f"the goal was not reached within {task.wanted.deadline:g} s"
             task.deadline = self._loop.call_later(task.wanted.deadline, self._stop, task, Code.DEADLINE_MISSED, reason)
@@ -259,9 +262,9 @@ class TaskManager:
 
     def _plan_start(self, task: Task) -> StartTask:
         """Return what carries out the plan of a task: one that is loaded, or a text of calls."""
-        programs = self._performer.programs if self._performer else {}
-        if self._performer and (task.wanted.text in programs or (programs and "(" not in task.wanted.text)):
-            return PlanTask(self._performer, self._context(task, TRUE)).carry_out
+        programs = self._runner.programs if self._runner else {}
+        if self._runner and (task.wanted.text in programs or (programs and "(" not in task.wanted.text)):
+            return PlanTask(self._runner, self._context(task, TRUE)).carry_out
         if not self._problem.domain.actions:
             raise InputError("a plan that is sent as a text needs a domain with actions, and none is loaded")
         if task.wanted.parameters:
@@ -288,16 +291,16 @@ class TaskManager:
 
     @property
     def _is_full(self) -> bool:
-        return sum(one.control.has_begun for one in self._tasks.values()) >= self._limits.active
+        return sum(task.control.has_begun for task in self._tasks.values()) >= self._limits.active
 
     def _admit(self) -> None:
-        for task in sorted(self._tasks.values(), key=lambda one: one.rank):
+        for task in sorted(self._tasks.values(), key=lambda task: task.rank):
             if task.start and not task.control.has_begun and not task.is_held and not self._is_full:
                 task.control.begin(TaskState.RUNNING if task.wanted.is_plan else TaskState.PLANNING)
                 self._work[task.id] = self._loop.create_task(self._carry_out(task, task.start()))
 
     async def _carry_out(self, task: Task, work: Coroutine[None, None, TaskResult]) -> None:
-        ending = TaskEnding(Code.ERROR, "an error of whoever does the task; its log says more")
+        ending = TaskEnding(Code.ERROR, "an internal error; the log says more")
         try:
             task.result = await work
             ending = task.result.ending()
@@ -322,11 +325,11 @@ class TaskManager:
             self._end(task, TaskEnding(code, reason))
 
     def _end(self, task: Task, ending: TaskEnding) -> None:
-        if self._tasks.get(task.id) is task:
+        if self._tasks.get(task.id) is task:  # a task refused for its id must not remove the one that has this id
             del self._tasks[task.id]
         self._queue.leave(task)
         self._past = [*self._past[1 - _REMEMBERED :], task]
-        task.end(ending)
+        task.end(ending)  # listed as past before its listeners know, so that they find it when they ask
         self._queue.changed()
         self._preemption.changed(task.id)
         self._admit()
@@ -335,6 +338,6 @@ class TaskManager:
         if task is None:
             return list(self._tasks.values())
         if task not in self._tasks:
-            over = any(one.id == task for one in self._past)
+            over = any(past.id == task for past in self._past)
             raise TaskRefused(f"the task {task} is over" if over else f"there is no task {task}")
         return [self._tasks[task]]

@@ -1,6 +1,6 @@
 """Requests of the calls of a run: sent, cancelled, and with the effects that they assume.
 
-Decides nothing: `pnm.core.execution.run` says when, and is returned what has to be done outside.
+Decides nothing: `pnm.core.execution.run` decides when, and gets the commands that have to be carried out outside.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Final, assert_never
 from uuid import UUID, uuid5
 
 from pnm.core.execution.call_results import CallResult
-from pnm.core.execution.effect_checks import Intention, finished, intention, lag_of_effects, unseen
+from pnm.core.execution.effect_checks import Intention, denied_at_end, finished, intention, lag_of_effects, unseen
 from pnm.core.execution.events import Cancel, Command, Send, Store
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.questions import EvaluationContext
@@ -74,6 +74,11 @@ class Calls:
         self._actions: dict[int, GroundAction] = {}
         self._intended: dict[int, Intention] = {}
         self._begun: dict[int, Changes] = {}
+        """Values before what a call has written."""
+        self._ended: dict[int, Changes] = {}
+        """What calls have written at their ends."""
+        self._denied: dict[int, tuple[str, ...]] = {}
+        """What of the end conditions was not so at the end, and is reported by nothing."""
         self.accepted: dict[int, float] = {}
         """Calls whose requests were accepted and are not being cancelled, and the times of acceptance."""
 
@@ -132,6 +137,7 @@ class Calls:
 
     def claiming(self, call: int, action: TransitionAction | None, context: EvaluationContext) -> tuple[UUID, GroundAction]:
         """Return for which request, and with which parameters, the call claims resources: for the next one if it is being sent."""
+        # A retry is another request, with the values that knowledge has now; all other actions are about the one that is out.
         if action is TransitionAction.SEND:
             return self._next(call), self.ready(call, context)
         return self._requests[call], self.action(call)
@@ -142,7 +148,8 @@ class Calls:
 
     def unseen(self, call: int, context: EvaluationContext) -> tuple[str, ...]:
         """Return what of the call's effects is not seen."""
-        return unseen(self._intended[call].expected, self.action(call), context)
+        missing = unseen(self._intended[call].expected, self.action(call), context)
+        return tuple(dict.fromkeys((*self._denied.get(call, ()), *missing)))
 
     def lag_of_effects(self, call: int, context: EvaluationContext) -> float:
         """Return how many seconds late the reports about its effects may come."""
@@ -176,18 +183,23 @@ class Calls:
             case TransitionAction.ADOPT:
                 return _NOTHING  # the request is known since the run was made
             case TransitionAction.CANCEL:
+                # A request that is being cancelled is not handed over: the successor would take it for one that goes on.
                 self.accepted.pop(call, None)
                 return Performed((Cancel(self._requests[call]),))
             case TransitionAction.BEGIN:
                 start = self._intended[call].start
+                # Read before they are written, for a rollback if the call ends without success.
                 self._begun[call] = values_before(start, context)
                 return self._write(start)
             case TransitionAction.FINISH:
-                return self._write(finished(self.action(call), self._intended[call], context))
+                self._denied[call] = denied_at_end(self.action(call), context)
+                end = self._ended[call] = finished(self.action(call), self._intended[call], context)
+                self._begun[call] = values_before(end, context) | self._begun.get(call, {})
+                return self._write(end)
             case TransitionAction.UNDO:
-                if call not in self._begun:
+                if call not in self._begun:  # it was never accepted, so nothing was written at its start
                     return _NOTHING
-                return self._write(undo(self._begun.pop(call), self._intended[call].start, context))
+                return self._write(undo(self._begun.pop(call), self._intended[call].start | self._ended.pop(call, {}), context))
             case _:
                 assert_never(action)
 
@@ -222,19 +234,23 @@ class Calls:
         self.open.pop(self._requests[call], None)
 
     def store(self, call: int, outcome: Outcome) -> None:
-        """Store the fields of the result, by their own names or as the binding says."""
+        """Store the fields of the result, under their own names or those of the binding."""
         store = {**self.binding(call).store, **dict(self._plan.calls[call].store)}
         self._knowledge.local.store({store.get(name, name): value for name, value in outcome.result.items()})
 
     def _send(self, call: int, attempt: int, context: EvaluationContext) -> Performed:
         action = self.ready(call, context)
         self._actions[call] = action
+        # What an earlier attempt had begun has been undone, or is kept on purpose: this attempt is not to undo it.
         self._begun.pop(call, None)
+        self._ended.pop(call, None)
+        self._denied.pop(call, None)
         self.accepted.pop(call, None)
         identity = self._next(call)
         self._sent[call] = self._sent.get(call, 0) + 1
         self.open[identity] = call
         self._requests[call] = identity
+        # Computed now: once the robot moves, sensors report some of the effects, and conditions would read the new state.
         self._intended[call] = intention(replace(self._plan.calls[call], action=action), context)
         if action.operation is not None:
             return self._operate(identity, action.operation, context)
@@ -252,6 +268,7 @@ class Calls:
         if not changes:
             return _NOTHING
         world = self._knowledge.world
+        # What sensors report is not overwritten with what the model expects: the check of the effects would see its own expectation.
         assumed = {fluent: value for fluent, value in changes.items() if not world.is_sensed(fluent)}
         return Performed(changes_knowledge=bool(world.update(assumed)))
 
@@ -279,7 +296,7 @@ class Calls:
             return Performed(reports=(Ended(identity, Outcome(OutcomeKind.ABORTED, message=str(error))),))
 
     def _store(self, identity: UUID, question: Question, value: object) -> Performed:
-        if question.layer in (Layer.LOCAL, Layer.ALL):
+        if question.layer in (Layer.LOCAL, Layer.ALL):  # before anything outside is stored, so that the run itself can rely on it at once
             self._knowledge.local.store({question.name: value})
         if question.layer is Layer.LOCAL:
             return _ended(identity, changes_knowledge=True)
@@ -310,4 +327,4 @@ def _unknown_values(operation: KnowledgeOperation, context: EvaluationContext) -
                 compute(operation, context)
                 return ()
     except Uncomputable:
-        return ()  # the operation itself will say so
+        return ()  # the operation itself will report that

@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from pnm.core.machine.machine import CallOutcome, EffectsMissing, Rule, TransitionAction, is_check
+from pnm.core.machine.machine import CallOutcome, EffectsMissing, Rule, is_check
 from pnm.core.machine.plan_graph import ActionCall, Cause, PlanGraph, Step
 from pnm.core.machine.requests import Outcome
 
@@ -114,12 +114,14 @@ class CallResults:
         Args:
             handed: the numbers of calls whose requests another run takes over.
         """
-        results = [replace(one, kind=CallOutcome.HANDED_OVER) if one.call.index in handed else one for one in self.current]
+        results = [replace(result, kind=CallOutcome.HANDED_OVER) if result.call.index in handed else result for result in self.current]
         if self._is_flat and not self.rounds:
             return tuple(results)
-        reached = [one for one in (*self.rounds, *results) if one.kind is not CallOutcome.WAITING]
-        others = [one for one in results if one.kind is CallOutcome.WAITING and one.call.index in self._outermost]
-        reached.sort(key=lambda one: (next((time for time in (one.started, one.ended) if time is not None), 0.0), one.call.index))
+        reached = [result for result in (*self.rounds, *results) if result.kind is not CallOutcome.WAITING]
+        others = [result for result in results if result.kind is CallOutcome.WAITING and result.call.index in self._outermost]
+        reached.sort(
+            key=lambda result: (next((time for time in (result.started, result.ended) if time is not None), 0.0), result.call.index)
+        )
         return (*reached, *others)
 
     def answered(self, call: int, outcome: Outcome) -> None:
@@ -157,7 +159,6 @@ class CallResults:
                 if result.ended is None:
                     self.current[call] = replace(result, kind=rule.outcome, cause=self._causes[call].cause, ended=now)
             case _:
-                assumed = assumed and rule.action is TransitionAction.FINISH
                 self.current[call] = replace(result, kind=rule.outcome, cause=None, ended=now, assumed=assumed)
         if check is not None:
             self._causes[call] = check

@@ -114,7 +114,7 @@ class Store:
 
     id: UUID
     question: Question
-    """Its name and layer say where the value goes, its meta data go with it."""
+    """Name and layer determine where the value is stored; the meta data go with it."""
     value: object
 
 
@@ -137,7 +137,7 @@ class Observer:
         """Note that a failure place was marked."""
 
     def withheld(self, call: ActionCall, names: tuple[str, ...], now: float) -> None:
-        """Note that a request was given up, and keeps these resources until its server says that it is over."""
+        """Note that a request was given up, and keeps these resources until its server reports the end."""
 
     def waiting(self, is_so: bool, now: float) -> None:
         """Note that nothing goes on before a person has answered, or that this is over."""

@@ -12,11 +12,11 @@ from uuid import UUID
 
 from pnm.core.execution.call_requests import Calls
 from pnm.core.execution.call_results import Explanation
-from pnm.core.execution.effect_checks import already_true
+from pnm.core.execution.effect_checks import already_true, may_be_late
 from pnm.core.execution.questions import EvaluationContext, Questions
 from pnm.core.execution.resources import Claim, RunClaims, who_keeps
 from pnm.core.execution.run_state import RunState
-from pnm.core.logic.conditions import Condition, ground, names
+from pnm.core.logic.conditions import All, Condition, conjuncts, ground, names
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.explain import failing, observed
 from pnm.core.machine.machine import (
@@ -35,6 +35,7 @@ from pnm.core.machine.machine import (
     Ending,
     Ends,
     Failing,
+    InvariantFalse,
     PauseAsked,
     Rule,
     Withheld,
@@ -46,7 +47,8 @@ NEVER: Final = float("inf")
 class Guards:
     """Evaluates the guards of a run. Questions may be asked for a guard at a place; without a place only what is known counts.
 
-    The mutable state is since when conditions have not been true, and since when resources have been withheld, by transition.
+    The mutable state is since when conditions have not been true, since when resources have been withheld, and which parts of an
+    over-all condition have held since the call began, by transition.
     """
 
     def __init__(self, state: RunState, calls: Calls, claims: RunClaims, questions: Questions) -> None:
@@ -56,6 +58,7 @@ class Guards:
         self._questions = questions
         self._false_since: dict[int, float] = {}
         self._withheld_since: dict[int, float] = {}
+        self._held: dict[int, list[Condition]] = {}
 
     def opens(self, transition: int, place: int) -> float:
         """Return when the guard opens as far as is known: now or earlier, at a later time, or never by itself.
@@ -79,30 +82,35 @@ class Guards:
             case ConditionTrue(condition):
                 return _now_if(self._holds(condition, self.context(rule.call, place)))
             case ConditionFalse(condition):
+                # Not false until the report delay has passed: sensors may be about to report what has just happened.
                 context = self.context(rule.call, place)
                 return self._after(self._false_since, transition, not self._holds(condition, context), context.world.lag(names(condition)))
+            case InvariantFalse(condition):
+                return self._breaks(condition, rule.call, transition, place)
             case AlreadyTrue(call):
                 context = self.context(call, place)
                 return _now_if(already_true(self._calls.ready(call, context), context))
             case DataMissing(call):
                 return _now_if(bool(self._calls.goal(call, self.context(call, place))[1]))
             case Withheld():
+                # While it is not withheld, the claim is waited for without limit: some call gives back what it needs.
                 is_withheld = bool(self.withheld(rule.guard, place)) and not state.pause  # a pause stops this clock
                 return self._after(self._withheld_since, transition, is_withheld, rule.guard.seconds)
             case EffectsSeen(call):
                 return _now_if(not self.unseen(call, place))
             case EffectsMissing(call):
+                # As above: an effect counts as missing only when reports about it can no longer be on their way.
                 lag = self._calls.lag_of_effects(call, self.context(call, place))
                 return self._after(self._false_since, transition, bool(self.unseen(call, place)), lag)
             case Adopted(call):
                 return _now_if(call in state.adopted)
             case Accepts() | Ends():
-                return NEVER
+                return NEVER  # opened by a report alone, see `Run._take`
             case After(seconds):
                 return state.marked_at[place] + seconds
             case Due(seconds, since):
                 ids = state.engine.compiled.place_id
-                return max([(state.origin or 0.0) + seconds, *(state.marked_at[ids[one]] + delay for one, delay in since)])
+                return max([(state.origin or 0.0) + seconds, *(state.marked_at[ids[earlier]] + delay for earlier, delay in since)])
             case _:
                 assert_never(rule.guard)
 
@@ -110,14 +118,31 @@ class Guards:
         """Return when the transition has been pending for so long; `NEVER`, and from the beginning next time, if it is not."""
         if is_pending:
             return since.setdefault(transition, self._state.now) + seconds
-        since.pop(transition, None)
+        since.pop(transition, None)  # a condition that was true in between begins to be false anew
         return NEVER
+
+    def _breaks(self, condition: Condition, call: int | None, transition: int, place: int) -> float:
+        """Return when the over-all condition of the call counts as broken: at once, unless all that is false of it may be a late report."""
+        assert call is not None, "only calls have over-all conditions"
+        context, held = self.context(call, place), self._held.setdefault(transition, [])
+        false: list[Condition] = []
+        for part in conjuncts(_grounded(condition, context)):
+            if evaluate(part, context) is not True:
+                false.append(part)
+            elif part not in held:
+                held.append(part)
+        action = self._calls.action(call)
+        if not all(may_be_late(part, action, context, has_held=part in held) for part in false):
+            return -NEVER
+        return self._after(self._false_since, transition, bool(false), context.world.lag(names(All(tuple(false)))))
 
     def forget(self, place: int) -> Iterator[UUID]:
         """Forget since when guards at the place have been waiting; yield its questions, whose answers are no longer needed."""
+        # The next token at this place is a new decision, with delays that begin anew.
         for consumer, _ in self._state.engine.compiled.consumers[place]:
             self._false_since.pop(consumer, None)
             self._withheld_since.pop(consumer, None)
+            self._held.pop(consumer, None)
         return self._questions.left(place)
 
     def context(self, call: int | None, place: int | None) -> EvaluationContext:
@@ -135,6 +160,7 @@ class Guards:
 
     def lacks_resources(self, transition: int) -> bool:
         """Return whether the transition would be enabled if no call of the run had resources."""
+        # Enabled transitions lack nothing and are included, which does no harm: they are asked in any case.
         return self._state.engine.lacking(transition) <= self._state.index.resources
 
     def has_resources(self, transition: int, place: int) -> bool:
@@ -150,6 +176,7 @@ class Guards:
         """Return the claim that the transition makes for its call."""
         rule = self._state.index.rules[transition]
         assert rule.call is not None, "only calls have resources"
+        # The claim is made for the request that is going to be sent, so that it holds the resources from its first moment.
         request, action = self._calls.claiming(rule.call, rule.action, self.context(rule.call, place))
         return self._claims.claim(request, self._calls.resources(action))
 
@@ -167,7 +194,7 @@ class Guards:
         if rule.cause is None:
             return None
         match rule.guard:
-            case ConditionFalse(condition):
+            case ConditionFalse(condition) | InvariantFalse(condition):
                 return Explanation(rule.cause, *self.explain(condition, rule.call, place))
             case ConditionTrue(condition):
                 return Explanation(rule.cause, rule.expected or f"(not {condition})", observed(condition, self.context(rule.call, place)))

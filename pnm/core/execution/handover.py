@@ -1,6 +1,6 @@
 """Handover: a run that is succeeded by another while requests are out hands them over.
 
-The new run is made with the requests that its plan says are under way (`check_adoption`); then it takes the place of the old one
+The new run is made with the requests that its plan marks as under way (`check_adoption`); then it takes the place of the old one
 if nothing is lost or invented by that (`check_succession`). Both checks are made before anything changes.
 """
 
@@ -52,7 +52,7 @@ class Handover:
 
 
 def check_adoption(machine: PetriNetMachine, adopted: Mapping[int, UnderWay], resources: Callable[[GroundAction], tuple[str, ...]]) -> None:
-    """Refuse to make a run that takes over other requests than those that its plan says are under way.
+    """Refuse to make a run that takes over other requests than those that its plan marks as under way.
 
     Args:
         machine: of the new run.
@@ -66,7 +66,8 @@ def check_adoption(machine: PetriNetMachine, adopted: Mapping[int, UnderWay], re
     expected = {call.index for call in plan.calls if call.under_way}
     if expected != adopted.keys():
         raise RunError(f"the calls {sorted(expected)} of the plan are under way; requests are taken over for {sorted(adopted)}")
-    used = Counter(name for one in adopted.values() for name in one.resources)
+    # The resources of adopted requests are not claimed but kept: nothing else checks that there are enough of them.
+    used = Counter(name for taken in adopted.values() for name in taken.resources)
     for name, count in used.items():
         if count > capacities.get(name, 1):
             raise RunError(f"{count} requests that are taken over have {name}")
@@ -85,12 +86,14 @@ def check_succession(old: Handover, new: Handover) -> None:
         raise RunError("a run that is over, or was told to stop, is not succeeded by another")
     if old.run == new.run:
         raise RunError("the run that succeeds another has an id of its own")
-    if old.settling:
+    if old.settling:  # the old run looks for effects that it computed when the call was sent; they are not handed over
         raise RunError(f"the effects of {', '.join(map(str, old.settling))} are still to be looked for")
+    # A request that nobody takes over would go on unobserved, with its resources free for others.
     left = [str(call) for request, call in old.open_calls.items() if request not in new.open_calls]
     if left:
         raise RunError(f"the other run does not take over {', '.join(left)}")
-    there = {one.request for one in old.under_way}
+    there = {running.request for running in old.under_way}
+    # The other way round, the new run would wait for an end that has already been reported, or is about to be.
     gone = [str(call) for request, call in new.open_calls.items() if request not in there]
     if gone:
         raise RunError(f"{', '.join(gone)} cannot be taken over: it is over, or being cancelled")

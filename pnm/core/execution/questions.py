@@ -34,7 +34,7 @@ class EvaluationContext:
     binding: Binding = DEFAULT
     answers: Mapping[Question, object] = field(default_factory=dict)
     asks: bool = False
-    """Whether there is anybody to ask."""
+    """Whether questions can be asked outside."""
 
     @property
     def world(self) -> KnowledgeBase:
@@ -63,27 +63,28 @@ class EvaluationContext:
 
     def answer(self, question: Question, /) -> object:
         """Return what the question is answered with: by what all runs share in memory, or from outside."""
+        # All layers but people have the same answer outside, so one question serves local and global lookups alike.
         if question.layer is not Layer.PERSON:
             question = Question(question.name, Layer.GLOBAL, question.meta)
             if (known := self.world.variable(question.name)) is not MISSING:
                 return known
-        if not self.asks:
+        if not self.asks:  # not the same as an answer that is still to come: with nobody to ask, the variable is missing for good
             return MISSING
         if question not in self.answers:
             raise Unanswered(question)
         return self.answers[question]
 
     def find(self, name: str, /) -> object:
-        """Return a variable that is needed: local, global, or asked for if the binding says so; or `MISSING`."""
-        found = self.variable(name)
-        if found is MISSING:
-            found = self.answer(Question(name, Layer.GLOBAL, "null"))
-        if found is MISSING and name in self.binding.ask:
+        """Return a variable that is needed: local, global, or asked for if the binding has a question for it; or `MISSING`."""
+        known = self.variable(name)
+        if known is MISSING:
+            known = self.answer(Question(name, Layer.GLOBAL, "null"))
+        if known is MISSING and name in self.binding.ask:
             words = self.binding.ask[name]
             for parameter, value in zip(self.action.parameters, self.action.arguments, strict=True):
                 words = words.replace(f"{{{parameter}}}", value)
-            found = self.answer(Question(name, Layer.PERSON, json.dumps(words)))
-        return found
+            known = self.answer(Question(name, Layer.PERSON, json.dumps(words)))
+        return known
 
     def parameter(self, name: str, /) -> object:
         """Return what the call gives a parameter of its action, named with ``?``; or `MISSING`."""
@@ -91,8 +92,8 @@ class EvaluationContext:
         given = dict(self.action.given)
         if bare in given:
             return compute(given[bare], self)
-        told = dict(zip(self.action.parameters, self.action.arguments, strict=True)).get(bare, name)
-        return self.find(bare) if told.startswith("?") else told
+        argument = dict(zip(self.action.parameters, self.action.arguments, strict=True)).get(bare, name)
+        return self.find(bare) if argument.startswith("?") else argument
 
     def given(self) -> dict[str, object]:
         """Return the values that the plan gives to goal fields, or leaves open for knowledge to fill, as far as there are any."""
@@ -127,7 +128,7 @@ class EvaluationContext:
 class Questions:
     """The questions that a run has asked outside, and their answers.
 
-    What people have said to a run is known to the one that succeeds it, once for every call of the same action that asks the
+    Answers of people to a run are known to the one that succeeds it, once for every call of the same action that asks the
     same; knowledge bases are asked again, for what they know may have changed, and no person is troubled by that.
 
     The mutable state is the dictionaries and the list.
@@ -171,7 +172,7 @@ class Questions:
 
     def answered(self, identity: UUID, value: object, message: str) -> int | None:
         """Record an answer, or why there is none; return the place that waits for it, if any still does."""
-        if identity in self._open:
+        if identity in self._open:  # the run before has asked; this run may come to the same question later, so the answer is kept for it
             self._keep(*self._open.pop(identity), value)
         place, question = self._asked.pop(identity, (None, None))
         if place is not None and question is not None:
@@ -184,7 +185,8 @@ class Questions:
         """Forget all that concerns the place; yield the questions whose answers are no longer needed."""
         self._answers.pop(place, None)
         self._silence.pop(place, None)
-        for identity in [one for one, (where, _) in self._asked.items() if where == place]:
+        # Answers that come later find no place, and are ignored.
+        for identity in [question for question, (where, _) in self._asked.items() if where == place]:
             del self._asked[identity]
             yield identity
 
@@ -192,7 +194,7 @@ class Questions:
 
     def inherit(self, old: Questions, subjects: frozenset[str]) -> frozenset[UUID]:
         """Take over the answers of people for the sake of these subjects; return the questions that they are still being asked."""
-        given = [(old._subjects[place], *one) for place, answers in old._answers.items() for one in answers.items()]
+        given = [(old._subjects[place], *answer) for place, answers in old._answers.items() for answer in answers.items()]
         for subject, question, value in (*given, *old._inherited):
             if subject in subjects:
                 self._keep(subject, question, value)
@@ -204,6 +206,7 @@ class Questions:
 
     def take_up(self, place: int, subject: str, question: Question) -> bool:
         """Return whether the run before has asked the question; if so, its answer, or the open question, is taken over for the place."""
+        # Each inherited answer is used once: the second call of an action asks again, as it would have without the change of runs.
         for number, (its, known, value) in enumerate(self._inherited):
             if (its, known) == (subject, question):
                 del self._inherited[number]

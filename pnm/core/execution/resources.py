@@ -7,7 +7,7 @@ overtaken for ever by equals, and as long as resources are given back, every cla
 A request that was given up keeps what it has: its server may still be at work. It is *withheld* until the server reports
 the end of the request, or is gone; so waits for it have a limit.
 
-`RunClaims` are the claims of one run. It decides nothing: `pnm.core.execution.run` says when.
+`RunClaims` are the claims of one run. It decides nothing: `pnm.core.execution.run` decides when.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Final
 from uuid import UUID
 
+from pnm.core.machine.plan_graph import check_capacity
 from pnm.errors import RunError
 
 _ONE_EACH: Final[Mapping[str, int]] = {}
@@ -41,10 +42,15 @@ class Resources:
         capacities: one for those not listed.
 
     The mutable state is what the constructor sets under "state".
+
+    Raises:
+        PlanGraphError: a resource is for no request at all.
     """
 
     def __init__(self, capacities: Mapping[str, int] = _ONE_EACH) -> None:
         self._capacities = dict(capacities)
+        for name, capacity in capacities.items():
+            check_capacity(name, capacity)
         # state
         self._held: dict[UUID, Claim] = {}
         self._withheld: dict[UUID, str] = {}
@@ -85,10 +91,12 @@ class Resources:
     def is_free(self, claim: Claim) -> bool:
         """Return whether the claim would be granted now."""
         taken = self._used.copy()
+        # A claim that is not in line yet is judged as if it had joined: behind its equals, before lower priorities.
         stands = claim in self._line
         for other in self._line:
             if other == claim or (not stands and other.priority < claim.priority):
                 break
+            # What those ahead wait for counts as taken, even if it is free now: or small claims would overtake a large one for ever.
             if other.request != claim.request:
                 taken.update(other.names)
         return self._fits(claim, taken)
@@ -100,18 +108,19 @@ class Resources:
         is_free = self.is_free(claim)
         if not is_free and claim in self._line:
             return False
-        self._line = [one for one in self._line if one.request != claim.request]
+        # An earlier claim of the same request may have had other names, if the values of its parameters have changed since.
+        self._line = [waiting for waiting in self._line if waiting.request != claim.request]
         if is_free:
             self._hold(claim)
         else:
             self._line.insert(sum(other.priority >= claim.priority for other in self._line), claim)
-            if self.outranked():
-                self._call()
+            if self.outranked():  # nothing has become free, but the task manager may preempt those who hold what this one needs
+                self._notify()
         return is_free
 
     def keep(self, claim: Claim) -> None:
         """Grant what a request already holds elsewhere, whatever is free; a claim granted before stays as it is."""
-        if claim.request not in self._held:
+        if claim.request not in self._held:  # the run that hands it over has the claim in the same pool: it must not be counted twice
             self._hold(claim)
 
     def give(self, request: UUID) -> None:
@@ -120,7 +129,7 @@ class Resources:
         claim = self._held.pop(request, None)
         if claim is not None:
             self._used.subtract(claim.names)
-            self._tell()
+            self._notify_if_servable()
 
     def withhold(self, request: UUID, name: str) -> None:
         """Keep the resources of a request that was given up until its end is confirmed.
@@ -131,8 +140,9 @@ class Resources:
         """
         if request in self._held:
             self._withheld[request] = name
+            # Those in line have been waiting for a call to end; from now on their limit for withheld resources counts.
             if any(self.withheld_from(claim.names) for claim in self._line):
-                self._call()
+                self._notify()
 
     def confirm(self, request: UUID) -> None:
         """Release what a request that was given up has kept: its server has confirmed the end."""
@@ -146,28 +156,29 @@ class Resources:
 
     def withheld_from(self, names: Iterable[str]) -> Mapping[str, str]:
         """Return which of the names are withheld altogether, and by whom."""
-        found: dict[str, str] = {}
+        keepers: dict[str, str] = {}
         for name in names if self._withheld else ():
             by = [known for request, known in self._withheld.items() if name in self._held[request].names]
+            # With a unit left that is not withheld, the claim will be granted when that one is given back.
             if len(by) >= self.capacity(name):
-                found[name] = ", ".join(by)
-        return found
+                keepers[name] = ", ".join(by)
+        return keepers
 
     def withdraw(self, request: UUID) -> None:
         """Take the claim of the request out of the line."""
-        left = [one for one in self._line if one.request != request]
+        left = [waiting for waiting in self._line if waiting.request != request]
         if len(left) < len(self._line):
             self._line = left
-            self._tell()
+            self._notify_if_servable()
 
     def outranked(self) -> frozenset[UUID]:
         """Return the tasks that have what a claim of higher priority waits for."""
-        found: set[UUID] = set()
+        tasks: set[UUID] = set()
         for claim in self._line:
             short = {name for name in claim.names if self._used[name] >= self.capacity(name)}
-            lower = (one for one in self._held.values() if one.task != claim.task and one.priority < claim.priority)
-            found |= {one.task for one in lower if not short.isdisjoint(one.names) and self.gives(one)}
-        return frozenset(found)
+            lower = (held for held in self._held.values() if held.task != claim.task and held.priority < claim.priority)
+            tasks |= {held.task for held in lower if not short.isdisjoint(held.names) and self.gives(held)}
+        return frozenset(tasks)
 
     def gives(self, claim: Claim) -> bool:
         """Return False if the request of the claim was given up: what it holds may never be released."""
@@ -197,13 +208,13 @@ class Resources:
         self._held[claim.request] = claim
         self._used.update(claim.names)
 
-    def _tell(self) -> None:
+    def _notify_if_servable(self) -> None:
         """Notify the listeners if a claim in line could be granted."""
         if any(True for _ in self._servable()):
-            self._call()
+            self._notify()
 
-    def _call(self) -> None:
-        for listener in tuple(self._listeners):
+    def _notify(self) -> None:
+        for listener in tuple(self._listeners):  # a copy, because listeners may come and go while they are called
             listener()
 
     def _servable(self) -> Iterator[Claim]:
@@ -211,7 +222,7 @@ class Resources:
         for claim in self._line:
             if self._fits(claim, taken):
                 yield claim
-            taken.update(claim.names)
+            taken.update(claim.names)  # also when it does not fit: those behind it may not take what it waits for
 
 
 def who_keeps(withheld: Mapping[str, str]) -> str:

@@ -43,16 +43,13 @@ from pnm.core.execution.run_view import RunView
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.machine import Accepts, EffectsMissing, Ends, PetriNetMachine, Rule, TransitionAction, Withheld
+from pnm.core.machine.machine import Accepts, CallOutcome, EffectsMissing, Ends, PetriNetMachine, Rule, TransitionAction, Withheld
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph
-from pnm.core.machine.requests import Accepted, Ended, OutcomeKind, Report
+from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, Ended, OutcomeKind, Report
 from pnm.core.net.firing_engine import Engine
 from pnm.errors import RunError
 
 _NONE: Final[Mapping[int, UnderWay]] = {}
-
-_BEFORE_ACCEPTANCE: Final = frozenset({OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE, OutcomeKind.LOST})
-"""Ends that do not tell whether the goal was accepted before."""
 
 
 def _unknown_fields(action: GroundAction) -> None:
@@ -74,7 +71,7 @@ class Run(RunView):
         resources: what its calls share with other runs, for whose capacities the machine was generated; its own when not given.
         task: on whose behalf resources are claimed; its own when not given.
         priority: how its claims stand among those of others.
-        adopted: for the number of every call that the plan says is under way, the request that it takes over.
+        adopted: for the number of every call that the plan marks as under way, the request that it takes over.
 
     The mutable state is what the constructor sets under "state".
 
@@ -125,7 +122,7 @@ class Run(RunView):
         self._state = RunState(self._engine, self._index, self._results, origin, adopted=dict(adopted))
         self._claims = RunClaims(self.resources, self.task, priority)
         self._guards = Guards(self._state, self._calls, self._claims, self._questions)
-        self._adopt(adopted)
+        self._adopt(adopted)  # last, because it may refuse; until then nothing of the shared resources is touched
 
     def _adopt(self, adopted: Mapping[int, UnderWay]) -> None:
         self.resources.check_capacities(self.machine.capacities)
@@ -149,7 +146,7 @@ class Run(RunView):
     def handle(self, event: Event, now: float) -> list[Command]:
         """Take one event in and return what is to be done about it."""
         state = self._state
-        state.now = max(now, state.now)
+        state.now = max(now, state.now)  # guards compare times with each other, so the run's clock never goes back
         match event:
             case Begin():
                 self._begin()
@@ -158,17 +155,17 @@ class Run(RunView):
             case ResourcesChanged():
                 self._agenda.extend(self._claims.served())
             case Tick():
-                self._wake = NEVER
+                self._wake = NEVER  # the timer has gone off: `_settle` has to ask for the next one even if it is not earlier
                 self._agenda.extend(self._timers.due(state.now))
             case Stop():
-                if state.stop is None or event.cancel:
+                if state.stop is None or event.cancel:  # a stop may become stricter, but never milder
                     state.stop = event
                 self._agenda.extend(self._undecided)
             case Pause(at_once):
-                state.pause = Pause(at_once or state.suspends)
+                state.pause = Pause(at_once or state.suspends)  # likewise a pause at once stays one when another pause is asked for
                 self._agenda.extend(self._undecided)
             case Resume():
-                state.pause = None
+                state.pause = None  # guards that were put off during the pause report no change by themselves, so all places are asked
                 self._agenda.extend(self._undecided)
             case Answered(identity, value, message):
                 place = self._questions.answered(identity, value, message)
@@ -179,10 +176,10 @@ class Run(RunView):
             case _:
                 assert_never(event)
         self._settle()
-        while state.has_begun and self._early:
+        while state.has_begun and self._early:  # one at a time, each with all that follows from it, as if it had come only now
             self._report(self._early.pop(0))
             self._settle()
-        if self._waits != self.awaits_answers:
+        if self._waits != self.awaits_answers:  # compared at the end of the event, so that waiting for a moment in between is not reported
             self._waits = not self._waits
             self._observer.waiting(self._waits, now)
         commands, self._commands = self._commands, []
@@ -205,14 +202,14 @@ class Run(RunView):
                 self._agenda.extend(self._claims.served())
             return
         if isinstance(report, Ended):
-            if report.outcome.kind not in _BEFORE_ACCEPTANCE:
+            if report.outcome.kind not in BEFORE_ACCEPTANCE:
                 self._take(call, Accepted(report.request))  # a client may leave out what goes without saying
-            del self._calls.open[report.request]
+            del self._calls.open[report.request]  # before the firing, so that observers and guards see the request as over
             # results are stored before the firing: effects and checks after it may read them
             if report.outcome.kind is OutcomeKind.SUCCEEDED:
                 self._calls.store(call, report.outcome)
                 self._has_changed_knowledge = True
-            self._results.answered(call, report.outcome)
+            self._results.answered(call, report.outcome)  # before the firing as well: the explanation of a failure quotes the message
             self._observer.ended(self._calls.as_sent(call), report.outcome, self._state.now)
         if not self._take(call, report):
             self._observer.orphaned(report, self._state.now)
@@ -220,7 +217,7 @@ class Run(RunView):
     def _take(self, call: int, report: Report) -> bool:
         """Fire the transition of the call that the report opens, if there is one."""
         missing, rules = self._engine.missing, self._index.rules
-        for transition in self._index.reported[call]:
+        for transition in self._index.reported[call]:  # at most one fires: the request of a call is waited for at one place at a time
             if not missing[transition] and _admits(rules[transition], report):
                 self._fire(transition, None)
                 return True
@@ -236,6 +233,7 @@ class Run(RunView):
                 self._report(self._reports.popleft())
             else:
                 self._decide(self._agenda.popleft())
+        # A later time than the one asked for needs no command: after that tick it is asked for anew.
         if self._timers.next < self._wake and not self.over:
             self._wake = self._timers.next
             self._commands.append(Wake(self._wake))
@@ -272,9 +270,9 @@ class Run(RunView):
                 self._fire(transition, place)
                 return
             again, waiting = min(again, opens), True
-            if transition in takes:
+            if transition in takes:  # it is not open, so it must not keep others from the resources while it waits for something else
                 self._leave_line(place)
-        if waiting:
+        if waiting:  # a place where nothing was even enabled is asked again when a token arrives, which puts it on the agenda anyway
             self._undecided[place] = None
         if again < NEVER:
             self._timers.set(place, again)
@@ -283,6 +281,7 @@ class Run(RunView):
         subject = _subject(self.machine.plan, call)
         if self._questions.is_asked(place, question):
             return
+        # The run before may have asked the same person the same: that answer, or the open question, is used instead.
         if self._questions.take_up(place, subject, question):
             self._agenda.append(place)
             return
@@ -295,7 +294,7 @@ class Run(RunView):
     def _is_put_off(self, transition: int, place: int) -> bool:
         """Return whether the transition must wait: for the end of a pause, or for the resources of its call."""
         takes = transition in self._index.takes
-        if self._state.pause and (takes or self._index.rules[transition].action is TransitionAction.SEND):
+        if self._state.pause and (takes or self._index.rules[transition].action is TransitionAction.SEND):  # what is sent goes on
             self._leave_line(place)
             return True
         return takes and not self._guards.has_resources(transition, place)
@@ -327,6 +326,7 @@ class Run(RunView):
         if rule.action is TransitionAction.ADOPT and rule.call is not None:
             marked_at = state.adopted.pop(rule.call).accepted  # its limits count from there
         self._engine.fire(transition)
+        # After the firing: only now are the tokens of the resources back on their places, for other calls to take.
         if transition in index.gives and rule.call is not None:
             self._give(rule, rule.call)
         for failure_place in fails:
@@ -341,14 +341,13 @@ class Run(RunView):
             state.marked_at[marked] = marked_at
             if marked not in index.records:
                 self._agenda.append(marked)
-        if state.ending and not was_ending:
+        if state.ending and not was_ending:  # everything that waits has an exit for the end of the run, which has just opened
             self._agenda.extend(self._undecided)
         self._observer.fired(compiled.transitions[transition], rule, state.now)
 
     def _note(self, rule: Rule, call: int, place: int | None, check: Explanation | None) -> None:
         missing = self._guards.unseen(call, place) if isinstance(rule.guard, EffectsMissing) else ()
-        finishes = rule.action is TransitionAction.FINISH
-        assumed = finishes and is_assumed(self._calls.action(call), self._guards.context(call, place))
+        assumed = rule.outcome is CallOutcome.SUCCEEDED and is_assumed(self._calls.action(call), self._guards.context(call, place))
         self._results.fired(rule, call, self._state.now, check, missing=missing, assumed=assumed)
         if rule.gives_up:
             self._calls.forget(call)
@@ -369,6 +368,7 @@ class Run(RunView):
                     self._observer.sent(sent, command.request, now)
         self._commands += performed.commands
         self._reports += performed.reports
+        # Results of the request may have been stored just before, even if the action itself writes nothing.
         if performed.changes_knowledge or self._has_changed_knowledge:
             self._has_changed_knowledge = False
             self._ask_again_about_knowledge()
@@ -380,6 +380,7 @@ class Run(RunView):
             self._observer.withheld(self._calls.as_sent(call), names, self._state.now)
         else:
             self._claims.give(call)
+        # Other calls of this run may stand in line: their listener is on the executor and would only notice with the next event.
         self._agenda.extend(self._claims.served())
 
 

@@ -21,6 +21,7 @@ from pnm.core.machine.machine import (
     EffectsMissing,
     EffectsSeen,
     Ends,
+    InvariantFalse,
     OnFailure,
     PetriNetMachine,
     Rule,
@@ -28,7 +29,7 @@ from pnm.core.machine.machine import (
 )
 from pnm.core.net.firing_engine import Engine
 
-_KNOWING: Final = (ConditionTrue, ConditionFalse, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
+_KNOWING: Final = (ConditionTrue, ConditionFalse, InvariantFalse, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
 """Guards whose answer may change when facts change."""
 
 
@@ -65,7 +66,9 @@ class MachineIndex:
                 self.reported.setdefault(rule.guard.call, []).append(transition)
         self.records = frozenset(ids[place] for place in machine.record_places)
         self.resources = frozenset(ids[place] for place in machine.resource_places)
-        self.takes = frozenset(one for one in self._touching(compiled.inputs) if self.rules[one].action is not TransitionAction.ADOPT)
+        self.takes = frozenset(
+            transition for transition in self._touching(compiled.inputs) if self.rules[transition].action is not TransitionAction.ADOPT
+        )
         self.gives = self._touching(compiled.outputs)
         self.alive = tuple(ids[place] for place in machine.alive_places)
         self.settling = {ids[place]: call for place, call in machine.settling_places.items()}
@@ -76,12 +79,14 @@ class MachineIndex:
     @cached_property
     def listening(self) -> list[bool]:
         """For every place, whether what is decided there may change when facts change."""
-        return [any(isinstance(self.rules[one].guard, _KNOWING) for one, _ in found) for found in self.machine.compiled.consumers]
+        return [
+            any(isinstance(self.rules[transition].guard, _KNOWING) for transition, _ in arcs) for arcs in self.machine.compiled.consumers
+        ]
 
     def _touching(self, arcs: list[list[tuple[int, int]]]) -> frozenset[int]:
-        if not self.resources:
+        if not self.resources:  # most machines have none, and this is made for every machine
             return frozenset()
-        return frozenset(transition for transition, found in enumerate(arcs) if any(place in self.resources for place, _ in found))
+        return frozenset(transition for transition, touched in enumerate(arcs) if any(place in self.resources for place, _ in touched))
 
 
 class Timers:
@@ -153,8 +158,8 @@ class RunState:
     @property
     def cancels(self) -> bool:
         """Whether running calls shall be cancelled."""
-        told = self.stop is not None and self.stop.cancel
-        return told or (self.ending and self.index.machine.on_failure is OnFailure.CANCEL)
+        cancelled = self.stop is not None and self.stop.cancel
+        return cancelled or (self.ending and self.index.machine.on_failure is OnFailure.CANCEL)
 
     @property
     def suspends(self) -> bool:

@@ -119,7 +119,7 @@ class RunView:
 
     def interim_result(self) -> RunResult:
         """Return how far the run has come, for one that may be succeeded by another."""
-        handed = {one.call.index for one in self.under_way()}
+        handed = {running.call.index for running in self.under_way()}
         calls, failures = self._results.calls(handed), tuple(self._results.failures)
         return RunResult(False, "another run goes on", calls, failures, self.stopped)
 

@@ -209,7 +209,7 @@ def question_of(query: Query, answers: Answers) -> Question:
     try:
         return Question(name, query.layer, json.dumps(meta, sort_keys=True))
     except (TypeError, ValueError, RecursionError) as error:
-        raise Uncomputable(f"what is told about {name} cannot be said in JSON: {error}") from error
+        raise Uncomputable(f"the value for {name} cannot be written as JSON: {error}") from error
 
 
 def variable_name(name: Data, answers: Answers) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from math import prod
 from typing import Final, TypeAlias, assert_never
 
 from pnm.core.logic.computed_values import Data, fluents_in, parameters_in, substituted
@@ -176,6 +177,18 @@ def every_part(condition: Condition) -> Iterator[Condition]:
         part = waiting.pop()
         yield part
         waiting += operands_of(part)[::-1]
+
+
+Count: TypeAlias = Callable[[tuple[str, ...]], int]
+"""Returns how many objects are of any of the types."""
+
+
+def choices_in(condition: Condition, count: Count, around: int = 0) -> int:
+    """Return how many facts and comparisons stand under quantifiers when these are written out; `around`: by those outside."""
+    if isinstance(condition, ForAll | Exists):
+        around = max(1, around) * prod(count(variable.types) for variable in condition.variables)
+    operands = operands_of(condition)
+    return sum(choices_in(operand, count, around) for operand in operands) if operands else around
 
 
 def fluents(condition: Condition, state: State, env: Environment = NOTHING) -> frozenset[Fluent]:

@@ -5,20 +5,31 @@ It knows neither format. `planner_bridge.model.problem` adds what only planners 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, TypeAlias
+from typing import Final, Literal, TypeAlias
 
-from pnm.core.logic.conditions import TRUE, Condition
+from pnm.core.logic.conditions import TRUE, Condition, choices_in
 from pnm.core.logic.declared_names import FluentKind, Signature, Vocabulary
-from pnm.core.logic.effects import Effects, TimedChange
+from pnm.core.logic.effects import Effects, TimedChange, choices_in_effects
 from pnm.core.logic.expressions import Expression, Fluent, Value, Variable
 from pnm.core.logic.rules import DerivationRule
 from pnm.core.logic.trajectory import Constraint
+from pnm.errors import InputError, Position
 
 Types: TypeAlias = tuple[str, ...]
 """The types of a term: an object that is of any of them fits."""
+
+
+MAX_CHOICES: Final = 50_000
+"""Choices of objects that the quantifiers of a condition, or of effects, may range over: all are looked at, again and again."""
+
+
+def check_choices(choices: int, position: Position, what: str = "the quantifiers") -> None:
+    """Refuse quantifiers that range over more choices of objects than `MAX_CHOICES`."""
+    if choices > MAX_CHOICES:
+        raise InputError(f"{what} range over {choices} choices of objects; expected {MAX_CHOICES} at most", position)
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,6 +205,21 @@ class ProblemModel:
             for kind in sorted(self.all_types(types)):
                 objects.setdefault(kind, []).append(name)
         return {kind: tuple(names) for kind, names in objects.items()}
+
+    def count(self, types: Types) -> int:
+        """Return how many objects are of any of the types."""
+        return len(frozenset().union(*(self.objects_by_type.get(kind, ()) for kind in types)))
+
+    def ranges(self) -> Iterator[tuple[str, int]]:
+        """Yield for everything that quantifiers may stand in what it is, and over how many choices of objects they range."""
+        for rule in self.domain.rules:
+            yield f"the rule of {rule.name}", choices_in(rule.condition, self.count)
+        for schema in self.domain.actions.values():
+            conditions = (schema.precondition, schema.invariant, schema.end_condition)
+            yield f"a condition of {schema.name}", max(choices_in(condition, self.count) for condition in conditions)
+            effects = (schema.start_effects, schema.end_effects)
+            yield f"the effects of {schema.name}", max(choices_in_effects(part, self.count) for part in effects)
+        yield "the goal", choices_in(self.goal, self.count)
 
     def all_types(self, types: Iterable[str]) -> frozenset[str]:
         """Return the types and all of their supertypes."""

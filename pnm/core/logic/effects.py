@@ -9,9 +9,10 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from math import prod
 from typing import Final, TypeAlias, assert_never
 
-from pnm.core.logic.conditions import Condition, fluents, ground
+from pnm.core.logic.conditions import Condition, Count, choices_in, fluents, ground
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import (
     NOTHING,
@@ -126,6 +127,22 @@ def every_effect(effects: Effects) -> Iterator[Effect]:
         yield effect
         if not isinstance(effect, Set):
             yield from every_effect(effect.effects)
+
+
+def choices_in_effects(effects: Effects, count: Count, around: int = 0) -> int:
+    """Return how many facts, comparisons and changes stand under quantifiers when these are written out; see `choices_in`."""
+    total = 0
+    for effect in effects:
+        match effect:
+            case Set():
+                total += around
+            case When(condition, inner):
+                total += choices_in(condition, count, around) + choices_in_effects(inner, count, around)
+            case ForEach(variables, inner):
+                total += choices_in_effects(inner, count, max(1, around) * prod(count(variable.types) for variable in variables))
+            case _:
+                assert_never(effect)
+    return total
 
 
 def expanded(effects: Effects, state: State, env: Environment = NOTHING) -> Iterator[tuple[Set | When, Environment]]:

@@ -127,11 +127,11 @@ def value_of(expression: Expression, state: State, env: Environment = NOTHING) -
             assert_never(expression)
 
 
-def same_value(one: Value | Unknown | None, other: Value | Unknown | None) -> bool:
+def same_value(left: Value | Unknown | None, right: Value | Unknown | None) -> bool:
     """Return whether two recorded values are the same; an absent one is the same as false and as no object, but not as 0."""
-    if one is None or other is None:
-        one, other = (False if value is None or value == UNDEFINED else value for value in (one, other))
-    return isinstance(one, bool) is isinstance(other, bool) and one == other
+    if left is None or right is None:
+        left, right = (False if value is None or value == UNDEFINED else value for value in (left, right))
+    return isinstance(left, bool) is isinstance(right, bool) and left == right
 
 
 def absent_value(value: Value | Unknown) -> Value | Unknown:

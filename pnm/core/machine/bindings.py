@@ -18,7 +18,7 @@ from pnm.core.knowledge_base import parse_fluent
 from pnm.core.logic.computed_values import MISSING
 from pnm.core.logic.expressions import UNDEFINED, Fluent, Unknown, Value, bind
 from pnm.core.machine.plan_graph import GroundAction
-from pnm.errors import InputError
+from pnm.errors import InputError, check_seconds
 
 ABOUT_THE_CALL: Final = frozenset({"action", "arguments", "duration"})
 """Goal fields about the call itself; they are filled as long as the fields of the goal are not known."""
@@ -45,9 +45,12 @@ class Binding:
     retries: int = 1
     """How often the action is tried again within one plan."""
     ask: Mapping[str, str] = field(default_factory=dict)
-    """Variables, and what a person is asked when nobody knows them; ``{shop}`` stands for the argument of parameter ``?shop``."""
+    """Variables, and what a person is asked when their values are unknown; ``{shop}`` stands for the argument of parameter ``?shop``."""
     resources: tuple[str, ...] = ()
     """Resources that the action has for itself while it runs, such as ``{robot}/base``."""
+
+    def __post_init__(self) -> None:
+        check_seconds(f"the binding of {self.server or 'an action'}", self.timeout, self.accept, self.cancel)
 
 
 DEFAULT = Binding()
@@ -63,6 +66,9 @@ class Bindings:
     """Predicates and functions that no sensor reports, even in simulation."""
     lag: float = 1.0
     """Seconds that reports about sensed fluents may be late."""
+
+    def __post_init__(self) -> None:
+        check_seconds("a report", self.lag)
 
     def of(self, action: str) -> Binding:
         """Return the binding of the action, or the default one."""
@@ -140,12 +146,12 @@ def goal_data(
     With a `goal` mapping only its fields are needed; others are filled if a value of their name exists.
     As long as the fields of the goal are not known, parameters without a value are needed.
     """
-    told = dict(zip(action.parameters, action.arguments, strict=True))
+    arguments = dict(zip(action.parameters, action.arguments, strict=True))
     own: dict[str, object] = {
         "action": action.name,
         "arguments": list(action.arguments),
         "duration": action.duration or 0.0,
-        **{name: value for name, value in told.items() if not value.startswith("?")},
+        **{name: value for name, value in arguments.items() if not value.startswith("?")},
         **knowledge.given(),
     }
     needed = binding.goal if binding.goal is not None else dict.fromkeys(fields if fields is not None else open_parameters(action))
@@ -162,7 +168,7 @@ def goal_data(
 
 
 def open_parameters(action: GroundAction) -> tuple[str, ...]:
-    """Return the parameters whose values the plan does not tell, without ``?``."""
+    """Return the parameters whose values the plan leaves open, without ``?``."""
     return tuple(name for name, value in zip(action.parameters, action.arguments, strict=True) if value.startswith("?"))
 
 

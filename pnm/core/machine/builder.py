@@ -50,7 +50,7 @@ class Builder:
     def starts_anew(self) -> bool:
         """Whether some recovery has the whole plan begin anew."""
         calls = self.plan.calls
-        return any(one.then is Then.RESTART_PLAN for call in calls for one in call.recoveries)
+        return any(recovery.then is Then.RESTART_PLAN for call in calls for recovery in call.recoveries)
 
     def machine(self, goal: str, failed: str, on_failure: OnFailure) -> PetriNetMachine:
         """Return what was collected."""
@@ -94,6 +94,7 @@ class Builder:
         for number, ordering in enumerate(flow.orderings):
             before, after = ordering.before, ordering.after
             name = f"{before.moment.value} {steps[before.call]} < {after.moment.value} {steps[after.call]} ({number})"
+            # A place for each ordering, even between the same events: each is marked once and taken once, so no place holds two tokens.
             place = self.net.place(name)
             self.orderings[place] = ordering
             self.out_of.setdefault(before, []).append(place)
@@ -102,13 +103,15 @@ class Builder:
         last: list[str] = []
         for step in flow.steps:
             starts, ends = PlanEvent(step.index, Moment.START), PlanEvent(step.index, Moment.END)
+            # Only steps that wait for no other are marked by the owner; the others get their tokens along the orderings.
             if starts not in self.into:
                 first.append(self.net.place(f"{begin} < {step}"))
                 self.into[starts] = [first[-1]]
+            # Likewise the owner waits only for those ends that no other step takes from: all others have come before them.
             if ends not in self.out_of:
                 last.append(self.net.place(f"{step} < {end}"))
                 self.out_of[ends] = [last[-1]]
-        if not flow.steps:
+        if not flow.steps:  # an empty region still needs a place between entering and leaving it, so that the owner has something to take
             first = last = [self.net.place(f"{begin} < {end}")]
         region = Region(owner, frozenset(step.index for step in flow.steps), tuple(first), tuple(last))
         self.regions.append(region)

@@ -6,9 +6,10 @@ A call whose start others wait for *announces* it once: when the first request i
 replaces that (skip, already true, failure). Therefore such a call has its places up to acceptance twice: for the
 attempts before its start was announced and for those after.
 
-An end that must wait for other events (`awaited`) is reached by the robot when it likes; its checks and its `fork`
+An end that must wait for other events (`awaited`) is reached by the robot when it likes. What nothing reports of it is
+believed then, so that a match that went out too early is out for all who need its light; its checks and its `fork`
 wait. A retry moves a token from *budget* to *spent*; giving up takes all of *spent*, by an arc whose weight is the
-whole budget. Where the plan says itself what is done about a cause, that comes in the place of retrying.
+whole budget. A recovery that the plan gives for a cause replaces retrying.
 
 A call that is under way already, sent by another run, is taken over as it is: its first attempt begins at `running`.
 A run that is paused at once has its calls cancelled: they begin anew later, and none of their budget is spent.
@@ -16,7 +17,7 @@ A run that is paused at once has its calls cancelled: they begin anew later, and
 The call has its resources as long as a request may be alive and until its effects have been looked for, unless that
 must wait for other events: whatever leads from outside into those places takes all of them at once, and whatever
 leads out of them gives all back. That is so in the net; outside of it a request that was given up keeps them until its
-server says that it is over (`pnm.core.execution.resources`). So wherever they are waited for there is a way out, `withheld`, after as
+server reports the end (`pnm.core.execution.resources`). So wherever they are waited for there is a way out, `withheld`, after as
 long as a server may take to answer.
 """
 
@@ -47,6 +48,7 @@ from pnm.core.machine.machine import (
     Ending,
     Ends,
     Guard,
+    InvariantFalse,
     PauseAsked,
     Rule,
     TransitionAction,
@@ -85,16 +87,18 @@ class CallBlock(Block[ActionCall]):
         announced = self._announced
         for name in ("running", "overdue", "stopping", "suspending", "finished", "done", "failed"):
             self.place(name)
+        # A second set of places, because the token that announces the start must be given once only, however often the call is retried.
         for phase in ("", _RESTARTED) if announced else ("",):
             for name in ("ready", "requested", "recover", "withdrawing"):
                 self.place(phase + name)
         self.builder.failure_places[self.name("failed")] = self.step.index
         if self.retries:
             self.budget("budget", "spent", self.retries)
-        self.recoveries = build_recoveries(self)
+        self.recoveries = build_recoveries(self)  # before the attempts, whose transitions lead to the places of recoveries
         self._attempt("", announced)
         if announced:
             self._attempt(_RESTARTED, [])
+        # A call that is under way already has started: no release time holds it up.
         self.enter("ready", 0.0 if self.step.under_way else self.step.release)
         self._run(_RESTARTED if announced else "")
         self._finish(_RESTARTED if announced else "")
@@ -104,13 +108,17 @@ class CallBlock(Block[ActionCall]):
         """Add a transition between any places; one that leads to where a request may be alive takes the resources."""
         if self._resources:
             taken, marked = inputs if isinstance(inputs, dict) else dict.fromkeys(inputs, 1), [*outputs]
+            # Resources are taken and given where the boundary of the alive places is crossed, so that no transition can forget it.
             was_alive, is_alive = (not self._alive.isdisjoint(places) for places in (taken, marked))
+            # What is adopted brings its resources along: it does not wait for them.
             if is_alive and not was_alive and not isinstance(rule.guard, Adopted):
                 name = title or rule.name
                 out = [self.name("done"), *(self._announced if name == "start" else []), self.name("failed")]
                 unserved = self._after(Cause.UNAVAILABLE, out) if name.endswith("start") else out  # as if the server were not there
+                # A recovery may lead straight to an alive place; without resources it must not, so the call fails instead.
                 marked_then = unserved if self._alive.isdisjoint(unserved) else out
                 withheld = check_rule(Cause.WITHHELD, Withheld(self.step.index, self.binding.accept, rule.action), self.step.index)
+                # Added before the transition itself: a wait for resources must have a way out that does not need them.
                 super().add(withheld, taken, marked_then, title=f"{withheld.name} before {name}")
             inputs = {**taken, **dict.fromkeys(self._resources, 1)} if is_alive and not was_alive else taken
             outputs = [*marked, *self._resources] if was_alive and not is_alive else marked
@@ -118,9 +126,10 @@ class CallBlock(Block[ActionCall]):
 
     def place(self, name: str) -> str:
         """Make a place of this block."""
+        # While other events are awaited the robot is at rest; its resources are free for others then.
         if name in _ALIVE or (name == "finished" and not self.awaited):
             self.builder.alive_places.add(self.name(name))
-        if name in ("returned", "finished"):
+        if name in ("returned", "ended", "finished"):
             self.builder.settling_places[self.name(name)] = self.step.index
         return super().place(name)
 
@@ -157,39 +166,48 @@ class CallBlock(Block[ActionCall]):
         ready, requested, recover, withdrawing = (self.name(phase + name) for name in ("ready", "requested", "recover", "withdrawing"))
         out = [self.name("done"), *announced]
         failed = [*out, self.name("failed")]
+        # The over-all condition is checked before the start as well: the call would otherwise be cancelled as soon as it has begun.
         may_start = conjunction((action.precondition, _before_invariant(action, self.builder.plan.rules)))
 
         def add(rule: Rule, source: str, outputs: Iterable[str]) -> None:
             self.add(rule, [source], outputs, title=phase + rule.name)
 
+        # First of all rules, and in the first attempt only: after a retry there is no request to adopt any more.
         if self.step.under_way and announced == self._announced:
             add(Rule("adopt", Adopted(call), call, action=TransitionAction.ADOPT), ready, [self.name("running"), *announced])
+        # Before every check: a run that is ending asks no questions and sends nothing.
         add(Rule("skip", Ending(), call, outcome=CallOutcome.SKIPPED), ready, out)
-        if not self._must_happen:
+        if not self._must_happen:  # before the checks of conditions and data, none of which matter for a call that is not needed
             add(Rule("already_true", AlreadyTrue(call), call, outcome=CallOutcome.ALREADY_TRUE), ready, out)
         self._own_checks(Cause.BEFORE, "ready")
+        # Before the precondition, which cannot be evaluated for parameters without a value.
         add(check_rule(Cause.DATA_MISSING, DataMissing(call), call), ready, self._after(Cause.DATA_MISSING, failed))
-        if isfinite(self.step.deadline):
+        if isfinite(self.step.deadline):  # before `start`, which would begin something that cannot end in time
             add(check_rule(Cause.TOO_LATE, Due(self.step.deadline), call), ready, failed)
+        # The complement follows right after it: one of the two opens for every state of the world.
         add(Rule("start", ConditionTrue(may_start), call, action=_SEND, outcome=CallOutcome.RUNNING), ready, [requested])
         add(check_rule(Cause.PRECONDITION_FALSE, ConditionFalse(may_start), call), ready, self._after(Cause.PRECONDITION_FALSE, failed))
 
         add(Rule("accepted", Accepts(call), call, action=TransitionAction.BEGIN), requested, [self.name("running"), *announced])
+        # Nothing is undone after these: assumed start effects are only written once the goal is accepted.
         for kind, cause in _EARLY.items():
             name = f"{kind.value}{'_early' if kind is OutcomeKind.LOST else ''}"
             add(Rule(name, Ends(call, frozenset({kind})), call, cause=cause), requested, self._after(cause, [recover]))
         unavailable = self._after(Cause.UNAVAILABLE, [recover])
+        # A report that skips the acceptance is put right by the run; this exit makes the block complete without relying on that.
         add(Rule("ended_early", Ends(call, _NOT_EARLY), call, cause=Cause.UNAVAILABLE), requested, unavailable)
         too_long, in_vain = After(self.binding.accept), After(self.binding.cancel)
         unanswered = Rule("unanswered", too_long, call, _CANCEL, cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none")
+        # The goal may have arrived all the same, so it is cancelled and its end awaited before another attempt.
         add(unanswered, requested, [withdrawing])
+        # Any end will do, even a success: the request is over, so that another attempt has the robot to itself.
         add(Rule("withdrawn", Ends(call, _ANY), call), withdrawing, unavailable)
         unheard = Rule("unheard", in_vain, call, cause=Cause.UNAVAILABLE, expected=_ANSWER, observed="none", gives_up=True)
-        add(unheard, withdrawing, failed)
+        add(unheard, withdrawing, failed)  # no retry here: the robot may still carry out the first request
 
-        abandon(self, "recover", *announced, phase=phase)
+        abandon(self, "recover", *announced, phase=phase)  # asked before `retry`: an ending run does not try again
         budget, spent, retries = self.name("budget"), self.name("spent"), self.retries
-        if retries:
+        if retries:  # by their counters just one of `retry` and `give_up` is enabled at any time
             self.add(Rule("retry", call=call), [recover, budget], [ready, spent], title=f"{phase}retry")
         self.add(Rule("give_up", call=call), {recover: 1, spent: retries} if retries else {recover: 1}, failed, title=f"{phase}give_up")
 
@@ -198,7 +216,7 @@ class CallBlock(Block[ActionCall]):
         """Whether the call is made even if all that it would change is so already.
 
         What comes while it runs relies on its start; time may still undo what seems to be done; and when it is
-        repeated, what it has made itself the last time says nothing.
+        repeated, effects of its own last round prove nothing.
         """
         repeats = self.context.repeated and self.step.action.expected != TRUE
         relied_on = bool(self.awaited or self._announced)
@@ -215,11 +233,14 @@ class CallBlock(Block[ActionCall]):
         self.fire(Rule("succeeded", Ends(call, _SUCCEEDED), call), "running", returned)
         for kind, cause in _LATE.items():
             self._outcome(kind.value, Ends(call, frozenset({kind})), "running", cause, recover)
+        # No server sends these after an acceptance, but the place needs an exit for every kind of end.
         self._outcome("ended_oddly", Ends(call, _ODD), "running", Cause.ABORTED, recover)
+        # Before `suspend`: a call that is stopped does not begin anew after the pause.
         self.fire(Rule("stop", CancelAsked(), call, action=_CANCEL), "running", "stopping")
         self.fire(Rule("suspend", PauseAsked(), call, action=_CANCEL), "running", "suspending")
         if self.step.action.invariant != TRUE:
-            broken = check_rule(Cause.INVARIANT_FALSE, ConditionFalse(self.step.action.invariant), call, _CANCEL)
+            # The failure is marked at once, with the cancellation still to be confirmed: it is the cause, whatever the server answers.
+            broken = check_rule(Cause.INVARIANT_FALSE, InvariantFalse(self.step.action.invariant), call, _CANCEL)
             self.fire(broken, "running", "stopping", "failed")
         if isfinite(self.step.deadline):
             missed = check_rule(Cause.DEADLINE_MISSED, Due(self.step.deadline), call, _CANCEL)
@@ -227,21 +248,26 @@ class CallBlock(Block[ActionCall]):
         self.fire(Rule("timed_out", After(self._timeout), call, action=_CANCEL), "running", "overdue")
 
         in_vain = After(self.binding.cancel)
+        # A success after the limit is a success: cancelling is a race with the server that it may win.
         self.fire(Rule("late_success", Ends(call, _SUCCEEDED), call), "overdue", returned)
         late = Ends(call, _UNSUCCESSFUL)
         self._outcome("expired", late, "overdue", Cause.TIMED_OUT, recover, "an end in time", "none; then {message}")
         either = "an end, or a confirmed cancellation, in time"
+        # Never retried: two requests for the same robot could be at work at the same time.
         unconfirmed = Rule("unconfirmed", in_vain, call, _UNDO, None, Cause.TIMED_OUT, either, "neither", gives_up=True)
         self.fire(unconfirmed, "overdue", "done", "failed")
 
+        # The request is being cancelled already: only what follows changes, so nothing is sent.
         self.fire(Rule("stop_suspending", CancelAsked(), call), "suspending", "stopping")
         self.fire(Rule("ended_before", Ends(call, _SUCCEEDED), call), "suspending", returned)
+        # Back to `ready` directly, past `recover`: a pause is no failure and takes nothing from the budget.
         suspended = Rule("suspended", Ends(call, _UNSUCCESSFUL), call, _UNDO, CallOutcome.SUSPENDED)
         self.fire(suspended, "suspending", phase + "ready")
         confirmation = "a confirmed cancellation in time, for a pause"
         unconfirmed = Rule("unconfirmed_pause", in_vain, call, _UNDO, None, Cause.TIMED_OUT, confirmation, "none", gives_up=True)
         self.fire(unconfirmed, "suspending", "done", "failed")
 
+        # The effects have come about although the call was to stop; they are recorded, or knowledge would be wrong.
         completed = Rule("completed", Ends(call, _SUCCEEDED), call, action=TransitionAction.FINISH, outcome=CallOutcome.SUCCEEDED)
         self.fire(completed, "stopping", "done")
         stopped = Rule("stopped", Ends(call, _UNSUCCESSFUL), call, _UNDO, CallOutcome.CANCELED)
@@ -253,9 +279,14 @@ class CallBlock(Block[ActionCall]):
         """From success to done, once the effects are seen."""
         call = self.step.index
         if self.awaited:
-            self.add(Rule("await", call=call), [self.name("returned"), *self.awaited], [self.name("finished"), *self.awaited])
+            self.place("ended")
+            self.fire(Rule("end", call=call, action=TransitionAction.FINISH), "returned", "ended")
+            # The places are given back at once: here they are only looked at, and `fork` takes them in the end.
+            self.add(Rule("await", call=call), [self.name("ended"), *self.awaited], [self.name("finished"), *self.awaited])
+        # Before the check of the effects: the plan may want to react to a success that only looks like one.
         self._own_checks(Cause.AFTER, "finished")
-        effects_hold = Rule("effects_hold", EffectsSeen(call), call, action=TransitionAction.FINISH, outcome=CallOutcome.SUCCEEDED)
+        finish = None if self.awaited else TransitionAction.FINISH
+        effects_hold = Rule("effects_hold", EffectsSeen(call), call, action=finish, outcome=CallOutcome.SUCCEEDED)
         self.fire(effects_hold, "finished", "done")
         not_so, recover = "the action succeeded, but that is not so", [self.name(phase + "recover")]
         self._outcome(Cause.EFFECTS_MISSING.value, EffectsMissing(call), "finished", Cause.EFFECTS_MISSING, recover, observed=not_so)
@@ -263,7 +294,7 @@ class CallBlock(Block[ActionCall]):
     # --- recovery -----------------------------------------------------------------------------
 
     def _after(self, cause: Cause, otherwise: list[str]) -> list[str]:
-        """Return the places that are marked for this cause: what the plan says about it, or else these."""
+        """Return the places that are marked for this cause: the plan's own recovery, or else these."""
         return self.recoveries.places.get(cause, otherwise)
 
     def _outcome(

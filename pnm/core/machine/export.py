@@ -91,8 +91,8 @@ def as_data(machine: PetriNetMachine) -> dict[str, Any]:
         "calls": [{"name": str(call), "action": call.action.name, "arguments": list(call.action.arguments)} for call in machine.plan.calls],
         "steps": [{"number": step.index, "name": str(step)} for step in machine.plan.every_step if not isinstance(step, ActionCall)],
         "orderings": [
-            {"before": str(one.before), "after": str(one.after), "protects": [" ".join(fluent) for fluent in one.protects]}
-            for one in machine.orderings.values()
+            {"before": str(ordering.before), "after": str(ordering.after), "protects": [" ".join(fluent) for fluent in ordering.protects]}
+            for ordering in machine.orderings.values()
         ],
         "places": [{"name": place, "role": machine.role(place), "tokens": machine.initial[place]} for place in machine.net.places],
         "transitions": [
@@ -111,10 +111,10 @@ def as_data(machine: PetriNetMachine) -> dict[str, Any]:
 
 
 def _guard(guard: Guard) -> dict[str, Any]:
-    found: dict[str, Any] = {"kind": type(guard).__name__}
-    for one in fields(guard):
-        value = getattr(guard, one.name)
-        found[one.name] = (
+    data: dict[str, Any] = {"kind": type(guard).__name__}
+    for field in fields(guard):
+        value = getattr(guard, field.name)
+        data[field.name] = (
             sorted(kind.value for kind in value)
             if isinstance(value, frozenset)
             else value
@@ -123,4 +123,4 @@ def _guard(guard: Guard) -> dict[str, Any]:
             if isinstance(value, Enum)
             else str(value)
         )
-    return found
+    return data

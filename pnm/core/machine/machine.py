@@ -67,6 +67,13 @@ class ConditionFalse:
 
 
 @dataclass(frozen=True, slots=True)
+class InvariantFalse:
+    """Open when the over-all condition of a call under way is reported false; only what may not be reported yet gets the time for that."""
+
+    condition: Condition
+
+
+@dataclass(frozen=True, slots=True)
 class AlreadyTrue:
     """Open when all that the call would change is a plain fact and is so already."""
 
@@ -150,6 +157,7 @@ Guard: TypeAlias = (
     | PauseAsked
     | ConditionTrue
     | ConditionFalse
+    | InvariantFalse
     | AlreadyTrue
     | DataMissing
     | Withheld
@@ -165,7 +173,7 @@ Guard: TypeAlias = (
 
 def is_check(guard: Guard) -> bool:
     """Return whether the guard compares a condition, data, time or resources with what is known, and no end of a request."""
-    return isinstance(guard, (ConditionTrue, ConditionFalse, DataMissing, Withheld, Due))
+    return isinstance(guard, (ConditionTrue, ConditionFalse, InvariantFalse, DataMissing, Withheld, Due))
 
 
 class TransitionAction(Enum):
@@ -177,6 +185,8 @@ class TransitionAction(Enum):
     BEGIN = "write the assumed start effects"
     FINISH = "write the assumed end effects"
     UNDO = "take the assumed start effects back"
+
+    __hash__ = object.__hash__  # each is there once; shapes of blocks are hashed for every call
 
 
 class CallOutcome(StrEnum):
@@ -216,7 +226,7 @@ class Rule(NamedTuple):
     cause: Cause | None = None
     """Why the step is about to recover or has failed; None when no new cause arises."""
     expected: str = ""
-    """What was expected at that point, for the text of a failure; empty where the guard tells."""
+    """What was expected at that point, for the text of a failure; empty where the guard explains it."""
     observed: str = ""
     """What was observed instead; ``{message}`` stands for the message of the request's end, which is all if this is empty."""
     gives_up: bool = False

@@ -1,8 +1,8 @@
 """The neutral plan: steps, and which event of which step must wait for which.
 
 A step is a call of an action, or holds steps itself: a loop, a choice. It has two events, its
-start and its end. An ordering says that one event comes after another and names the facts that
-the order protects. Any partial order can be said this way, sequential and time-triggered plans
+start and its end. An ordering makes one event come after another and names the facts that
+the order protects. Any partial order can be expressed this way, sequential and time-triggered plans
 included. Planners make plans of calls alone; people write the rest. Knows nothing of PDDL or of nets.
 """
 
@@ -144,7 +144,7 @@ class ActionCall:
     retries: int | None = None
     """In place of the binding's."""
     store: tuple[tuple[str, str], ...] = ()
-    """Result fields and the variables they are stored in, where this is not what the binding says."""
+    """Result fields and the variables they are stored in, where this differs from the binding."""
     under_way: bool = False
     """Its request has been sent by another run, and was accepted; it is taken over as it is."""
 
@@ -275,7 +275,8 @@ class PlanGraph:
 
     Raises:
         PlanGraphError: the numbers are not so, an ordering names a step that does not stand beside its own, the
-            orderings form a cycle, or what others wait for cannot be said of such a step.
+            orderings form a cycle, what others wait for cannot be said of such a step, a wait is not finite, or a resource is
+            for no call at all.
     """
 
     steps: tuple[Step, ...]
@@ -292,12 +293,18 @@ class PlanGraph:
         for position, call in enumerate(self.calls):
             if call.index != position:
                 raise PlanGraphError(f"{call} stands at position {position}")
+            if not (0.0 <= call.release < inf and 0.0 <= (call.timeout or 0.0) < inf):
+                raise PlanGraphError(f"{call} would wait for {call.release} or {call.timeout} seconds; expected numbers from 0")
+        if not 0.0 <= self.due < inf:
+            raise PlanGraphError(f"the goal would wait for {self.due} seconds; expected a number from 0")
+        for name, capacity in self.capacities.items():
+            check_capacity(name, capacity)
         others = [step.index for step in self.every_step if not isinstance(step, ActionCall)]
         if sorted(others) != [*range(len(self.calls), len(self.calls) + len(others))]:
             raise PlanGraphError("the steps that are not calls are numbered after the calls, each once")
         outermost = {step.index for step in self.steps}
-        for call in (one for one in self.calls if one.under_way):
-            waits = any(one.after == PlanEvent(call.index, Moment.START) for one in self.orderings)
+        for call in (running for running in self.calls if running.under_way):
+            waits = any(ordering.after == PlanEvent(call.index, Moment.START) for ordering in self.orderings)
             if waits or call.index not in outermost:
                 raise PlanGraphError(f"{call} is under way: it cannot wait for others, or be part of another step")
         inside = tuple(inner for step in self.every_step for inner in flows(step))
@@ -334,6 +341,12 @@ class PlanGraph:
         return f"<PlanGraph {len(self.calls)} calls, {len(self.orderings)} orderings>"
 
 
+def check_capacity(name: str, capacity: int) -> None:
+    """Refuse a resource that no call could ever have; raise `PlanGraphError`."""
+    if capacity < 1:
+        raise PlanGraphError(f"{capacity} calls may have {name} at the same time; expected 1 at least")
+
+
 def _check_orderings(flow: Flow) -> None:
     beside = Counter(step.index for step in flow.steps)
     calls = {step.index: step for step in flow.steps if isinstance(step, ActionCall)}
@@ -341,6 +354,8 @@ def _check_orderings(flow: Flow) -> None:
         for event in (ordering.before, ordering.after):
             if event.call not in beside:
                 raise PlanGraphError(f"{ordering} names a step that is not in the plan, or not beside the other")
+        if not 0.0 <= ordering.delay < inf:
+            raise PlanGraphError(f"{ordering} would wait for {ordering.delay} seconds; expected a number from 0")
         if ordering.delay and ordering.after.moment is Moment.END:
             raise PlanGraphError(f"{ordering} would delay an end, which comes when the action's time is up")
         between = (ordering.before, Moment.START), (ordering.after, Moment.END)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol, TypeAlias
+from typing import Final, Protocol, TypeAlias
 from uuid import UUID
 
 from pnm.core.machine.plan_graph import GroundAction
@@ -29,6 +29,10 @@ class OutcomeKind(Enum):
     """No server was there, or it never answered the request."""
     LOST = "lost"
     """The server went away after it had accepted."""
+
+
+BEFORE_ACCEPTANCE: Final = frozenset({OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE, OutcomeKind.LOST})
+"""Ends that do not tell whether the goal was accepted before; any other implies that it was."""
 
 
 @dataclass(frozen=True, slots=True)

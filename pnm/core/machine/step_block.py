@@ -44,19 +44,21 @@ class Block(Generic[AnyStep]):
         waiting, ready = self.builder.into[PlanEvent(self.step.index, Moment.START)], self.name(ready)
         delays = tuple((place, orderings[place].delay) for place in waiting if place in orderings and orderings[place].delay > 0)
         join = Due(release, delays) if release or delays else Always()
-        if join != Always():
+        if join != Always():  # asked before `join`: when the run ends, tokens pass at once instead of waiting for a release time
             self.add(Rule("overtaken", Ending(), self.step.index, outcome=CallOutcome.WAITING), waiting, [ready])
         self.add(Rule("join", join, self.step.index, outcome=CallOutcome.WAITING), waiting, [ready])
 
     def leave(self) -> None:
         """Mark the places that wait for the end of the step."""
         leaving = self.builder.out_of[PlanEvent(self.step.index, Moment.END)]
+        # Only `fork` takes the awaited places for good; a call looks at them earlier and puts them back.
         self.add(Rule("fork", call=self.step.index, outcome=CallOutcome.PASSED_OVER), [self.name("done"), *self.awaited], leaving)
 
     def budget(self, left: str, spent: str, times: int, *, refilled: bool = True) -> None:
         """Make the places that count; when the step may be entered again, what was spent comes back before it is left."""
         self.builder.budget_places |= {self.place(left), self.place(spent)}
         self.builder.initial[self.name(left)] = times
+        # From `done`, before `fork` is asked: the counters are full again before the block is left.
         if refilled and self.context.repeated and not self.awaited:
             done = self.name("done")
             self.add(Rule("refill"), [done, self.name(spent)], [done, self.name(left)], title=f"refill {left}")
@@ -77,9 +79,9 @@ class Block(Generic[AnyStep]):
 
     def place(self, name: str) -> str:
         """Make a place of this block."""
-        found = self.builder.net.place(self.name(name))
-        self.builder.blocks.setdefault(self.step.index, []).append(found)
-        return found
+        place = self.builder.net.place(self.name(name))
+        self.builder.blocks.setdefault(self.step.index, []).append(place)
+        return place
 
     def name(self, name: str) -> str:
         """Return the full name of a place or transition of this block."""
@@ -97,10 +99,12 @@ class LoopBlock(Block[Loop]):
         body = self.region(self.step.body, "body", repeated=True)
         self.enter("head")
         self.budget("left", "spent", self.step.limit)
+        # First of the rules at the head: a run that is ending enters no further round, whatever the condition.
         self.fire(Rule("skip", Ending()), "head", "done")
         condition = self.step.condition
         all_spent = f"(not {condition}) after {self.step.limit} rounds"
         exceeded = check_rule(Cause.LOOP_LIMIT, ConditionTrue(condition))._replace(expected=all_spent)
+        # Asked before `repeat`; it needs every token of `spent`, so it is enabled only when no round is left.
         self.add(exceeded, {head: 1, spent: self.step.limit}, [done, failed])
         self.add(Rule("repeat", ConditionTrue(condition)), [head, left], [*body.first, spent])
         self.fire(Rule("no_more", ConditionFalse(condition)), "head", "done")
@@ -115,7 +119,7 @@ class ChoiceBlock(Block[Choice]):
         """Add the block to the machine."""
         head, done = self.place("head"), self.place("done")
         self.enter("head")
-        self.fire(Rule("skip", Ending()), "head", "done")
+        self.fire(Rule("skip", Ending()), "head", "done")  # asked first: a run that is ending chooses no branch
         branches = (
             ("then", ConditionTrue(self.step.condition), self.step.then),
             ("else", ConditionFalse(self.step.condition), self.step.otherwise),

@@ -22,8 +22,9 @@ class CompiledNet:
         self.transitions = net.transitions
         self.transition_id = {transition: index for index, transition in enumerate(self.transitions)}
         ids = self.place_id
-        self.inputs = [[(ids[place], weight) for place, weight in net.inputs[one].items()] for one in self.transitions]
-        self.outputs = [[(ids[place], weight) for place, weight in net.outputs[one].items()] for one in self.transitions]
+        self.inputs = [[(ids[place], weight) for place, weight in net.inputs[transition].items()] for transition in self.transitions]
+        self.outputs = [[(ids[place], weight) for place, weight in net.outputs[transition].items()] for transition in self.transitions]
+        # Only consumers are indexed: a change of tokens can enable or disable nothing else.
         self.consumers: list[list[tuple[int, int]]] = [[] for _ in net.places]
         for transition, inputs in enumerate(self.inputs):
             for place, weight in inputs:
@@ -39,6 +40,7 @@ class Engine:
     def __init__(self, compiled: CompiledNet, marking: Mapping[str, int]) -> None:
         self.compiled = compiled
         self.tokens = [0] * len(compiled.place_id)
+        # Every input place counts as lacking at first; the initial marking is added like any other tokens.
         self.missing = [len(inputs) for inputs in compiled.inputs]
         for place, count in marking.items():
             self._add(compiled.place_id[place], count)
@@ -58,10 +60,13 @@ class Engine:
             NotEnabled: the marking does not cover the preset; nothing has changed.
         """
         inputs, tokens = self.compiled.inputs[transition], self.tokens
+        # Checked before any token moves, so that a refused firing leaves the marking as it was.
+        # `missing` counts places for a single firing only; several at once need the weights to be looked at.
         if self.missing[transition] or (times > 1 and any(tokens[place] < weight * times for place, weight in inputs)):
             places = self.compiled.net.places
             short = {places[place]: weight * times - tokens[place] for place, weight in inputs if tokens[place] < weight * times}
             raise NotEnabled(self.compiled.transitions[transition], short)
+        # A place that is both input and output is first emptied and then filled: each change is small and keeps `missing` exact.
         for place, weight in inputs:
             self._add(place, -weight * times)
         for place, weight in self.compiled.outputs[transition]:
@@ -71,6 +76,7 @@ class Engine:
         before = self.tokens[place]
         after = self.tokens[place] = before + count
         for transition, weight in self.compiled.consumers[place]:
+            # Only a change across the weight matters: the place begins, or ceases, to be covered for this consumer.
             if before < weight <= after:
                 self.missing[transition] -= 1
             elif after < weight <= before:

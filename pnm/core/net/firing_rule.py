@@ -24,7 +24,7 @@ def fire(net: PetriNet, marking: Marking, transition: str, times: int = 1) -> Ma
     """
     inputs, outputs = net.inputs[transition], net.outputs[transition]
     missing = {place: weight * times - marking[place] for place, weight in inputs.items() if marking[place] < weight * times}
-    if missing:
+    if missing:  # the whole preset is checked before anything is taken: a firing is atomic
         raise NotEnabled(transition, missing)
     tokens = dict(marking)
     for place, weight in inputs.items():

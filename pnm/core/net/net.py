@@ -101,11 +101,11 @@ class PetriNet:
 
 
 def _neighbours(places: Iterable[str], weights: Mapping[str, Weights]) -> dict[str, tuple[str, ...]]:
-    found: dict[str, list[str]] = {place: [] for place in places}
+    by_place: dict[str, list[str]] = {place: [] for place in places}
     for transition, connected in weights.items():
         for place in connected:
-            found[place].append(transition)
-    return {place: tuple(transitions) for place, transitions in found.items()}
+            by_place[place].append(transition)
+    return {place: tuple(transitions) for place, transitions in by_place.items()}
 
 
 @dataclass
@@ -127,6 +127,7 @@ class NetBuilder:
         """Add a transition with its arcs and return its name; names alone mean weight one."""
         if name in self._places or name in self._inputs:
             raise NetError(f"the name {name!r} is used twice")
+        # Both are checked before either is stored: a transition that is refused leaves no half of itself behind.
         self._inputs[name], self._outputs[name] = self._weights(name, inputs), self._weights(name, outputs)
         return name
 
@@ -160,6 +161,7 @@ class Marking(Mapping[str, int]):
 
     def __init__(self, tokens: Mapping[str, int] | Iterable[str] = ()) -> None:
         if isinstance(tokens, Mapping):
+            # Zeros are left out, so that equal markings are equal dictionaries, and have the same hash.
             counts = {place: count for place, count in tokens.items() if count}
         else:
             counts = {}

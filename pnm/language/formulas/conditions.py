@@ -10,7 +10,21 @@ import sys
 from typing import Final
 
 from pnm.core.logic.computed_values import Parameter
-from pnm.core.logic.conditions import TRUE, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjunction
+from pnm.core.logic.conditions import (
+    TRUE,
+    Any,
+    Compare,
+    Computed,
+    Condition,
+    Exists,
+    ForAll,
+    Holds,
+    Implies,
+    Not,
+    choices_in,
+    conjunction,
+)
+from pnm.core.logic.domain import check_choices
 from pnm.core.logic.expressions import DURATION, Arithmetic, Constant, Expression, ValueOf, Variable
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Node
@@ -41,39 +55,44 @@ def read_condition(node: Node, scope: FormulaScope = ANYTHING) -> Condition:
     return Holds(read_fluent(node, scope, "predicate"))
 
 
-def _condition(found: Form, scope: FormulaScope) -> Condition:
-    match found.word:
+def _condition(construct: Form, scope: FormulaScope) -> Condition:
+    match construct.word:
         case "and":
-            return conjunction(read_condition(operand, scope) for operand in found.operands())
+            return conjunction(read_condition(operand, scope) for operand in construct.operands())
         case "or":
-            return Any(tuple(read_condition(operand, scope) for operand in found.operands()))
+            return Any(tuple(read_condition(operand, scope) for operand in construct.operands()))
         case "not":
-            return Not(read_condition(found.items(1)[0], scope))
+            return Not(read_condition(construct.items(1)[0], scope))
         case "imply":
-            left, right = found.items(2)
+            left, right = construct.items(2)
             return Implies(read_condition(left, scope), read_condition(right, scope))
         case "holds":
-            return Holds(read_fluent(found.items(1)[0], scope, "predicate"))
+            return Holds(read_fluent(construct.items(1)[0], scope, "predicate"))
         case "forall":
-            variables, body = read_quantified(found, "condition", scope)
-            return ForAll(variables, read_condition(body, scope.inside(variables)))
-        case "exists" if found.argument.is_mapping and form(found.argument, QUERIES) is None:
-            variables, body = read_quantified(found, "condition", scope)
-            return Exists(variables, read_condition(body, scope.inside(variables)))
+            return _quantified(ForAll, construct, scope)
+        case "exists" if construct.argument.is_mapping and form(construct.argument, QUERIES) is None:
+            return _quantified(Exists, construct, scope)
         case "comparison":
-            return _comparison(found, *comparison_parts(found), scope)
-        case "operation" if len(operation_parts(found)[1]) == 2:
-            operator, (left, right) = operation_parts(found)
-            return _comparison(found, operator, left, right, scope)
+            return _comparison(construct, *comparison_parts(construct), scope)
+        case "operation" if len(operation_parts(construct)[1]) == 2:
+            operator, (left, right) = operation_parts(construct)
+            return _comparison(construct, operator, left, right, scope)
         case _ if scope.strict:
-            raise InputError(f"PDDL has no {found.written!r}: it knows facts and functions, not variables", found.position)
+            raise InputError(f"PDDL has no {construct.written!r}: it knows facts and functions, not variables", construct.position)
         case _:
-            return Computed(read_form(found, scope))
+            return Computed(read_form(construct, scope))
 
 
-def read_quantified(found: Form, inner: str, scope: FormulaScope) -> tuple[tuple[Variable, ...], Node]:
+def _quantified(kind: type[ForAll | Exists], construct: Form, scope: FormulaScope) -> ForAll | Exists:
+    variables, body = read_quantified(construct, "condition", scope)
+    condition = kind(variables, read_condition(body, scope.inside(variables)))
+    check_choices(choices_in(condition, scope.declared.count), construct.position)
+    return condition
+
+
+def read_quantified(construct: Form, inner: str, scope: FormulaScope) -> tuple[tuple[Variable, ...], Node]:
     """Return the variables of a quantifier, and its body, which stands under the key."""
-    entry = found.argument.mapped()
+    entry = construct.argument.mapped()
     entry.only("variables", inner)
     return read_typed(entry.needed("variables"), scope), entry.needed(inner)
 
@@ -81,24 +100,24 @@ def read_quantified(found: Form, inner: str, scope: FormulaScope) -> tuple[tuple
 # --- comparisons ---------------------------------------------------------------------------
 
 
-def _comparison(found: Form, operator: Node, left: Node, right: Node, scope: FormulaScope) -> Condition:
+def _comparison(construct: Form, operator: Node, left: Node, right: Node, scope: FormulaScope) -> Condition:
     """Compare numbers or objects as PDDL does if both sides are of its kinds, and any values else."""
     name = read_operator(operator)
     if scope.strict:  # two numbers, or two objects for equality, as planners do
         if name not in COMPARISONS:
             raise operator.wrong(f"PDDL does not compare with {shown(operator)}; expected one of {', '.join(COMPARISONS.values())}")
-        one, other = read_expression(left, scope), read_expression(right, scope)
-        if scope.is_object(one) != scope.is_object(other):
-            raise right.wrong(f"a number and an object cannot be compared: {one}, {other}")
-        if scope.is_object(one) and name not in ("eq", "ne"):
+        left_value, right_value = read_expression(left, scope), read_expression(right, scope)
+        if scope.is_object(left_value) != scope.is_object(right_value):
+            raise right.wrong(f"a number and an object cannot be compared: {left_value}, {right_value}")
+        if scope.is_object(left_value) and name not in ("eq", "ne"):
             raise operator.wrong(f"objects are equal or they are not; expected = or !=, found {shown(operator)}")
-        return _compared(name, one, other)
+        return _compared(name, left_value, right_value)
     first, second = _expression(left), _expression(right)
     if isinstance(first, ValueOf) or isinstance(second, ValueOf):
         _check_truth(left)
         _check_truth(right)
     if name not in COMPARISONS or first is None or second is None or not _comparable(name, (first, second)):
-        return Computed(read_form(found, scope))
+        return Computed(read_form(construct, scope))
     for side, expression in ((left, first), (right, second)):
         _check(side, expression, scope, objects=isinstance(first, ValueOf) or isinstance(second, ValueOf))
     return _compared(name, first, second)
@@ -156,21 +175,21 @@ def _check(node: Node, expression: Expression, scope: FormulaScope, *, objects: 
 
 def read_expression(node: Node, scope: FormulaScope = ANYTHING) -> Expression:
     """Read a number, an object, a parameter, ``?duration``, the value of a function, or arithmetic over these."""
-    found = _expression(node)
-    if found is None:
+    expression = _expression(node)
+    if expression is None:
         hint = f"; write {node.written!r} with quotes" if node.written and isinstance(node.plain(), bool) else ""
         raise node.wrong(f"expected a number, a name or something like (battery ?r), found {shown(node)}{hint}")
-    _check(node, found, scope)
-    return found
+    _check(node, expression, scope)
+    return expression
 
 
 def _expression(node: Node) -> Expression | None:
     """Return None for what PDDL does not have."""
     if node.is_mapping:
-        found = form(node, ("value", "operation"))
-        if found is None:
+        construct = form(node, ("value", "operation"))
+        if construct is None:
             return None
-        return ValueOf(read_fluent(found.items(1)[0])) if found.word == "value" else _arithmetic(found)
+        return ValueOf(read_fluent(construct.items(1)[0])) if construct.word == "value" else _arithmetic(construct)
     if node.text is not None:
         fluent = fluent_in(node.text)
         if fluent is not None:
@@ -188,13 +207,13 @@ def _expression(node: Node) -> Expression | None:
     return Constant(float(value))
 
 
-def _arithmetic(found: Form) -> Expression | None:
-    operator, operands = operation_parts(found)
+def _arithmetic(construct: Form) -> Expression | None:
+    operator, operands = operation_parts(construct)
     symbol = ARITHMETIC.get(read_operator(operator))
     parts = [_expression(operand) for operand in operands]
     known = [part for part in parts if part is not None and not (_is_name(part) and not is_variable(str(part)))]
     if symbol is None or len(known) < len(parts):
         return None
     if len(known) not in _OPERANDS.get(symbol, range(2, sys.maxsize)):
-        raise found.argument.wrong(f"{symbol} does not take {len(known)} operands")
+        raise construct.argument.wrong(f"{symbol} does not take {len(known)} operands")
     return Arithmetic(symbol, tuple(known))

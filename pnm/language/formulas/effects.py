@@ -12,8 +12,8 @@ from typing import Final, Literal
 
 from pnm.core.logic.computed_values import Layer, Query, parts
 from pnm.core.logic.conditions import TRUE, Condition, conjunction, data_in
-from pnm.core.logic.domain import DurationConstraint
-from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, Set, When
+from pnm.core.logic.domain import DurationConstraint, check_choices
+from pnm.core.logic.effects import OPERATIONS, Effect, Effects, ForEach, Set, When, choices_in_effects
 from pnm.core.logic.expressions import UNDEFINED, Constant, Expression, ValueOf
 from pnm.errors import InputError
 from pnm.files.yaml_nodes import Node
@@ -38,9 +38,9 @@ class WrittenEffects:
 
 def read_effects(node: Node, scope: FormulaScope = ANYTHING) -> WrittenEffects:
     """Read effects: a list, or one of them."""
-    found = _parts(node, scope)
-    effects = tuple(part for part in found if isinstance(part, Set | When | ForEach))
-    tests = [part for part in found if not isinstance(part, Set | When | ForEach)]
+    parts = _parts(node, scope)
+    effects = tuple(part for part in parts if isinstance(part, Set | When | ForEach))
+    tests = [part for part in parts if not isinstance(part, Set | When | ForEach)]
     return WrittenEffects(effects, conjunction(tests))
 
 
@@ -51,25 +51,27 @@ def _parts(node: Node, scope: FormulaScope) -> tuple[Effect | Condition, ...]:
         return ()
     if not node.is_mapping:
         return (_becomes(node, True, scope),)
-    found = needed_form(node, _PLANNED if scope.strict else _WORDS, "an effect")
-    match found.word:
+    construct = needed_form(node, _PLANNED if scope.strict else _WORDS, "an effect")
+    match construct.word:
         case "and":
-            return tuple(part for item in found.operands() for part in _parts(item, scope))
+            return tuple(part for item in construct.operands() for part in _parts(item, scope))
         case "holds":
-            return (_becomes(found.items(1)[0], True, scope),)
+            return (_becomes(construct.items(1)[0], True, scope),)
         case "not":
-            (negated,) = found.items(1)
+            (negated,) = construct.items(1)
             inner = form(negated, ("holds",))
             fact = inner.items(1)[0] if inner else negated
             if inner or (fact.text is not None and fluent_in(fact.text) is not None):
                 return (_becomes(fact, False, scope),)
         case "when":
-            return (_when(found, scope),)
-        case "forall" if "effects" in found.argument.mapped().nodes:
-            variables, body = read_quantified(found, "effects", scope)
-            return (ForEach(variables, _only_effects(body, scope.inside(variables))),)
+            return (_when(construct, scope),)
+        case "forall" if "effects" in construct.argument.mapped().nodes:
+            variables, body = read_quantified(construct, "effects", scope)
+            effects = (ForEach(variables, _only_effects(body, scope.inside(variables))),)
+            check_choices(choices_in_effects(effects, scope.declared.count), construct.position)
+            return effects
         case word if word in _CHANGES:
-            return (_change(found, scope),)
+            return (_change(construct, scope),)
         case _:
             pass
     if scope.strict:
@@ -86,31 +88,31 @@ def _becomes(node: Node, truth: bool, scope: FormulaScope) -> Set:
     return effect
 
 
-def _change(found: Form, scope: FormulaScope) -> Set:
-    target, value = found.items(2)
+def _change(construct: Form, scope: FormulaScope) -> Set:
+    target, value = construct.items(2)
     new = Constant(UNDEFINED) if value.text == UNDEFINED else read_expression(value, scope)
-    effect = Set(read_fluent(target), new, _CHANGES[found.word])
+    effect = Set(read_fluent(target), new, _CHANGES[construct.word])
     scope.check_change(effect.fluent, target, effect.value, value)
     if scope.strict and effect.operation != "assign" and scope.is_object(ValueOf(effect.fluent)):
-        raise target.wrong(f"the values of {effect.fluent[0]!r} are objects; expected assign, found {found.written}")
+        raise target.wrong(f"the values of {effect.fluent[0]!r} are objects; expected assign, found {construct.written}")
     return effect
 
 
-def _when(found: Form, scope: FormulaScope) -> When:
-    entry = found.argument.mapped()
+def _when(construct: Form, scope: FormulaScope) -> When:
+    entry = construct.argument.mapped()
     entry.only("condition", "at_start", "effects")
     late, early, body = entry.node("condition"), entry.node("at_start"), entry.node("effects")
     condition = late or early
     if condition is None or body is None or (late and early):
-        raise found.argument.wrong("'when' takes effects, and either a condition or, for one that is tested early, at_start")
+        raise construct.argument.wrong("'when' takes effects, and either a condition or, for one that is tested early, at_start")
     return When(read_condition(condition, scope), _only_effects(body, scope), early=late is None)
 
 
 def _only_effects(node: Node, scope: FormulaScope) -> Effects:
-    found = read_effects(node, scope)
-    if found.expected != TRUE:
+    written = read_effects(node, scope)
+    if written.expected != TRUE:
         raise node.wrong("expected effects on facts and functions alone; tests of variables stand at the top of the effects")
-    return found.effects
+    return written.effects
 
 
 # --- moments and durations -----------------------------------------------------------------
@@ -133,8 +135,8 @@ def read_conditions(node: Node | None, scope: FormulaScope = ANYTHING) -> TimedC
         return TimedConditions(read_condition(node, scope))
     entry = node.mapped()
     entry.only(*MOMENTS)
-    found = [entry.filled(moment) for moment in MOMENTS]
-    start, always, end = (TRUE if condition is None else read_condition(condition, scope) for condition in found)
+    conditions = [entry.filled(moment) for moment in MOMENTS]
+    start, always, end = (TRUE if condition is None else read_condition(condition, scope) for condition in conditions)
     if any(isinstance(part, Query) and part.layer is not Layer.LOCAL for data in data_in(always) for part in parts(data)):
         message = "what must hold over all is watched, and nobody is asked all the time; expected LocalQuery, facts or functions"
         raise InputError(message, entry.position("over_all"))
@@ -167,8 +169,8 @@ def read_duration(node: Node, scope: FormulaScope = ANYTHING) -> tuple[DurationC
     """Read a duration: an expression, or a list of bounds ``{"<=": expression}``; an empty list for any duration."""
     if node.items is None and form(node, _BOUNDS) is None:
         return (DurationConstraint("=", _bound(node, scope)),)
-    found = [needed_form(item, _BOUNDS, "a bound") for item in ((node,) if node.items is None else node.items)]
-    return tuple([DurationConstraint(_BOUNDS[form.word], _bound(form.argument, scope)) for form in found])
+    bounds = [needed_form(item, _BOUNDS, "a bound") for item in ((node,) if node.items is None else node.items)]
+    return tuple([DurationConstraint(_BOUNDS[form.word], _bound(form.argument, scope)) for form in bounds])
 
 
 def _bound(node: Node, scope: FormulaScope) -> Expression:

@@ -164,17 +164,17 @@ def is_variable(text: str) -> bool:
 
 def fluent_in(text: str) -> Fluent | None:
     """Read ``(at ?r kitchen)``; None for any other text."""
-    found = _FLUENT.match(text.strip())
-    return tuple(found[1].split()) if found else None
+    match = _FLUENT.match(text.strip())
+    return tuple(match[1].split()) if match else None
 
 
 def read_fluent(node: Node, scope: FormulaScope = ANYTHING, kind: FluentKind | None = None) -> Fluent:
     """Read the text of a fact, or of a function with its arguments: ``(at ?r kitchen)``."""
-    found = fluent_in(node.text) if node.text is not None else None
-    if found is None:
+    fluent = fluent_in(node.text) if node.text is not None else None
+    if fluent is None:
         raise node.wrong(f"expected something like (at ?r kitchen), found {shown(node)}")
-    scope.check_fluent(found, node, kind)
-    return found
+    scope.check_fluent(fluent, node, kind)
+    return fluent
 
 
 def read_typed(node: Node, scope: FormulaScope = ANYTHING) -> tuple[Variable, ...]:
@@ -192,20 +192,20 @@ def read_typed_text(text: str, node: Node, scope: FormulaScope = ANYTHING, *, di
 
 
 def _variables(pairs: list[tuple[str, tuple[str, ...]]], node: Node, *, distinct: bool = True) -> tuple[Variable, ...]:
-    found = tuple(Variable(name if name.startswith("?") else f"?{name}", types) for name, types in pairs)
-    counted = Counter(variable.name for variable in found)
+    variables = tuple(Variable(name if name.startswith("?") else f"?{name}", types) for name, types in pairs)
+    counted = Counter(variable.name for variable in variables)
     if distinct and counted and counted.most_common(1)[0][1] > 1:
         raise node.wrong(f"{counted.most_common(1)[0][0]} is there twice")
-    return found
+    return variables
 
 
 def read_names(node: Node, scope: FormulaScope = ANYTHING) -> dict[str, tuple[str, ...]]:
     """Read names with their types, such as objects: ``r1 r2 - robot kitchen - place``, or a list of such texts."""
     parts = (node,) if node.items is None else node.items
-    found: dict[str, Types] = {}
+    typed: dict[str, Types] = {}
     for name, types in [pair for part in parts if not part.is_null for pair in _typed(_text(part), part, scope)]:
-        found[name] = tuple(dict.fromkeys((*found.get(name, ()), *types)))
-    return found
+        typed[name] = tuple(dict.fromkeys((*typed.get(name, ()), *types)))
+    return typed
 
 
 def _text(node: Node) -> str:
@@ -217,7 +217,7 @@ def _text(node: Node) -> str:
 
 def _typed(text: str, node: Node, scope: FormulaScope) -> list[tuple[str, tuple[str, ...]]]:
     tokens: deque[str] = deque(_TOKEN.findall(text))
-    found: list[tuple[str, tuple[str, ...]]] = []
+    pairs: list[tuple[str, tuple[str, ...]]] = []
     waiting: list[str] = []
     while tokens:
         token = tokens.popleft()
@@ -225,13 +225,13 @@ def _typed(text: str, node: Node, scope: FormulaScope) -> list[tuple[str, tuple[
             types = _types(tokens, node)
             for kind in types:
                 scope.check_type(kind, node)
-            found += [(name, types) for name in waiting]
+            pairs += [(name, types) for name in waiting]
             waiting = []
         elif token in ("-", "(", ")", "?"):
             raise node.wrong(f"expected a name in place of {token!r} in {shown(node)}")
         else:
             waiting.append(token)
-    return [*found, *((name, ("object",)) for name in waiting)]
+    return [*pairs, *((name, ("object",)) for name in waiting)]
 
 
 def _types(tokens: deque[str], node: Node) -> tuple[str, ...]:

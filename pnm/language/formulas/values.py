@@ -18,9 +18,9 @@ from pnm.language.formulas.words import ARITHMETIC, QUERIES, UPDATES, VALUES, Fo
 
 def read_data(node: Node, scope: FormulaScope = ANYTHING) -> Data:
     """Read a value."""
-    found = form(node, (*VALUES, *UPDATES), in_value=True)
-    if found is not None:
-        return read_form(found, scope)
+    construct = form(node, (*VALUES, *UPDATES), in_value=True)
+    if construct is not None:
+        return read_form(construct, scope)
     if node.items is not None:
         return _whole(tuple(read_data(item, scope) for item in node.items), None)
     if node.is_mapping:
@@ -57,54 +57,54 @@ def read_literal(node: Node) -> Literal:
     return Literal.of(value)
 
 
-def read_form(found: Form, scope: FormulaScope) -> Data:
+def read_form(construct: Form, scope: FormulaScope) -> Data:
     """Read a value that is computed."""
-    word = found.word
+    word = construct.word
     if word in QUERIES:
-        return _query(found, scope)
+        return _query(construct, scope)
     match word:
         case "and" | "or":
-            return Operation(word, tuple(read_data(operand, scope) for operand in found.operands()))
+            return Operation(word, tuple(read_data(operand, scope) for operand in construct.operands()))
         case "not":
-            return Operation("not", (read_data(found.items(1)[0], scope),))
+            return Operation("not", (read_data(construct.items(1)[0], scope),))
         case "imply":
-            left, right = (read_data(operand, scope) for operand in found.items(2))
+            left, right = (read_data(operand, scope) for operand in construct.items(2))
             return Operation("or", (Operation("not", (left,)), right))
         case "exists":  # ``Exists: [Query: v]`` or ``Exists: {Query: v}``
-            return Operation("exists", (_query(needed_form(found.items(1)[0], QUERIES, "a query"), scope),))
+            return Operation("exists", (_query(needed_form(construct.items(1)[0], QUERIES, "a query"), scope),))
         case "comparison":
-            operator, first, second = comparison_parts(found)
+            operator, first, second = comparison_parts(construct)
             return Operation(read_operator(operator), _compared_values(read_data(first, scope), read_data(second, scope)))
         case "operation":
-            return _operation(found, scope)
+            return _operation(construct, scope)
         case "booleanAssertion":
-            inner, wanted = found.items(2)
+            inner, wanted = construct.items(2)
             value = wanted.plain()
             if not isinstance(value, bool):
                 raise wanted.wrong("expected true or false")
             return Operation("eq", _compared_values(read_data(inner, scope), Literal.of(value)))
         case "holds":
-            return _truth(ValueOf(read_fluent(found.items(1)[0], scope)))
+            return _truth(ValueOf(read_fluent(construct.items(1)[0], scope)))
         case "value":
-            return ValueOf(read_fluent(found.items(1)[0], scope))
+            return ValueOf(read_fluent(construct.items(1)[0], scope))
         case "literal":
-            return read_literal(found.argument)
+            return read_literal(construct.argument)
         case _:
-            raise found.argument.wrong(f"{found.written} changes knowledge; it is a step of its own, not a value")
+            raise construct.argument.wrong(f"{construct.written} changes knowledge; it is a step of its own, not a value")
 
 
-def _query(found: Form, scope: FormulaScope) -> Query:
-    name, *meta = found.items(1, 2)
-    return Query(_name(name, scope), QUERIES[found.word], *(read_data(option, scope) for option in meta))
+def _query(construct: Form, scope: FormulaScope) -> Query:
+    name, *meta = construct.items(1, 2)
+    return Query(_name(name, scope), QUERIES[construct.word], *(read_data(option, scope) for option in meta))
 
 
 def _name(node: Node, scope: FormulaScope) -> Data:
     """Read the name of a variable, which may be computed."""
-    found = read_data(node, scope)
-    if isinstance(found, Compound) or (isinstance(found, Literal) and not isinstance(found.value, str)):
+    data = read_data(node, scope)
+    if isinstance(data, Compound) or (isinstance(data, Literal) and not isinstance(data.value, str)):
         hint = f"; write {node.written!r} with quotes" if node.written else ""
         raise node.wrong(f"expected the name of a variable{hint}")
-    return found
+    return data
 
 
 def _compared_values(left: Data, right: Data) -> tuple[Data, Data]:
@@ -121,22 +121,22 @@ def _truth(data: Data) -> Data:
     return Operation("truth", (data,)) if isinstance(data, ValueOf) else data
 
 
-def comparison_parts(found: Form) -> tuple[Node, Node, Node]:
+def comparison_parts(construct: Form) -> tuple[Node, Node, Node]:
     """Return the operator and both sides of ``Comparison: [operator, [a, b]]``."""
-    operator, pair = found.items(2)
+    operator, pair = construct.items(2)
     if pair.items is None or len(pair.items) != 2:
-        raise pair.wrong(f"{found.written} takes a list of the two values it compares")
+        raise pair.wrong(f"{construct.written} takes a list of the two values it compares")
     return operator, *pair.items
 
 
-def operation_parts(found: Form) -> tuple[Node, tuple[Node, ...]]:
+def operation_parts(construct: Form) -> tuple[Node, tuple[Node, ...]]:
     """Return the operator and the operands of ``Operation: [operator, [a, b, ...]]``, or ``[operator, a]``."""
-    operator, rest = found.items(2)
+    operator, rest = construct.items(2)
     return operator, (rest,) if rest.items is None else rest.items
 
 
-def _operation(found: Form, scope: FormulaScope, *, changing: bool = False) -> Operation:
-    operator, rest = operation_parts(found)
+def _operation(construct: Form, scope: FormulaScope, *, changing: bool = False) -> Operation:
+    operator, rest = operation_parts(construct)
     name = read_operator(operator, changing=changing)
     if not rest:
         raise operator.wrong(f"{name} has no operands")
@@ -151,16 +151,16 @@ def _operation(found: Form, scope: FormulaScope, *, changing: bool = False) -> O
 
 def read_operation(node: Node, scope: FormulaScope = ANYTHING) -> KnowledgeOperation:
     """Read an operation on knowledge: an update, a query, or an operator that changes it."""
-    found = needed_form(node, (*UPDATES, *QUERIES, "operation"), "an update, a query or an operation")
-    if found.word in UPDATES:
-        name, value, *meta = found.items(2, 3)
-        return Update(_name(name, scope), read_data(value, scope), UPDATES[found.word], *(read_data(option, scope) for option in meta))
-    if found.word in QUERIES:
-        return _query(found, scope)
-    operation = _operation(found, scope, changing=True)
+    construct = needed_form(node, (*UPDATES, *QUERIES, "operation"), "an update, a query or an operation")
+    if construct.word in UPDATES:
+        name, value, *meta = construct.items(2, 3)
+        return Update(_name(name, scope), read_data(value, scope), UPDATES[construct.word], *(read_data(option, scope) for option in meta))
+    if construct.word in QUERIES:
+        return _query(construct, scope)
+    operation = _operation(construct, scope, changing=True)
     sizes = {"setitem": 3, "delitem": 2}
     if operation.operator in sizes:
-        first = operation_parts(found)[1][0]
+        first = operation_parts(construct)[1][0]
         if len(operation.operands) != sizes[operation.operator]:
             raise first.wrong(f"{operation.operator} takes {sizes[operation.operator]} operands, found {len(operation.operands)}")
         if not isinstance(operation.operands[0], Query):

@@ -92,9 +92,9 @@ def form(node: Node, words: Collection[str], *, in_value: bool = False) -> Form 
 
 def needed_form(node: Node, words: Collection[str], what: str) -> Form:
     """Take apart a mapping that must be one of the forms."""
-    found = form(node, words)
-    if found is not None:
-        return found
+    construct = form(node, words)
+    if construct is not None:
+        return construct
     keys = list(node.mapped().nodes) if node.is_mapping else []
     if not keys:
         raise node.wrong(f"expected {what}, found {shown(node)}")

@@ -65,7 +65,7 @@ class Ros2ActionClient:
         until = monotonic() + limit
         while True:
             missing = await self._ros.ask(lambda: tuple(link.name for link in links if not link.ready()))
-            if not missing or monotonic() >= until:
+            if not missing or monotonic() >= until:  # polled, because the ROS graph has no event for a single server
                 return missing
             await asyncio.sleep(0.1)
 
@@ -76,7 +76,9 @@ class Ros2ActionClient:
 
     def send(self, request: Request, report: Reporter, /) -> None:
         """Send the goal; `report` is called later, on the event loop's thread."""
+        # Noted before the thread is left: the type may become known until the goal is dispatched.
         is_blind = request.goal.keys() >= ABOUT_THE_CALL and self.goal_fields(request.action) is None
+        # Later and not at once: the caller does not expect a report before `send` has returned.
         if not self._ros.call(partial(self._send, request, report, is_blind)):
             self._loop.call_soon(report, Ended(request.id, Outcome(OutcomeKind.UNAVAILABLE, message=_CLOSED)))
 

@@ -56,6 +56,7 @@ class Handshake:
 
     def is_done(self, present: frozenset[bytes], now: float) -> bool:
         """Return True if all present processes have discovered us and none may be executing an abandoned goal."""
+        # Processes that have left are forgotten, and so are all after a time in which a cut could have gone unnoticed.
         if self._met is not None:
             self._met = self._met & present if now - self._looked < UNWATCHED else None
         self._looked = now
@@ -66,7 +67,7 @@ class Handshake:
         if self.is_done(present, now):
             return
         if self._met is None or not present <= self._met:
-            if now - self._probed >= AGAIN:
+            if now - self._probed >= AGAIN:  # probes are lost silently until the server has discovered us, so they are repeated
                 self._probed = now
                 self._handle(uuid4()).get_result_async().add_done_callback(partial(self._on_answer, present))
         elif now - self._recalled >= AGAIN:  # only now: before the probes are answered, an answer about a goal would be lost
@@ -80,12 +81,13 @@ class Handshake:
         self._abandoned[goal] = handle or self._handle(goal)
 
     def _on_answer(self, present: frozenset[bytes], future: Any) -> None:
-        if not future.cancelled():
+        if not future.cancelled():  # the processes present when the probe was sent: one that came later may not have discovered us yet
             self._met = present
             self._changed()
 
     def _on_recalled(self, goal: UUID, future: Any) -> None:
         """Any answer ends an abandoned goal: it is over, or the server does not know it."""
+        # Several recalls of the same goal may be answered; only the last abandoned goal opens the way.
         if not future.cancelled() and self._abandoned.pop(goal, None) is not None and not self._abandoned:
             self._changed()
 

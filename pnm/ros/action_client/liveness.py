@@ -51,19 +51,20 @@ class Liveness:
         """Return the verdict, given the present processes and whether the status topic says that the goal is over."""
         if not self.processes:  # the publisher was not discovered yet when the goal was accepted
             self.processes = present
-        if not present & self.processes:
+        if not present & self.processes:  # none of the processes that may have the goal is left; another one under the name does not count
             if self.gone_since is None:
                 self.gone_since = now
-            if now - self.gone_since >= GRACE:
+            if now - self.gone_since >= GRACE:  # a process may be missing from the graph for a moment while discovery is busy
                 return Verdict.LOST
             return self._ask(now) if present else Verdict.FINE
+        # It is back: an answer may have been lost meanwhile, so the result is requested again, with all attempts.
         if self.gone_since is not None:
             self.gone_since, self.asks = None, 0
             return self._ask(now)
         if over:
             if self.over_since is None:
                 self.over_since, self.asks = now, 0
-            if now - self.over_since < AGAIN:
+            if now - self.over_since < AGAIN:  # the result most often arrives right after the status; it is given a moment
                 return Verdict.FINE
             if self.asks >= ASKS and now - self.asked >= AGAIN:
                 return Verdict.SILENT

@@ -70,7 +70,7 @@ class ServerLink:
     def ready(self) -> bool:
         """Return True if the server is there; connects to it when its type has become known."""
         is_there = self._is_reached()
-        if is_there:
+        if is_there:  # polled on every look, so that the handshake is done before the first goal needs it
             self._expected_until = math.inf
             self._handshake.poll(processes(self._node, self.name), monotonic())
         elif self._expected_until == math.inf:  # it was there until now
@@ -84,7 +84,7 @@ class ServerLink:
             except InputError as error:
                 _log.debug("%s: %s", self.name, error)
                 return False
-            self._connect()
+            self._connect()  # only now, because a client needs the type, which the graph shows once the server is there
             # The server is in the graph, but the new client has yet to be matched with it.
             self._expected_until = max(self._expected_until, monotonic() + DISCOVERY)
         return self._client is not None and bool(self._client.server_is_ready())
@@ -93,7 +93,7 @@ class ServerLink:
         from rclpy.action import ActionClient  # here, because rclpy is an extra
         from rclpy.qos import QoSProfile
 
-        deep = QoSProfile(depth=_DEPTH)
+        deep = QoSProfile(depth=_DEPTH)  # the default keeps ten responses; more goals than that may end between two turns of the executor
         self._client = ActionClient(
             self._node,
             self.type,
@@ -131,11 +131,13 @@ class ServerLink:
         self._pump()
 
     def _pump(self) -> None:
+        # Asked for each goal: a dispatch may fail at once, and the server may go away meanwhile.
         while self._queued and len(self._unanswered) < IN_FLIGHT and self.ready() and self._may_send():
             self._dispatch(self._queued.popleft())
 
     def _dispatch(self, goal: Goal) -> None:
         known = fields(self.type.Goal)
+        # Half a goal message would be sent with zeros in the other fields, which the server takes for values.
         if unfilled := goal.unfilled(known):
             reason = f"{self.name} came when the goal had been filled; nobody has looked for values for {', '.join(unfilled)}"
             goal.end(OutcomeKind.UNAVAILABLE, reason)
@@ -151,6 +153,7 @@ class ServerLink:
             goal.end(OutcomeKind.REJECTED, f"goal for {self.name} cannot be sent: {error}")
             return
         goal.sent = monotonic()
+        # The processes of this moment: one that appears later cannot have this goal.
         goal.liveness = Liveness(processes(self._node, self.name))
         self._unanswered.add(goal)
         future.add_done_callback(partial(self._answered, goal))
@@ -158,7 +161,7 @@ class ServerLink:
     def _answered(self, goal: Goal, future: Any) -> None:
         self._unanswered.discard(goal)
         handle = future.result()
-        if not handle.accepted:
+        if not handle.accepted:  # first of all, since a refusal ends the goal whatever else has happened to it
             goal.end(OutcomeKind.REJECTED, f"{self.name} rejected the goal")
         elif goal.ended:
             # It was accepted after its time limit, when the run had already gone on without it.
@@ -169,9 +172,9 @@ class ServerLink:
             self._accepted.add(goal)
             goal.report(Accepted(goal.request.id))
             self._ask_result(goal)
-            if goal.cancel_asked:
+            if goal.cancel_asked:  # it was asked for before there was a handle to cancel with
                 self._send_cancel(goal)
-        self._pump()
+        self._pump()  # a goal fewer is unanswered, so the next one may go
 
     # the end
 
@@ -181,10 +184,11 @@ class ServerLink:
         future.add_done_callback(partial(self._result, goal))
 
     def _result(self, goal: Goal, future: Any) -> None:
-        if goal.ended or future.cancelled():
+        if goal.ended or future.cancelled():  # several requests for the same result may be out; the first answer counts
             return
         answer = future.result()
         if answer.status == UNKNOWN:
+            # Not lost at once: the delay lets sensors report the new state first (`RESENSED`).
             goal.restarted = goal.restarted or monotonic()
         elif answer.status in OVER:
             self._accepted.discard(goal)
@@ -196,7 +200,7 @@ class ServerLink:
         if not goal.restarted:  # a server that does not know the goal is not executing it
             self._handshake.abandon(goal.request.id, goal.handle)
         goal.end(OutcomeKind.LOST, message)
-        for future in goal.results:
+        for future in goal.results:  # their answers may still come when a link heals, for a goal that is over for us
             future.cancel()
 
     # cancelling
@@ -227,7 +231,7 @@ class ServerLink:
         now = monotonic()
         self._look_at_queue(now)
         if self._unanswered or self._accepted:
-            present = processes(self._node, self.name)
+            present = processes(self._node, self.name)  # one look at the graph for all goals, so that their verdicts agree
             for goal in tuple(self._unanswered):
                 self._look_at_unanswered(goal, present, now)
             self._look_at_accepted(present, now)
@@ -235,7 +239,7 @@ class ServerLink:
 
     def _look_at_queue(self, now: float) -> None:
         if not self.ready():
-            if self._queued and now >= self._expected_until:
+            if self._queued and now >= self._expected_until:  # all queued goals together: they would all wait in vain for the same server
                 reason = absence(self._node, self.name, self.wanted_type)
                 while self._queued:
                     self._queued.popleft().end(OutcomeKind.UNAVAILABLE, reason)
@@ -260,6 +264,7 @@ class ServerLink:
         else:
             return
         self._unanswered.discard(goal)
+        # Gone from the graph, it may only be cut off and have the goal: it is recalled before the next one is sent.
         if verdict is Verdict.LOST:
             self._handshake.abandon(goal.request.id, None)
         goal.end(OutcomeKind.UNAVAILABLE, f"{self.name} {reason}")
@@ -282,6 +287,7 @@ class ServerLink:
                     pass
             if goal.restarted and now - goal.restarted >= RESENSED:
                 self._lose(goal, f"{self.name} no longer knows the goal; it was restarted")
+            # Requests may be lost like any other, and cancelling twice does no harm.
             if not goal.ended and goal.wants_cancel and goal.cancel_sent is not None and now - goal.cancel_sent >= AGAIN:
                 self._send_cancel(goal)
 

@@ -1,4 +1,4 @@
-"""An action server whose goals are carried out on the event loop, and end when that says so.
+"""An action server whose goals are carried out on the event loop, and end when that reports their result.
 
 `rclpy` would have a coroutine wait for the end of every goal, and resumes all of them at each turn of its executor.
 Here a goal is only marked as executing, and its execute callback runs when there is a result to send.
@@ -173,7 +173,7 @@ class GoalServer:
             ended = result()
             status, message = ended.status, to_message(self.type.Result, ended.fields)
         except PnmError as error:
-            _log.error("the result of a goal for %s cannot be said: %s", self.name, error)
+            _log.error("the result of a goal for %s cannot be sent: %s", self.name, error)
             status, message = GoalStatus.ABORTED, self.type.Result()
         handle = self._ending[goal] = self._open.pop(goal)
         self._server.notify_execute(handle, partial(self._finish, status=status, result=message))

@@ -1,7 +1,7 @@
 """The services by which action servers query and update the knowledge of the run that sent them a goal.
 
 They are ordinary services (``pnm_interfaces/srv/QueryKnowledge`` and ``UpdateKnowledge``), for servers in any language;
-`pnm.ros.action_server.python_server` is for those in Python. A request that waits, for a person say, holds up no other.
+`pnm.ros.action_server.python_server` is for those in Python. A request that waits, for example for a person, holds up no other.
 
 A request that equals another one of the same goal that is still at work gets the same response: at first contact clients
 repeat requests because a response may have been lost, and a person shall not be asked twice.

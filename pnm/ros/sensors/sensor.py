@@ -66,7 +66,7 @@ class SensorRecorder:
         self._watchdog.close()
 
     def _forget(self) -> None:
-        _log.warning("nothing was heard on %s for %g s; what it tells is unknown", self.instance.name, self.instance.sensor.stale)
+        _log.warning("nothing was heard on %s for %g s; what it reports is unknown", self.instance.name, self.instance.sensor.stale)
         self._store(unknown(self.instance, self._knowledge.objects))
 
     def _store(self, reading: Reading) -> None:

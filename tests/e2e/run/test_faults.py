@@ -43,30 +43,17 @@ def test_an_abort_is_retried_then_replanned_then_another_way_is_taken(deploy):
     assert finished.outcomes("pass_door") == ["succeeded"]
 
 
-def test_a_rejected_goal_is_retried_then_replanned(deploy):
-    finished = deploy("patrol/p01", quick=True, faults=both_ways("do: reject")).execute()
+def test_rejected_goals_and_success_without_effect_are_retried_then_replanned(deploy):
+    faults = both_ways("do: reject").replace("]", ", {action: inspect, do: no_effect, after: 1, times: 3}]")
+    finished = deploy("patrol/p01", quick=True, faults=faults).execute()
     assert finished.result["goal_reached"]
     assert finished.causes("move") == {"rejected"}
     assert "/r1/move rejected the goal" in {failure["observed"] for failure in finished.result["failures"]}
     assert max(finished.attempts("move")) == 2
-    assert finished.result["plans"] >= 2
-
-
-def test_success_without_effect_is_found_by_the_effect_check(deploy):
-    finished = deploy("patrol/p01", quick=True, faults="faults: [{action: inspect, do: no_effect, after: 1, times: 3}]").execute()
-    assert finished.result["goal_reached"]
     assert finished.causes("inspect") == {"effects_missing"}
-    assert finished.result["failures"][0]["expected"].startswith("(inspected ")
-    assert finished.attempts("inspect") == [1, 3, 1, 1]
-    assert finished.outcomes("inspect") == ["succeeded"] * 6
-
-
-def test_a_fact_changed_behind_the_robots_back_is_found_before_the_start(deploy):
-    finished = deploy("delivery/p02", quick=True, faults='changes: [{on: end of load, set: ["(not (open door2))"]}]').execute()
-    assert finished.result["goal_reached"]
-    assert finished.causes("pass_door") == {"precondition_false"}
-    assert finished.result["failures"][0]["observed"] == "(open door2) is false"
-    assert finished.result["replans"] >= 1
+    assert max(finished.attempts("inspect")) == 3
+    assert set(finished.outcomes("inspect")) == {"succeeded"}
+    assert finished.result["plans"] >= 3
 
 
 def test_a_fact_changed_behind_the_robots_back_is_found_while_the_action_runs(deploy):
@@ -91,13 +78,6 @@ def test_hung_and_slow_servers_are_cancelled_and_tried_again(deploy):
     assert finished.attempts("inspect") == [2, 2, 1]
     assert finished.outcomes("inspect") == ["canceled", "succeeded", "canceled", "succeeded", "succeeded"]
     assert finished.result["failures"] == []
-
-
-def test_a_slow_server_is_waited_for_as_long_as_its_binding_says(deploy):
-    finished = deploy("patrol/p01", quick=True, faults="faults: [{action: inspect, do: slow}]").execute()
-    assert finished.result["goal_reached"]
-    assert finished.result["failures"] == []
-    assert finished.attempts("inspect") == [1, 1, 1]
 
 
 def test_a_hung_server_that_ignores_cancelling_is_given_up_and_got_round(deploy):

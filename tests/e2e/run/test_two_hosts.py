@@ -42,7 +42,7 @@ def starts(simulation):
     return [event["action"] for event in simulation.objects() if event["event"] == "start"]
 
 
-def outcomes(simulation):
+def end_outcomes(simulation):
     return [event["outcome"] for event in simulation.objects() if event["event"] == "end"]
 
 
@@ -112,7 +112,7 @@ def test_what_was_given_up_is_cancelled_after_the_cut_before_it_is_done_again(su
     run.until(lambda: any("/d1/navigate went away" in line for line in run.out))
     survey.lan.heal("drone")
     assert run.ended() == 0
-    assert outcomes(drone) == ["canceled", "succeeded"]
+    assert end_outcomes(drone) == ["canceled", "succeeded"]
     assert not overlaps(drone.objects())
 
 

@@ -8,8 +8,8 @@ import random
 import pytest
 
 from planner_bridge.pddl import write_domain, write_problem
-from tests.support.e2e.deployment import Simulation
-from tests.support.e2e.plan_deployment import ABORTED, SUCCEEDED, Client, PlanDeployment, Serving
+from tests.support.e2e.deployment import SimulationProgram
+from tests.support.e2e.plan_deployment import ABORTED, SUCCEEDED, ClientProgram, PlanDeployment, Serving
 from tests.support.pddl.problems import fleet
 
 ROBOTS, PARCELS, ROOMS = 5, 50, 6
@@ -38,12 +38,14 @@ def test_all_goals_hold_in_the_end_or_are_reported_with_the_reason(deployment: P
     here = [str(deployment.folder / name) for name in ("domain.pddl", "problem.pddl")]
     bindings = ["--bindings", str(deployment.folder / "bindings.yaml")]
     faults = ["--faults", str(deployment.folder / "faults.yaml"), "--speed", "10", "--log", "/dev/stdout"]
-    robots = deployment.start(Simulation(["-m", "planner_bridge", "simulate", *here, *bindings, *faults], deployment.environment)).ready()
+    robots = deployment.start(
+        SimulationProgram(["-m", "planner_bridge", "simulate", *here, *bindings, *faults], deployment.environment)
+    ).ready()
     deployment.start(Serving(["-m", "planner_bridge", "serve", *here, *bindings], deployment.environment)).ready()
 
     rng = random.Random(seed)
     goals = [f"(in p{number} a{rng.randrange(ROOMS)})" for number in range(PARCELS)]
-    client = deployment.start(Client(["-m", "tests.support.e2e.programs.goal_client", "send", *goals], deployment.environment))
+    client = deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.goal_client", "send", *goals], deployment.environment))
     assert client.ended(540.0) == 0, str(client)
     results = client.results()
     robots.stop()

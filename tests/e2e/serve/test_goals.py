@@ -7,20 +7,20 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.e2e.deployment import Simulation
-from tests.support.e2e.plan_deployment import ABORTED, CANCELED, SUCCEEDED, Client, PlanDeployment, Serving
+from tests.support.e2e.deployment import SimulationProgram
+from tests.support.e2e.plan_deployment import ABORTED, CANCELED, SUCCEEDED, ClientProgram, PlanDeployment, Serving
 from tests.support.e2e.task_node import DOMAIN, PAGE, PROBLEM, goals
 from tests.support.processes import Program
 
 
 @pytest.fixture(scope="module")
-def robots(deployment_of_module: PlanDeployment) -> Simulation:
+def robots(deployment_of_module: PlanDeployment) -> SimulationProgram:
     command = ["-m", "planner_bridge", "simulate", DOMAIN, PROBLEM, "--speed", "20", "--log", "/dev/stdout"]
-    return deployment_of_module.start(Simulation(command, deployment_of_module.environment)).ready()
+    return deployment_of_module.start(SimulationProgram(command, deployment_of_module.environment)).ready()
 
 
 @pytest.fixture(scope="module")
-def served(deployment_of_module: PlanDeployment, robots: Simulation) -> PlanDeployment:
+def served(deployment_of_module: PlanDeployment, robots: SimulationProgram) -> PlanDeployment:
     """The node that takes goals, and robots for it."""
     deployment_of_module.write({"goals.yaml": "goals:\n  in the yard: (and (at r1 yard) (not (at r2 yard)))"})
     options = ["--goals", str(deployment_of_module.folder / "goals.yaml"), "--problems", str(deployment_of_module.folder)]
@@ -57,7 +57,7 @@ def page(deployment: PlanDeployment, folder: Path, goal: str, limit: str) -> Pro
     assert script.count("(at r2 kitchen)") == script.count(", 5.0)") == 1
     file = folder / "client.py"
     file.write_text(script.replace("(at r2 kitchen)", goal).replace(", 5.0)", f", {limit})"))
-    client = deployment.start(Client([str(file)], deployment.environment))
+    client = deployment.start(ClientProgram([str(file)], deployment.environment))
     assert client.ended() == 0, str(client)
     return client
 
@@ -77,7 +77,7 @@ def test_the_client_of_the_page_cancels_what_takes_too_long(served, robots, tmp_
 
 
 def test_what_is_known_and_the_problem_are_asked_for(served):
-    client = served.start(Client(["-m", "tests.support.e2e.programs.world_client"], served.environment))
+    client = served.start(ClientProgram(["-m", "tests.support.e2e.programs.world_client"], served.environment))
     assert client.ended() == 0, str(client)
     told = {one["event"]: one for one in client.objects()}
     assert told["query"]["values"] == ["true", "false", "1"]

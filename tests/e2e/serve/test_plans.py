@@ -54,42 +54,12 @@ def test_parameters_that_are_wrong_abort_the_goal_with_the_reason(served, worker
     assert len(workers.objects()) == before
 
 
-def test_an_action_that_aborts_fails_the_plan(served, workers):
-    result = served.client("fails").result()
-    assert (result["status"], result["success"], result["reason"]) == (ABORTED, False, "aborted")
-    assert "broken(1)" in result["message"]
-    assert 77 not in workers.starts("wait")
-
-
 def test_when_one_branch_fails_the_others_end_what_they_are_doing_and_begin_nothing(served, workers):
     result = served.client("forks").result()
     assert (result["status"], result["reason"]) == (ABORTED, "aborted")
     workers.happens("end", "wait", 0.25)
     workers.happens("end", "wait", 0.5)
     assert 78 not in workers.starts("wait")
-
-
-def test_an_action_server_that_is_not_there_fails_the_plan_by_its_name(served):
-    result = served.client("misses").result()
-    assert (result["status"], result["reason"]) == (ABORTED, "unavailable")
-    assert "there is no action server /nobody" in result["message"]
-
-
-def test_an_action_server_that_is_killed_fails_the_plan_by_its_name(served):
-    fragile = served.workers("fragile").ready()
-    client = served.client("breaks")
-    fragile.happens("start", "fragile/wait", 3004)
-    fragile.process.kill()
-    result = client.result()
-    assert (result["status"], result["reason"]) == (ABORTED, "lost")
-    assert "/fragile/wait went away" in result["message"]
-
-
-def test_a_plan_has_a_limit_and_what_it_runs_is_cancelled_then(served, workers):
-    result = served.client("limited").result()
-    assert (result["status"], result["reason"]) == (ABORTED, "timed_out")
-    assert result["message"] == "the plan's limit of 0.5 s is reached"
-    workers.happens("cancelled", "wait", 3005)
 
 
 # --- cancelling ------------------------------------------------------------------------------
@@ -120,11 +90,6 @@ def test_an_action_that_somebody_else_cancels_is_no_failure(served, workers):
 
 
 # --- what goes well --------------------------------------------------------------------------
-
-
-def test_a_plan_without_steps_succeeds(served):
-    result = served.client("empty").result()
-    assert (result["status"], result["success"], result["reason"], result["results"]) == (SUCCEEDED, True, "goal", {})
 
 
 def test_a_loop_counts_from_five_to_ten(served, workers):

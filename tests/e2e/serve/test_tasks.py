@@ -10,7 +10,7 @@ import pytest
 from planner_bridge.node.options import PARAMETERS
 from tests.support.e2e.plan_deployment import ABORTED, CANCELED, SUCCEEDED, PlanDeployment
 from tests.support.e2e.plan_files import FILES
-from tests.support.e2e.task_node import DOMAIN, PAGE, PROBLEM, change, goals, serve
+from tests.support.e2e.task_node import DOMAIN, PAGE, PROBLEM, goals, serve, transitions
 
 # --- what is refused -------------------------------------------------------------------------
 
@@ -36,17 +36,15 @@ def test_what_is_wrong_is_said_and_nothing_is_served(deployment, arguments, stat
 
 def test_a_second_node_of_the_same_name_offers_nothing(deployment):
     serving = serve(deployment, DOMAIN, PROBLEM).ready()
-    second = serve(deployment, DOMAIN, PROBLEM)
-    assert second.ended() == 1
-    assert "there is an action server /achieve_goal already" in "\n".join(second.err)
     deployment.write(FILES)
-    third = serve(deployment, "--world", str(deployment.folder / "world.yaml"))
-    assert third.ended() == 1
-    assert "there is an action server /achieve_goal already" in "\n".join(third.err)
-    fourth = serve(deployment, DOMAIN, PROBLEM, "--ros-args", "-r", "__ns:=/r1").ready()
-    assert "ready: 3 action servers: /r1/achieve_goal, /r1/execute_plan, /r1/plan" in fourth.out
+    second, third = serve(deployment, DOMAIN, PROBLEM), serve(deployment, "--world", str(deployment.folder / "world.yaml"))
+    elsewhere = serve(deployment, DOMAIN, PROBLEM, "--ros-args", "-r", "__ns:=/r1").ready()
+    for refused in (second, third):
+        assert refused.ended() == 1
+        assert "there is an action server /achieve_goal already" in "\n".join(refused.err)
+    assert "ready: 3 action servers: /r1/achieve_goal, /r1/execute_plan, /r1/plan" in elsewhere.out
     assert goals(deployment, "goal_reached").result()["status"] == SUCCEEDED
-    for one in (serving, fourth):
+    for one in (serving, elsewhere):
         one.stop()
 
 
@@ -98,45 +96,30 @@ def test_a_client_that_is_killed_leaves_its_goal_behind_until_a_signal_ends_the_
 def test_a_node_is_led_through_its_states_by_others(deployment):
     serving = serve(deployment, DOMAIN, PROBLEM, "--no-autostart")
     serving.until(lambda: "unconfigured: waits for its transitions" in serving.out)
-    assert change(deployment, "activate", "configure") == [False, True]
+    assert transitions(deployment, "activate", "configure") == [False, True]
     assert goals(deployment, "goal_reached").hears("answered") == {"event": "answered", "goal": 0, "accepted": False}
-    assert change(deployment, "activate") == [True]
+    assert transitions(deployment, "activate") == [True]
     client = goals(deployment, "running")
     client.hears("feedback", state=2)
-    assert change(deployment, "deactivate") == [True]
+    assert transitions(deployment, "deactivate") == [True]
     client.hears("feedback", state=5)
-    assert change(deployment, "activate") == [True]
-    assert change(deployment, "deactivate", "cleanup") == [True, True]
+    assert transitions(deployment, "activate") == [True]
+    assert transitions(deployment, "deactivate", "cleanup") == [True, True]
     assert client.result()["reason"] == "cancelled"
-    assert change(deployment, "configure", "activate") == [True, True]
+    assert transitions(deployment, "configure", "activate") == [True, True]
     assert goals(deployment, "goal_reached").result()["status"] == SUCCEEDED
-    assert change(deployment, "shutdown") == [True]
+    assert transitions(deployment, "shutdown") == [True]
     assert serving.ended() == 0
-
-
-def test_plans_of_a_world_are_paused_while_the_node_is_inactive(deployment):
-    deployment.write(FILES)
-    workers = deployment.workers("wait").ready()
-    serving = serve(deployment, "--world", str(deployment.folder / "world.yaml")).ready()
-    client = deployment.client("waits", {"time": 0.5}, {"time": 1000})
-    workers.happens("end", "wait", 0.5)
-    assert change(deployment, "deactivate") == [True]
-    workers.happens("cancelled", "wait", 1000)
-    assert deployment.client("empty").hears("answered") == {"event": "answered", "goal": 0, "accepted": False}
-    assert change(deployment, "activate") == [True]
-    workers.until(lambda: workers.starts("wait").count(1000) == 2)
-    serving.stop()
-    assert [one["reason"] for one in client.results()] == ["goal", "cancelled"]
 
 
 def test_a_configuration_that_fails_can_be_mended(deployment):
     world = deployment.folder / "world.yaml"
     serving = serve(deployment, "--world", str(world), "--no-autostart")
     serving.until(lambda: "unconfigured: waits for its transitions" in serving.out)
-    assert change(deployment, "configure") == [False]
+    assert transitions(deployment, "configure") == [False]
     assert any("world.yaml:1:1: cannot be read" in line for line in serving.err), str(serving)
     deployment.write(FILES)
-    assert change(deployment, "configure", "activate") == [True, True]
+    assert transitions(deployment, "configure", "activate") == [True, True]
     assert deployment.client("empty").result()["status"] == SUCCEEDED
     serving.stop()
 

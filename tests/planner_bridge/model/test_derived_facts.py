@@ -24,9 +24,10 @@ from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant, Variable
 from pnm.core.logic.rules import DerivationRule
 from pnm.core.machine.bindings import Binding, Bindings
-from pnm.core.machine.plan_graph import Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.machine.plan_graph import Ordering, PlanGraph
 from pnm.errors import InputError
-from tests.support.tasks.planned_runs import Simulation, changed, shown, simulate, timed
+from tests.support.runs.plan_graphs import any_order, shown
+from tests.support.tasks.planned_runs import SimulatedSite, change_at, timed, with_site
 
 DOORS = """
 (define (domain doors) (:requirements :durative-actions :typing)
@@ -113,20 +114,10 @@ def random_walk(problem: Problem, chooser: random.Random) -> Plan:
     return timed(*steps)
 
 
-def any_order(graph: PlanGraph, chooser: random.Random) -> PlanGraph:
+def one_after_the_other(graph: PlanGraph, chooser: random.Random) -> PlanGraph:
     """The graph with all its events in one order that it allows."""
-    left = {
-        PlanEvent(call.index, moment): {PlanEvent(call.index, Moment.START)} - {PlanEvent(call.index, moment)}
-        for call in graph.calls
-        for moment in Moment
-    }
-    for one in graph.orderings:
-        left[one.after].add(one.before)
-    order: list[PlanEvent] = []
-    while left:
-        order.append(chooser.choice(sorted((event for event, before in left.items() if not before & left.keys()), key=str)))
-        del left[order[-1]]
-    return replace(graph, orderings=tuple(Ordering(*pair) for pair in pairwise(order) if pair[0].call != pair[1].call))
+    pairs = pairwise(any_order(graph, chooser))
+    return replace(graph, orderings=tuple(Ordering(*pair) for pair in pairs if pair[0].call != pair[1].call))
 
 
 @settings(max_examples=60, deadline=None)
@@ -135,7 +126,7 @@ def test_every_order_that_the_graph_allows_works(opened: set[str], chooser: rand
     problem = doors(" ".join(("(at r1 k) (at r2 g)", *(f"(open {door})" for door in sorted(opened)))), goal="(and)")
     graph = plan_graph(problem, random_walk(problem, chooser))
     for _ in range(3):
-        assert why_not(Progress.beginning(any_order(graph, chooser)), initial_knowledge(problem)) == ""
+        assert why_not(Progress.beginning(one_after_the_other(graph, chooser)), initial_knowledge(problem)) == ""
 
 
 BOTH = timed("0 2 open-door d1", "2.001 4 go r1 k h")
@@ -144,18 +135,18 @@ BOTH = timed("0 2 open-door d1", "2.001 4 go r1 k h")
 def test_a_plan_with_derived_conditions_and_a_derived_goal_is_carried_out() -> None:
     problem = doors(goal="(and (at r1 h) (way g k) (not (shut-in r1)))", init="(at r1 k) (open d3)")
 
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         result = await simulation.run(plan_graph(problem, BOTH))
         assert result.goal, result.reason
         assert [(call.started, call.ended) for call in result.calls] == [(0.0, 2.0), (2.0, 6.0)]
 
-    simulate(problem, scenario)
+    with_site(problem, scenario)
 
 
 def test_a_derived_precondition_that_is_false_says_what_is_wanting() -> None:
     problem = doors("(at r1 k)")
 
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         graph = plan_graph(problem, timed("0 4 go r1 k h"))
         result = await simulation.run(graph)
         assert [failure.cause for failure in result.failures] == ["precondition_false"]
@@ -165,55 +156,55 @@ def test_a_derived_precondition_that_is_false_says_what_is_wanting() -> None:
         assert isinstance(decision, PlanAgain)
         assert decision.why.startswith("go(r1, k, h) would go on although (way k h) is false for want of (open d")
 
-    simulate(problem, scenario)
+    with_site(problem, scenario)
 
 
 def test_a_derived_over_all_condition_that_breaks_is_noticed_and_planned_around() -> None:
     """A door falls shut behind the robot's back: the way is gone, a new plan opens another."""
     problem = doors("(at r1 k) (open d1) (open d3)")
 
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         graph = plan_graph(problem, timed("0 4 go r1 k h"))
         result = await simulation.run(graph)
         assert [failure.cause for failure in result.failures] == ["invariant_false"]
         assert result.failures[0].observed.startswith("(way k h) is false for want of (open d")
-        assert result.calls[0].ended == pytest.approx(1.01)
+        assert result.calls[0].ended == pytest.approx(1.0)
         assert isinstance(simulation.decide(graph, result), PlanAgain)
         result = await simulation.run(plan_graph(simulation.now(), timed("0 2 open-door d2", "2.001 4 go r1 k h")))
         assert result.goal, result.reason
         assert simulation.truth(("at", "r1", "h")) is True
 
-    simulate(problem, scenario, changed(1.0, {("open", "d1"): False}))
+    with_site(problem, scenario, change_at(1.0, {("open", "d1"): False}))
 
 
 def test_a_base_fact_that_breaks_does_no_harm_while_the_derived_one_holds() -> None:
     problem = doors("(at r1 k) (open d1) (open d2) (open d3)")
 
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         result = await simulation.run(plan_graph(problem, timed("0 4 go r1 k h")))
         assert result.goal
         assert result.failures == ()
 
-    simulate(problem, scenario, changed(1.0, {("open", "d1"): False}))
+    with_site(problem, scenario, change_at(1.0, {("open", "d1"): False}))
 
 
 def test_nobody_who_watches_the_doors_leaves_the_world_to_find_out() -> None:
     problem = doors("(at r1 k) (open d1)")
     bindings = Bindings({"go": Binding(retries=0)}, assumed=frozenset({"open"}))
 
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         result = await simulation.run(plan_graph(problem, timed("0 4 go r1 k h")))
         assert [failure.cause for failure in result.failures] == ["aborted"]
         assert result.failures[0].observed.endswith("(way k h) was not so all the time")
 
-    simulate(problem, scenario, changed(1.0, {("open", "d1"): False}), bindings)
+    with_site(problem, scenario, change_at(1.0, {("open", "d1"): False}), bindings)
 
 
 def test_the_rest_of_a_plan_is_resumed_if_its_derived_conditions_still_hold() -> None:
     problem = doors("(at r1 k)")
     bindings = Bindings({"go": Binding(retries=0)})
 
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         graph = plan_graph(problem, BOTH)
         result = await simulation.run(graph)
         assert [failure.cause for failure in result.failures] == ["aborted"]
@@ -222,20 +213,20 @@ def test_the_rest_of_a_plan_is_resumed_if_its_derived_conditions_still_hold() ->
         assert [str(call.action) for call in decision.rest.calls] == ["go(r1, k, h)"]
         assert (await simulation.run(decision.rest)).goal
 
-    simulate(problem, scenario, Faults((Fault("go", FaultKind.ABORT, times=1),)), bindings)
+    with_site(problem, scenario, Faults((Fault("go", FaultKind.ABORT, times=1),)), bindings)
 
 
 def test_a_late_report_about_what_is_below_a_derived_fact_is_waited_for() -> None:
     problem = doors("(at r1 k)")
 
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         simulation.knowledge.world.sense({"open"}, lag=3.0)
         asyncio.get_running_loop().call_later(2.5, simulation.backend.robots.world.change, {("open", "d1"): True})
         result = await simulation.run(plan_graph(problem, timed("0 4 go r1 k h")))
         assert result.goal, result.reason
         assert result.calls[0].started == 2.5
 
-    simulate(problem, scenario)
+    with_site(problem, scenario)
 
 
 TELEPORT = replace(
@@ -251,13 +242,13 @@ def test_what_an_action_changes_below_a_derived_fact_is_not_asked_of_it_before_o
     """It opens the door that it needs to be open, and shuts it: neither can be seen before or after."""
     problem = replace(doors("(at r1 k)"), domain=replace(DOMAIN, actions={"go": TELEPORT}))
 
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         result = await simulation.run(plan_graph(problem, timed("0 4 go r1 k h")))
         assert [call.outcome for call in result.calls] == ["succeeded"]
 
-    simulate(problem, scenario)
+    with_site(problem, scenario)
 
 
 def test_a_hidden_change_of_a_derived_fact_is_refused_before_anything_starts() -> None:
     with pytest.raises(InputError, match="facts of way follow from rules; they are neither set nor reported"):
-        simulated_backend(doors(), Bindings(), changed(1.0, {("way", "k", "h"): True}))
+        simulated_backend(doors(), Bindings(), change_at(1.0, {("way", "k", "h"): True}))

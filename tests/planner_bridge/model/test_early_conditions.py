@@ -16,7 +16,8 @@ from pnm.core.logic.conditions import Holds
 from pnm.core.logic.effects import Set, When
 from pnm.core.logic.expressions import Constant
 from pnm.core.machine.bindings import Binding, Bindings
-from tests.support.tasks.planned_runs import Simulation, shown, simulate, timed
+from tests.support.runs.plan_graphs import shown
+from tests.support.tasks.planned_runs import SimulatedSite, timed, with_site
 
 MOPS = """
 (define (domain mops) (:requirements :durative-actions :conditional-effects)
@@ -52,13 +53,13 @@ def test_an_early_condition_is_decided_before_the_start_changes_it(wet: bool, as
     graph = plan_graph(problem, timed("0 5 mop"))
     assert why_not(Progress.beginning(graph), initial_knowledge(problem)) == ""
 
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         result = await simulation.run(graph)
         assert result.goal, result.reason
         for state in (simulation.truth, simulation.knowledge.value):
             assert (state(("clean",)) is True, state(("streaked",)) is True) == (wet, False)
 
-    simulate(problem, scenario, bindings=Bindings(assumed=assumed))
+    with_site(problem, scenario, bindings=Bindings(assumed=assumed))
 
 
 def test_a_condition_that_is_not_early_is_decided_at_the_end() -> None:
@@ -66,20 +67,20 @@ def test_a_condition_that_is_not_early_is_decided_at_the_end() -> None:
     plan = timed("0 5 mop", "1 2 hose")
     assert why_not(Progress.beginning(plan_graph(problem, plan)), initial_knowledge(problem)) == ""
 
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         assert (await simulation.run(plan_graph(problem, plan))).goal
 
-    simulate(problem, scenario)
+    with_site(problem, scenario)
 
 
 def test_an_effect_decided_at_the_start_is_missed_at_the_end() -> None:
     problem = mops("(wet)", "(clean)")
 
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         result = await simulation.run(plan_graph(problem, timed("0 5 mop")))
         assert [(one.cause, one.expected) for one in result.failures] == [("effects_missing", "(not (wet)) (clean)")]
 
-    simulate(problem, scenario, Faults((Fault("mop", FaultKind.NO_EFFECT),)), Bindings({"mop": Binding(retries=0)}))
+    with_site(problem, scenario, Faults((Fault("mop", FaultKind.NO_EFFECT),)), Bindings({"mop": Binding(retries=0)}))
 
 
 def test_the_start_reads_an_early_condition_and_the_end_writes() -> None:

@@ -22,7 +22,8 @@ from pnm.core.logic.effects import Set
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Value, ValueOf, Variable
 from pnm.core.machine.bindings import Binding, Bindings, goal_data
-from tests.support.tasks.planned_runs import Simulation, changed, shown, simulate, timed
+from tests.support.runs.plan_graphs import shown
+from tests.support.tasks.planned_runs import SimulatedSite, change_at, timed, with_site
 
 TRAYS = """
 (define (domain trays) (:requirements :durative-actions :typing :numeric-fluents)
@@ -82,48 +83,48 @@ def test_objects_order_calls_like_facts() -> None:
 
 
 def test_a_robot_whose_place_is_a_value_arrives() -> None:
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         result = await simulation.run(plan_graph(IN_LAB, TO_LAB))
         assert result.goal, result.reason
         assert (simulation.truth(R1), simulation.knowledge.value(R1)) == ("lab", "lab")
 
-    simulate(IN_LAB, scenario)
+    with_site(IN_LAB, scenario)
 
 
 def test_on_the_way_it_is_nowhere() -> None:
     places: list[object] = []
 
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         asyncio.get_running_loop().call_later(2.0, lambda: places.append(simulation.knowledge.value(R1)))
         assert (await simulation.run(plan_graph(IN_LAB, TO_LAB))).goal
 
-    simulate(IN_LAB, scenario)
+    with_site(IN_LAB, scenario)
     assert places == [UNDEFINED]
 
 
 def test_a_robot_that_is_nowhere_is_not_where_it_is_wanted() -> None:
     problem = replace(IN_LAB, init={("wanted", "r1"): "lab"})
 
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         assert (await simulation.run(plan_graph(problem, timed("0 3 fetch r1")))).goal
 
-    simulate(problem, scenario)
+    with_site(problem, scenario)
 
 
 @pytest.mark.parametrize("assumed", [frozenset[str](), frozenset({"place"})])
 def test_an_object_that_does_not_come_is_missed_if_it_is_sensed(assumed: frozenset[str]) -> None:
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         result = await simulation.run(plan_graph(IN_LAB, TO_LAB))
         assert result.goal is bool(assumed)
         if not assumed:
             assert [(one.cause, one.expected) for one in result.failures] == [("effects_missing", "(= (place r1) lab)")]
         assert simulation.truth(R1) == "hall"
 
-    simulate(IN_LAB, scenario, Faults((Fault("move", FaultKind.NO_EFFECT),)), Bindings(assumed=assumed))
+    with_site(IN_LAB, scenario, Faults((Fault("move", FaultKind.NO_EFFECT),)), Bindings(assumed=assumed))
 
 
 def test_an_aborted_move_leaves_the_robot_where_it_was_known_to_be() -> None:
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         graph = plan_graph(IN_LAB, TO_LAB)
         result = await simulation.run(graph)
         assert [one.cause for one in result.failures] == ["aborted"]
@@ -131,11 +132,11 @@ def test_an_aborted_move_leaves_the_robot_where_it_was_known_to_be() -> None:
         assert isinstance(simulation.decide(graph, result), ResumePlan)
 
     faults = Faults((Fault("move", FaultKind.ABORT),))
-    simulate(IN_LAB, scenario, faults, Bindings({"move": Binding(retries=0)}, assumed=frozenset({"place"})))
+    with_site(IN_LAB, scenario, faults, Bindings({"move": Binding(retries=0)}, assumed=frozenset({"place"})))
 
 
 def test_a_robot_that_was_carried_away_is_found_by_the_precondition() -> None:
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         simulation.backend.robots.world.change({R1: "yard"})
         graph = plan_graph(IN_LAB, TO_LAB)
         result = await simulation.run(graph)
@@ -144,33 +145,33 @@ def test_a_robot_that_was_carried_away_is_found_by_the_precondition() -> None:
         assert simulation.now().init[R1] == "yard"
         assert (await simulation.run(plan_graph(simulation.now(), timed("0 4 move r1 yard lab")))).goal
 
-    simulate(IN_LAB, scenario)
+    with_site(IN_LAB, scenario)
 
 
 def test_a_robot_that_is_there_does_not_move() -> None:
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         result = await simulation.run(plan_graph(IN_LAB, TO_LAB))
         assert result.goal
         assert [call.outcome for call in result.calls] == ["already true"]
 
-    simulate(replace(IN_LAB, init={R1: "lab"}), scenario)
+    with_site(replace(IN_LAB, init={R1: "lab"}), scenario)
 
 
 def test_a_value_read_at_the_end_is_the_one_it_has_then() -> None:
     problem = tray_problem({R1: "hall", ("wanted", "r1"): "lab"}, at("r1", "yard"))
 
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         result = await simulation.run(plan_graph(problem, timed("0 3 fetch r1")))
         assert result.goal, result.reason
 
-    simulate(problem, scenario, changed(1.0, {("wanted", "r1"): "yard"}))
+    with_site(problem, scenario, change_at(1.0, {("wanted", "r1"): "yard"}))
 
 
 def test_a_goal_field_may_be_an_object_that_is_known() -> None:
     bindings = Bindings({"fetch": Binding(goal={"robot": "?r", "to": "(wanted ?r)"})})
     wanted = tray_problem({R1: "hall", ("wanted", "r1"): "lab"}, at("r1", "lab"))
 
-    async def scenario(simulation: Simulation) -> None:
+    async def scenario(simulation: SimulatedSite) -> None:
         graph = plan_graph(wanted, timed("0 3 fetch r1"))
         data = goal_data(graph.calls[0].action, bindings.of("fetch"), ("robot", "to"), EvaluationContext(simulation.knowledge))
         assert data == ({"robot": "r1", "to": "lab"}, ())
@@ -179,7 +180,7 @@ def test_a_goal_field_may_be_an_object_that_is_known() -> None:
             simulation.knowledge.world.update({("wanted", "r1"): nothing})
             assert goal_data(graph.calls[0].action, bindings.of("fetch"), None, EvaluationContext(simulation.knowledge))[1] == ("to",)
 
-    simulate(wanted, scenario, bindings=bindings)
+    with_site(wanted, scenario, bindings=bindings)
 
 
 def test_a_problem_from_what_is_known_has_only_values_that_it_declares() -> None:

@@ -60,7 +60,7 @@ plan:
 """
 
 
-def play(text: str, scene: Callable[[ServedProblem], Awaitable[None]]) -> None:
+def with_node_of(text: str, scene: Callable[[ServedProblem], Awaitable[None]]) -> None:
     async def whole() -> None:
         plans = parse_plans(text).values()
         current = LoadedProblem(NOTHING, initial_knowledge(*plans), {}, Settings(), plans)
@@ -69,7 +69,7 @@ def play(text: str, scene: Callable[[ServedProblem], Awaitable[None]]) -> None:
     run_async(whole(), virtual=True)
 
 
-async def answers(world: ServedProblem, *questions: str) -> list[str]:
+async def node_answers(world: ServedProblem, *questions: str) -> list[str]:
     return [answer for _, answer in await world.query(questions)]
 
 
@@ -84,15 +84,15 @@ def test_facts_of_plans_that_declare_nothing_are_asked_for_and_told() -> None:
             "(and (free r1) (not (lost r1)) (not (rainy)))",
             "(>= (speed) 2)",
         )
-        assert await answers(world, *asked) == ["true", "false", "2", "hall", "unknown", "false", "true"]
+        assert await node_answers(world, *asked) == ["true", "false", "2", "hall", "unknown", "false", "true"]
         told = await world.update(
             ["(at r1 cellar)", "(= (battery r1) 7)", "(= (place r1) cellar)", "(lost r1)"], ["(at r1 hall)"], ["(speed)"]
         )
         assert told == 6
-        assert await answers(world, *asked) == ["false", "true", "unknown", "cellar", "7", "false", "unknown"]
+        assert await node_answers(world, *asked) == ["false", "true", "unknown", "cellar", "7", "false", "unknown"]
         assert dict(await world.query([]))["(at r1 cellar)"] == "true"
 
-    play(UNDECLARED, scene)
+    with_node_of(UNDECLARED, scene)
 
 
 @pytest.mark.parametrize(
@@ -111,21 +111,21 @@ def test_what_plans_do_not_speak_of_is_refused(text: str, question: str, said: s
             await world.query([question])
         assert str(caught.value).startswith(said)
 
-    play(text, scene)
+    with_node_of(text, scene)
 
 
 def test_declarations_of_plans_count_as_those_of_a_problem_do() -> None:
     async def scene(world: ServedProblem) -> None:
         asked = ("(exists (?x - room) (at r1 ?x))", "(place r2)", "(battery r2)", "(ready r1)")
-        assert await answers(world, *asked) == ["true", "undefined", "unknown", "false"]
+        assert await node_answers(world, *asked) == ["true", "undefined", "unknown", "false"]
         assert await world.update(["(open)", "(= (place r2) kitchen)"], [], []) == 2
-        assert await answers(world, *asked) == ["true", "kitchen", "unknown", "true"]
+        assert await node_answers(world, *asked) == ["true", "kitchen", "unknown", "true"]
         with pytest.raises(InputError, match="'ready' is a derived predicate"):
             await world.update(["(ready r2)"], [], [])
         with pytest.raises(InputError, match="no domain and problem are loaded"):
             await world.load("  ", "(define (problem p) (:domain plans) (:goal (open)))")
 
-    play(DECLARED, scene)
+    with_node_of(DECLARED, scene)
 
 
 def test_without_a_problem_there_are_no_goals() -> None:

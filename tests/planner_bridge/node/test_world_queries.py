@@ -85,7 +85,7 @@ def test_without_a_question_everything_that_is_recorded_is_told():
         (f"({'x' * MAX_LENGTH})", f"1:1: {MAX_LENGTH + 2} characters; expected {MAX_LENGTH} at most"),
         (
             f"(exists ({' '.join(f'?x{number}' for number in range(12))}) (dark))",
-            "1:1: its quantifiers range over more than 1000000 choices",
+            "1:1: the quantifiers range over 2176782336 choices of objects; expected 50000 at most",
         ),
     ],
     ids=lambda text: text[:40],

@@ -21,16 +21,13 @@ from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.replanning import Progress, why_not
 from pnm.core.logic.conditions import All, Holds, Not
 from pnm.core.logic.trajectory import Constraint
-from pnm.core.machine.plan_graph import Moment, PlanEvent, PlanGraph
+from pnm.core.machine.plan_graph import Moment
 from tests.support.pddl.problems import matches, rooms
+from tests.support.runs.plan_graphs import any_order, shown
 
 
 def sequence(*steps: str) -> Plan:
     return Plan(tuple(PlanStep(step.split()[0], tuple(step.split()[1:]), float(index)) for index, step in enumerate(steps)))
-
-
-def shown(graph: PlanGraph) -> list[str]:
-    return [str(ordering) for ordering in graph.orderings]
 
 
 def test_independent_calls_are_not_ordered() -> None:
@@ -202,30 +199,13 @@ def test_writes_that_keep_an_over_all_condition_true_together_are_ordered() -> N
     assert "end of #1 < end of #2 ((p), (q))" in shown(plan_graph(problem, Plan(steps, temporal=True)))
 
 
-def any_order(graph: PlanGraph, seed: int) -> list[PlanEvent]:
-    """A random order of all events that keeps every ordering."""
-    chooser = random.Random(seed)
-    left = {PlanEvent(call.index, moment) for call in graph.calls for moment in Moment}
-    order: list[PlanEvent] = []
-    while left:
-        free = [
-            event
-            for event in left
-            if not any(one.after == event and one.before in left for one in graph.orderings)
-            and not (event.moment is Moment.END and PlanEvent(event.call, Moment.START) in left)
-        ]
-        order.append(chooser.choice(sorted(free, key=str)))
-        left.remove(order[-1])
-    return order
-
-
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.sampled_from(["r1", "r2"]), min_size=1, max_size=10), st.randoms(use_true_random=False))
 def test_every_order_that_the_graph_allows_is_a_valid_plan(robots: list[str], chooser: random.Random) -> None:
     problem = rooms(goal="(and)", ways="ab bc cd da ad dc cb ba")
     plan = _walk(problem, robots, chooser)
     graph = plan_graph(problem, plan)
-    order = any_order(graph, chooser.randrange(10**6))
+    order = any_order(graph, chooser)
     starts = [event.call for event in order if event.moment is Moment.START]
     reordered = Plan(tuple(plan.steps[index] for index in starts))
     assert validate(problem, reordered) == ""

@@ -46,11 +46,7 @@ DIRTY = Holds(("dirty", "?l"))
             (),
             (When(IDLE, (SET_BUSY, When(BUSY, (SET_IDLE,))), early=True),),
         ),
-        (
-            "(when (at end (idle)) (when (at start (busy)) (at end (idle))))",
-            (),
-            (When(IDLE, (When(BUSY, (SET_IDLE,), early=True),)),),
-        ),
+        ("(when (at end (idle)) (when (at start (busy)) (at end (idle))))", (), (When(IDLE, (When(BUSY, (SET_IDLE,), early=True),)),)),
     ],
 )
 def test_what_was_so_at_the_start_decides_what_happens_at_the_end(text: str, start: tuple[Effect, ...], end: tuple[Effect, ...]) -> None:
@@ -103,7 +99,7 @@ SAME = {
 
 def outcome(domain: str, problem: str) -> tuple[object, object]:
     parsed = kairos.parse_problem(problem, kairos.parse_domain(domain))
-    result = kairos.Planner().solve(parsed, timeout=10, anytime=False, threads=1)
+    result = kairos.Planner().solve(parsed, timeout=60, anytime=False, threads=1)
     return result.status, result.plan.cost if result.plan else None
 
 
@@ -113,10 +109,7 @@ def outcome(domain: str, problem: str) -> tuple[object, object]:
 @pytest.mark.parametrize("name", SAME)
 def test_what_is_written_means_the_same_to_the_planner(name: str) -> None:
     more, go, sweep, rest = SAME[name]
-    texts = (
-        f"{EXTENDED.domain} {more} {CLEANING.format(go=go, sweep=sweep)})",
-        f"(define (problem p) (:domain d) {ROOMS} {rest})",
-    )
+    texts = (f"{EXTENDED.domain} {more} {CLEANING.format(go=go, sweep=sweep)})", f"(define (problem p) (:domain d) {ROOMS} {rest})")
     domain = parse_domain(texts[0])
     problem = parse_problem(texts[1], domain)
     assert problem.warnings == ()

@@ -213,10 +213,7 @@ def test_a_problem_is_read() -> None:
         domain_with(""),
         {"r2": ("robot",), "kitchen": ("room",)},
         {("at", "r2", "kitchen"): True, ("charge", "r2"): 10.0, ("total-cost",): 0.0},
-        (
-            TimedChange(5.0, {("idle",): True, ("at", "r2", "kitchen"): False}),
-            TimedChange(7.0, {("charge", "r2"): -3.0}),
-        ),
+        (TimedChange(5.0, {("idle",): True, ("at", "r2", "kitchen"): False}), TimedChange(7.0, {("charge", "r2"): -3.0})),
         TRUE,
         Metric("maximize", Arithmetic("-", (ValueOf(("total-time",)), ValueOf(("total-cost",))))),
         requirements=(":typing",),

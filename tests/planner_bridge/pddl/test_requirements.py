@@ -55,7 +55,7 @@ IMPLIED = {
 }
 
 
-def needing(text: str, *words: str) -> list[str]:
+def warnings_needing(text: str, *words: str) -> list[str]:
     return warnings(
         parse_domain(
             f"(define (domain d) (:requirements :strips {' '.join(words)}) (:predicates (p)) (:functions (n) (total-cost))\n{text})"
@@ -70,22 +70,22 @@ def needing(text: str, *words: str) -> list[str]:
 def test_what_is_used_should_be_required(text: str) -> None:
     word = NEEDED[text]
     second = "a second"
-    found = [one for one in needing(text) if second not in one]
+    found = [one for one in warnings_needing(text) if second not in one]
     assert [one.partition(" warning: ")[2] for one in found] == [f"{word} is needed here but not among the :requirements"]
-    assert [one for one in needing(text, word) if second not in one] == []
+    assert [one for one in warnings_needing(text, word) if second not in one] == []
     for short, words in IMPLIED.items():
-        assert bool([one for one in needing(text, short) if second not in one]) is (
+        assert bool([one for one in warnings_needing(text, short) if second not in one]) is (
             word not in words and (short, word) != (":fluents", ":action-costs")
         )
 
 
 def test_object_fluents_need_types_too() -> None:
-    found = [one.partition(" warning: ")[2] for one in needing("(:functions (f) - object)")[1:]]
+    found = [one.partition(" warning: ")[2] for one in warnings_needing("(:functions (f) - object)")[1:]]
     assert found == [f"{word} is needed here but not among the :requirements" for word in (":object-fluents", ":typing")]
 
 
 def test_a_missing_requirement_is_told_once() -> None:
-    found = needing("(:action a :precondition (not (p)))\n(:action b :precondition (not (p)))")
+    found = warnings_needing("(:action a :precondition (not (p)))\n(:action b :precondition (not (p)))")
     assert found == ["2:26: warning: :negative-preconditions is needed here but not among the :requirements"]
 
 
@@ -100,10 +100,10 @@ def test_a_missing_requirement_is_told_once() -> None:
     ],
 )
 def test_durative_actions_have_requirements_of_their_own(text: str, word: str) -> None:
-    assert [one.partition(" warning: ")[2] for one in needing(text, ":durative-actions")] == [
+    assert [one.partition(" warning: ")[2] for one in warnings_needing(text, ":durative-actions")] == [
         f"{word} is needed here but not among the :requirements"
     ]
-    assert needing(text, ":durative-actions", word) == []
+    assert warnings_needing(text, ":durative-actions", word) == []
 
 
 def test_a_problem_has_the_requirements_of_its_domain_and_its_own() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from planner_bridge.pddl.syntax.expressions import MAX_DEPTH, Atom, Group, Node, parse, where
 from pnm.errors import InputError
-from tests.support.files import refused
+from tests.support.files import input_error, refused
 
 BAD_INPUT = Path(__file__).with_name("refused")
 
@@ -75,14 +75,14 @@ def _written(tree: object) -> str:
     return f"({' '.join(map(_written, tree))})" if isinstance(tree, list) else str(tree)
 
 
-def _read(node: Node) -> object:
-    return node.text if isinstance(node, Atom) else [_read(part) for part in node.items]
+def as_lists(node: Node) -> object:
+    return node.text if isinstance(node, Atom) else [as_lists(part) for part in node.items]
 
 
 @given(TREES)
 def test_what_is_written_is_read(tree: object) -> None:
     (node,) = parse(_written(tree), "f")
-    assert _read(node) == tree
+    assert as_lists(node) == tree
 
 
 @given(st.lists(TREES, max_size=4), st.sampled_from([" ", "\n", " ; ( ? )\n\t"]))
@@ -97,13 +97,5 @@ def test_every_part_stands_where_it_says(trees: list[object], space: str) -> Non
 
 @given(st.text(alphabet="()?;: \nab", max_size=60))
 def test_any_text_is_read_or_refused_with_a_position(text: str) -> None:
-    error = _error(text)
+    error = input_error(lambda: parse(text, "f"))
     assert error is None or error.position is not None
-
-
-def _error(text: str) -> InputError | None:
-    try:
-        parse(text, "f")
-    except InputError as error:
-        return error
-    return None

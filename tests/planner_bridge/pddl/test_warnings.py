@@ -146,7 +146,7 @@ def test_the_total_cost_need_not_be_declared() -> None:
     problem = parse_problem(METRIC, domain)
     assert problem.warnings == domain.warnings
     read = kairos.parse_problem(write_problem(problem), kairos.parse_domain(write_domain(problem.domain)))
-    result = kairos.Planner().solve(read, timeout=5, anytime=False, threads=1)
+    result = kairos.Planner().solve(read, timeout=60, anytime=False, threads=1)
     assert result.plan.cost == 2
 
 

@@ -8,7 +8,7 @@ import kairos
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from planner_bridge.model.problem import Domain, Metric, Problem
+from planner_bridge.model.problem import Metric, Problem
 from planner_bridge.pddl import parse_domain, parse_problem
 from planner_bridge.pddl.syntax.words import number_text
 from planner_bridge.pddl.write.writer import write_domain, write_problem
@@ -18,7 +18,7 @@ from pnm.core.logic.effects import ForEach, Set, TimedChange, When
 from pnm.core.logic.expressions import DURATION, UNDEFINED, Arithmetic, Constant, Fluent, ValueOf, Variable
 from pnm.core.logic.rules import DerivationRule
 from pnm.core.logic.trajectory import Constraint
-from pnm.errors import InputError
+from tests.support.files import input_error
 from tests.support.pddl.models import (
     DURATIVE,
     INSTANTANEOUS,
@@ -190,16 +190,9 @@ def test_a_damaged_text_is_read_or_refused_with_a_position(data: st.DataObject) 
     for _ in range(data.draw(st.integers(1, 3))):
         at = data.draw(st.integers(0, len(words) - 1))
         words[at : at + data.draw(st.integers(0, 2))] = data.draw(st.lists(st.sampled_from([*WORDS, *words[:40]]), max_size=2))
-    error = _error(" ".join(words), domain if which else None)
+    text = " ".join(words)
+    error = input_error(lambda: parse_problem(text, domain) if which else parse_domain(text))
     assert error is None or error.position is not None
-
-
-def _error(text: str, domain: Domain | None) -> InputError | None:
-    try:
-        parse_problem(text, domain) if domain else parse_domain(text)
-    except InputError as error:
-        return error
-    return None
 
 
 SOON = (TimedChange(5.0, {("idle",): False, ("charge", "R1"): 1.0}),)

@@ -25,7 +25,7 @@ from planner_bridge.planning.solve import check_planner, solve
 from pnm.core.logic.expressions import ValueOf
 from pnm.errors import InputError
 from tests.support.pddl.problems import hard, matches, rooms, tanks
-from tests.support.processes import until, working_in
+from tests.support.processes import LIMIT, until, working_in
 
 needs_java = pytest.mark.skipif(shutil.which("java") is None, reason="enhsp runs in a Java machine, and there is none")
 WORKS = {"fast-downward": "downward/builds", "aries": "up-aries_", "enhsp": "java"}
@@ -144,12 +144,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def started(folder: Path, engine: str, cancel: threading.Event | None = None, timeout: float = 60) -> Future[PlanningResult]:
+def started_engine(folder: Path, engine: str, cancel: threading.Event | None = None, timeout: float = 60) -> Future[PlanningResult]:
     """Start on a hard problem, and wait until the engine itself is at work."""
     pool = ThreadPoolExecutor(1)
     found = pool.submit(solve, hard(), planner=engine, timeout=timeout, cancel=cancel)
     pool.shutdown(wait=False)
     until(lambda: working_in(folder, WORKS[engine]) or found.done())
+    if found.done() and timeout < 60:  # a busy machine has not even begun by then
+        return started_engine(folder, engine, cancel, 4 * timeout)
     assert not found.done(), found.result().reason
     return found
 
@@ -162,7 +164,7 @@ def test_an_engine_leaves_nothing_behind(folder: Path, monkeypatch: pytest.Monke
 
 @needs_java
 def test_at_its_limit_an_engine_is_stopped(folder: Path) -> None:
-    found = started(folder, "enhsp", timeout=2.0).result(timeout=60)
+    found = started_engine(folder, "enhsp", timeout=2.0).result(LIMIT)
     assert found.status is PlanningStatus.TIMED_OUT
     assert not working_in(folder)
     assert os.listdir(folder) == []
@@ -171,17 +173,17 @@ def test_at_its_limit_an_engine_is_stopped(folder: Path) -> None:
 @pytest.mark.parametrize("engine", ["fast-downward", pytest.param("enhsp", marks=needs_java)])
 def test_a_search_that_is_cancelled_ends_at_once(folder: Path, engine: str) -> None:
     cancel = threading.Event()
-    searching = started(folder, engine, cancel)
+    searching = started_engine(folder, engine, cancel)
     cancel.set()
-    assert searching.result(timeout=10).status is PlanningStatus.CANCELLED
+    assert searching.result(LIMIT).status is PlanningStatus.CANCELLED
     assert not working_in(folder)
 
 
 def test_an_engine_that_the_system_kills_was_out_of_memory(folder: Path) -> None:
-    searching = started(folder, "aries")
+    searching = started_engine(folder, "aries")
     (child,) = working_in(folder, "planner_bridge.planning.unified_planning")
     os.kill(child, signal.SIGKILL)
-    assert searching.result(timeout=10).status is PlanningStatus.OUT_OF_MEMORY
+    assert searching.result(LIMIT).status is PlanningStatus.OUT_OF_MEMORY
     assert not working_in(folder)
 
 
@@ -200,7 +202,7 @@ def test_when_we_are_killed_the_engine_goes_with_us(folder: Path, root: Path) ->
     until(lambda: working_in(folder, WORKS["fast-downward"]))
     us.kill()
     us.wait()
-    until(lambda: not working_in(folder), 10)
+    until(lambda: not working_in(folder))
 
 
 def test_kairos_can_be_cancelled() -> None:

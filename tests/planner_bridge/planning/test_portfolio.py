@@ -29,7 +29,7 @@ from planner_bridge.planning.solve import solve
 from planner_bridge.tasks.settings import Settings
 from pnm.errors import InputError
 from tests.support.pddl.problems import hard, matches, rooms, tanks
-from tests.support.processes import parent, until, working_in
+from tests.support.processes import LIMIT, parent, until, working_in
 
 MOVE = PlanStep("move", ("r1", "a", "b"))
 LATE = PlanningResult(PlanningStatus.SOLVED, Plan((PlanStep("move", ("r1", "b", "c")), MOVE)))
@@ -60,18 +60,16 @@ class Elsewhere(Executor):
         return future
 
 
-def started(
-    folder: Path,
-    planners: tuple[str, ...],
-    timeout: float,
-    cancel: threading.Event | None = None,
-    executor: Executor | None = None,
+def started_portfolio(
+    folder: Path, planners: tuple[str, ...], timeout: float, cancel: threading.Event | None = None, executor: Executor | None = None
 ) -> Future[PlanningResult]:
     """Start a race on a hard problem in which Aries takes part, and wait until it is at work."""
     pool = ThreadPoolExecutor(1)
     found = pool.submit(solve_with_portfolio, hard(), planners=planners, timeout=timeout, cancel=cancel, executor=executor)
     pool.shutdown(wait=False)
     until(lambda: working_in(folder, "up-aries_") or found.done())
+    if found.done() and timeout < 60:  # a busy machine has not even begun by then
+        return started_portfolio(folder, planners, 4 * timeout, cancel, executor)
     assert not found.done(), found.result().reason
     return found
 
@@ -109,10 +107,10 @@ def test_a_cluster_will_do(folder: Path) -> None:
         found = solve_with_portfolio(rooms(), planners=("kairos", "fast-downward"), timeout=60, executor=executor)
         assert found.plan is not None, found.reason
         cancel = threading.Event()
-        racing = started(folder, ("aries",), 60, cancel, executor)
+        racing = started_portfolio(folder, ("aries",), 60, cancel, executor)
         cancel.set()
-        assert racing.result(timeout=10).status is PlanningStatus.CANCELLED
-        until(lambda: not working_in(folder, "up-aries_"), 10)
+        assert racing.result(LIMIT).status is PlanningStatus.CANCELLED
+        until(lambda: not working_in(folder, "up-aries_"))
 
 
 def test_a_task_can_be_given_an_executor() -> None:
@@ -226,23 +224,23 @@ def test_who_is_not_installed_cannot_take_part(monkeypatch: pytest.MonkeyPatch, 
 
 def test_a_race_can_be_cancelled(folder: Path) -> None:
     cancel = threading.Event()
-    found = started(folder, ("kairos", "aries"), 60, cancel)
+    found = started_portfolio(folder, ("kairos", "aries"), 60, cancel)
     cancel.set()
-    assert found.result(timeout=10).status is PlanningStatus.CANCELLED
+    assert found.result(LIMIT).status is PlanningStatus.CANCELLED
     assert not working_in(folder)
     assert not multiprocessing.active_children()
     assert os.listdir(folder) == []
 
 
 def test_a_process_that_dies_takes_nobody_with_it(folder: Path) -> None:
-    found = started(folder, ("kairos", "aries"), 3)
+    found = started_portfolio(folder, ("kairos", "aries"), 3)
     (engine,) = working_in(folder, "planner_bridge.planning.unified_planning")
     os.kill(parent(engine), signal.SIGKILL)
-    result = found.result(timeout=60)
+    result = found.result(LIMIT)
     assert result.status is PlanningStatus.TIMED_OUT
     assert "kairos: time-out" in result.message
     assert "aries: planner crashed: BrokenProcessPool" in result.message
-    until(lambda: not working_in(folder), 10)
+    until(lambda: not working_in(folder))
 
 
 def test_when_we_are_killed_everybody_goes_with_us(folder: Path, root: Path) -> None:
@@ -254,4 +252,4 @@ def test_when_we_are_killed_everybody_goes_with_us(folder: Path, root: Path) -> 
     until(lambda: working_in(folder, "up-aries_"))
     us.kill()
     us.wait()
-    until(lambda: not working_in(folder), 10)
+    until(lambda: not working_in(folder))

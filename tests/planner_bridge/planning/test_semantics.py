@@ -45,8 +45,8 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import Moment, PlanGraph, PlanGraphError
 from pnm.core.machine.verification.verify import verify
 from pnm.executor import Executor
-from tests.support.pddl.random_plans import apart, calls, goal_of, plans, walks
-from tests.support.pddl.random_problems import Features, conditions, fluents, problems, states
+from tests.support.pddl.random_plans import apart, goal_of, ground_calls, plans_for, walks
+from tests.support.pddl.random_problems import Features, conditions_on, fluents, problems, states
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # unified-planning calls pyparsing by its old names
 up.get_environment().credits_stream = None
@@ -75,7 +75,7 @@ def differences(problem: Problem, one: State, other: State) -> list[tuple[Fluent
 # --- unified-planning ----------------------------------------------------------------------
 
 
-def foreign(problem: Problem) -> Any:
+def read_by_unified_planning(problem: Problem) -> Any:
     return PDDLReader().parse_problem_string(write_domain(problem.domain), write_problem(problem))
 
 
@@ -90,7 +90,7 @@ def foreign_knowledge(problem: Problem, theirs: Any, state: Any) -> KnowledgeBas
     return KnowledgeBase(facts | {one: float(value.constant_value()) for one, value in numbers.items()})
 
 
-def successor(simulator: Any, theirs: Any, state: Any, action: str, arguments: tuple[str, ...]) -> Any:
+def state_after(simulator: Any, theirs: Any, state: Any, action: str, arguments: tuple[str, ...]) -> Any:
     """What unified-planning makes of a state by an action; None where it cannot be done."""
     try:
         return simulator.apply(state, theirs.action(action), [theirs.object(argument) for argument in arguments])
@@ -102,12 +102,12 @@ def successor(simulator: Any, theirs: Any, state: Any, action: str, arguments: t
 @given(st.data())
 def test_conditions_and_effects_mean_what_they_mean_to_unified_planning(data: st.DataObject) -> None:
     problem = data.draw(problems(FOREIGN))
-    asked = [ActionSchema(f"c{number}", precondition=data.draw(conditions(problem, FOREIGN))) for number in range(6)]
+    asked = [ActionSchema(f"c{number}", precondition=data.draw(conditions_on(problem, FOREIGN))) for number in range(6)]
     domain = replace(
         problem.domain, constants=problem.objects, actions={one.name: one for one in (*problem.domain.actions.values(), *asked)}
     )
     problem = replace(problem, domain=domain, own_objects={})
-    theirs = foreign(problem)
+    theirs = read_by_unified_planning(problem)
     simulator = UPSequentialSimulator(theirs, error_on_failed_checks=False)
     changing = dynamic_names(problem)  # what no action changes has its initial value for good there
     for drawn in [data.draw(states(problem)) for _ in range(2)]:
@@ -124,9 +124,9 @@ def test_conditions_and_effects_mean_what_they_mean_to_unified_planning(data: st
             }
         )
         assert simulator.is_goal(state) is evaluate(problem.goal, ours)
-        for name, arguments in calls(problem):
+        for name, arguments in ground_calls(problem):
             action = ground_action(domain.actions[name], arguments)
-            after = successor(simulator, theirs, state, name, arguments)
+            after = state_after(simulator, theirs, state, name, arguments)
             assert (after is not None) is evaluate(action.precondition, ours), action
             if after is not None:
                 predicted = initial_knowledge(problem)
@@ -135,7 +135,7 @@ def test_conditions_and_effects_mean_what_they_mean_to_unified_planning(data: st
 
 
 def foreign_verdict(problem: Problem, plan: Plan) -> bool:
-    theirs = foreign(problem)
+    theirs = read_by_unified_planning(problem)
 
     def instance(step: PlanStep) -> Any:
         objects = up.get_environment().expression_manager.ObjectExp
@@ -156,7 +156,7 @@ def test_verdicts_on_plans_are_those_of_unified_planning(timed: bool) -> None:
     def check(data: st.DataObject) -> None:
         problem = data.draw(problems(replace(FOREIGN, timed=timed)))
         problem = replace(problem, goal=data.draw(st.sampled_from([problem.goal, TRUE])))
-        plan = data.draw(plans(problem))
+        plan = data.draw(plans_for(problem))
         if timed:  # what happens at one time gets in nobody's way there, unless it changes the same fluent, even to the same value
             plan = apart(plan)
         show(problem, plan)
@@ -176,9 +176,9 @@ KINDS = {
 }
 
 
-def drawn(data: st.DataObject, kind: str) -> tuple[Problem, Plan]:
+def drawn_plan(data: st.DataObject, kind: str) -> tuple[Problem, Plan]:
     problem = data.draw(problems(KINDS[kind]))
-    plan = data.draw(plans(problem))
+    plan = data.draw(plans_for(problem))
     return problem, apart(plan) if kind == "at different times" and problem.is_timed else plan
 
 
@@ -187,7 +187,7 @@ def test_verdicts_on_plans_and_states_are_those_of_kairos(kind: str) -> None:
     @examples(100)
     @given(st.data())
     def check(data: st.DataObject) -> None:
-        problem, plan = drawn(data, kind)
+        problem, plan = drawn_plan(data, kind)
         show(problem, plan)
         assert parse_problem(write_problem(problem), parse_domain(write_domain(problem.domain))) == problem
         for goal in (problem.goal, TRUE):

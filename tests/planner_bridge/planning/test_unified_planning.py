@@ -33,14 +33,14 @@ def facts(scope: tuple[Variable, ...]) -> st.SearchStrategy[Fluent]:
     return st.one_of(st.just(("r",)), st.tuples(st.sampled_from("pq"), terms))
 
 
-def conditions(scope: tuple[Variable, ...], depth: int = 2) -> st.SearchStrategy[Condition]:
+def conditions_over(scope: tuple[Variable, ...], depth: int = 2) -> st.SearchStrategy[Condition]:
     terms = st.sampled_from((*THINGS, *(variable.name for variable in scope))).map(Constant)
     leaf = st.one_of(st.builds(Holds, facts(scope)), st.builds(lambda one, other: Compare("=", one, other), terms, terms))
     if not depth:
         return leaf
-    inner = conditions(scope, depth - 1)
+    inner = conditions_over(scope, depth - 1)
     quantified = [
-        st.builds(lambda body, kind=kind, variable=variable: kind((variable,), body), conditions((*scope, variable), depth - 1))
+        st.builds(lambda body, kind=kind, variable=variable: kind((variable,), body), conditions_over((*scope, variable), depth - 1))
         for kind in (ForAll, Exists)
         for variable in (X, Y)
     ]
@@ -48,24 +48,24 @@ def conditions(scope: tuple[Variable, ...], depth: int = 2) -> st.SearchStrategy
     return st.one_of(leaf, inner.map(Not), many.map(All), many.map(Any), st.builds(Implies, inner, inner), *quantified)
 
 
-def effects(scope: tuple[Variable, ...] = (), depth: int = 2) -> st.SearchStrategy[tuple[Effect, ...]]:
+def effects_over(scope: tuple[Variable, ...] = (), depth: int = 2) -> st.SearchStrategy[tuple[Effect, ...]]:
     one: list[st.SearchStrategy[Effect]] = [st.builds(lambda fact, value: Set(fact, Constant(value)), facts(scope), st.booleans())]
     if depth:
-        one.append(st.builds(When, conditions(scope, 1), effects(scope, depth - 1)))
-        one += [st.builds(ForEach, st.just((variable,)), effects((*scope, variable), depth - 1)) for variable in (X, Y)]
+        one.append(st.builds(When, conditions_over(scope, 1), effects_over(scope, depth - 1)))
+        one += [st.builds(ForEach, st.just((variable,)), effects_over((*scope, variable), depth - 1)) for variable in (X, Y)]
     return st.lists(st.one_of(one), min_size=1, max_size=3).map(tuple)
 
 
-def problem(schema: ActionSchema, init: dict[Fluent, Value], goal: Condition = TRUE) -> Problem:
+def problem_with_action(schema: ActionSchema, init: dict[Fluent, Value], goal: Condition = TRUE) -> Problem:
     declared = {name: Declaration(name, (X,)) for name in "pq"} | {"r": Declaration("r")}
     domain = Domain("d", types={"thing": ("object",)}, predicates=declared, actions={schema.name: schema})
     return Problem("d", domain, dict.fromkeys(THINGS, ("thing",)), init, goal=goal)
 
 
 @settings(max_examples=60, deadline=None)
-@given(effects(), st.sets(st.sampled_from(FACTS)))
+@given(effects_over(), st.sets(st.sampled_from(FACTS)))
 def test_effects_do_there_what_they_do_here(done: tuple[Effect, ...], true: set[Fluent]) -> None:
-    here = problem(ActionSchema("act", end_effects=done), dict.fromkeys(true, True))
+    here = problem_with_action(ActionSchema("act", end_effects=done), dict.fromkeys(true, True))
     knowledge = KnowledgeBase(here.init, objects=here.objects_by_type)
     expected = {fact: fact in true for fact in FACTS} | changes(done, knowledge)
     there = to_unified_planning(here)
@@ -77,9 +77,9 @@ def test_effects_do_there_what_they_do_here(done: tuple[Effect, ...], true: set[
 
 
 @settings(max_examples=60, deadline=None)
-@given(conditions((), 3), st.sets(st.sampled_from(FACTS)))
+@given(conditions_over((), 3), st.sets(st.sampled_from(FACTS)))
 def test_conditions_hold_there_where_they_hold_here(goal: Condition, true: set[Fluent]) -> None:
-    here = problem(ActionSchema("act"), dict.fromkeys(true, True), goal)
+    here = problem_with_action(ActionSchema("act"), dict.fromkeys(true, True), goal)
     knowledge = KnowledgeBase(here.init, objects=here.objects_by_type)
     there = to_unified_planning(here)
     with up.SequentialSimulator(there) as simulator:
@@ -95,13 +95,13 @@ def apply(simulator: Anything, state: Anything, *calls: Anything) -> Anything:
     return state
 
 
-def read(domain: str, things: str = "", init: str = "", goal: str = "(and)", more: str = "") -> Problem:
+def problem_of(domain: str, things: str = "", init: str = "", goal: str = "(and)", more: str = "") -> Problem:
     text = f"(define (problem p) (:domain d) (:objects {things}) (:init {init}) (:goal {goal}) {more})"
     return parse_problem(text, parse_domain(f"(define (domain d) {domain})"))
 
 
 def test_one_name_for_several_things_becomes_several_names() -> None:
-    here = read(
+    here = problem_of(
         """(:types room) (:predicates (room ?x - room)) (:functions (room))
         (:action room :parameters (?room - room) :precondition (>= (room) 1) :effect (and (room ?room) (decrease (room) 1)))""",
         "room - room",
@@ -114,7 +114,7 @@ def test_one_name_for_several_things_becomes_several_names() -> None:
 
 
 def test_what_may_be_of_one_type_or_another_is_guarded() -> None:
-    here = read(
+    here = problem_of(
         """(:types cup box robot - object) (:predicates (held ?x) (seen ?x - (either cup box)))
         (:action lift :parameters (?x - (either cup box)) :effect (held ?x))
         (:action look :effect (forall (?x - (either cup box)) (seen ?x)))""",
@@ -130,7 +130,7 @@ def test_what_may_be_of_one_type_or_another_is_guarded() -> None:
 
 
 def test_a_thing_of_two_types_is_both() -> None:
-    here = read(
+    here = problem_of(
         """(:types tool toy - object) (:predicates (used ?x) (loved ?x))
         (:action use :parameters (?x - tool) :effect (used ?x)) (:action love :parameters (?x - toy) :effect (loved ?x))""",
         "drum - (either tool toy) saw - tool",
@@ -169,7 +169,7 @@ LAMP = """(:types lamp) (:predicates (lit ?l - lamp) (dark)) (:functions (power 
 
 def lamp(duration: str = "(= ?duration 5)", effect: str = "(increase (used) ?duration)", more: str = "") -> Problem:
     init = "(dark) (= (used) 0) (= (times) 0) (= (power l) 3) (at 4 (not (dark)))"
-    return read(LAMP.format(duration=duration, effect=effect), "l - lamp", init, "(>= (used) 1)", more)
+    return problem_of(LAMP.format(duration=duration, effect=effect), "l - lamp", init, "(>= (used) 1)", more)
 
 
 def test_actions_last_and_facts_change_by_themselves_there_as_here() -> None:

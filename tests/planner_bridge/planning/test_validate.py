@@ -55,13 +55,13 @@ RULES: Final = parse_domain("""
 """)
 
 
-def problem(init: str = "", goal: str = "(and)") -> Problem:
+def over_rules(init: str = "", goal: str = "(and)") -> Problem:
     numbers = " ".join(f"(= ({name}) {value})" for name, value in (("f", 1), ("g", 0)))
     text = f"(define (problem x) (:domain rules) (:objects a b - thing k - kind) (:init {numbers} {init}) (:goal {goal}))"
     return parse_problem(text, RULES)
 
 
-def plan(text: str) -> Plan:
+def timed_plan(text: str) -> Plan:
     """``0 look; 1.5 hold 2; 2 mark(a)``: start, action and duration."""
     steps = []
     for part in filter(None, text.split("; ")):
@@ -153,7 +153,7 @@ VERDICTS: Final = [
 
 @pytest.mark.parametrize(("init", "steps", "reason"), VERDICTS, ids=[f"{init} {steps}" for init, steps, _ in VERDICTS])
 def test_rules(init: str, steps: str, reason: str) -> None:
-    ours, theirs = why_invalid(problem(init), plan(steps)), validate(problem(init), plan(steps))
+    ours, theirs = why_invalid(over_rules(init), timed_plan(steps)), validate(over_rules(init), timed_plan(steps))
     assert reason in ours
     assert bool(ours) is bool(reason) is bool(theirs), theirs
 
@@ -173,24 +173,24 @@ ENDS: Final = [
 
 @pytest.mark.parametrize(("init", "steps", "goal"), ENDS)
 def test_where_plans_lead(init: str, steps: str, goal: str) -> None:
-    assert why_invalid(problem(init, goal), plan(steps)) == "" == validate(problem(init, goal), plan(steps))
-    wrong = problem(init, f"(not {goal})")
-    assert why_invalid(wrong, plan(steps)).startswith(f"the goal does not hold at the end: expected (not {goal}); observed")
-    assert validate(wrong, plan(steps))
+    assert why_invalid(over_rules(init, goal), timed_plan(steps)) == "" == validate(over_rules(init, goal), timed_plan(steps))
+    wrong = over_rules(init, f"(not {goal})")
+    assert why_invalid(wrong, timed_plan(steps)).startswith(f"the goal does not hold at the end: expected (not {goal}); observed")
+    assert validate(wrong, timed_plan(steps))
 
 
 def test_what_an_exists_has_found_false_is_looked_at() -> None:
     """Kairos overlooks it."""
-    steps = plan("0 none; 0 mark(a)")
-    assert WAY in why_invalid(problem(""), steps)
-    assert validate(problem(""), steps) == ""
+    steps = timed_plan("0 none; 0 mark(a)")
+    assert WAY in why_invalid(over_rules(""), steps)
+    assert validate(over_rules(""), steps) == ""
 
 
 def test_a_number_without_a_value_does_no_harm_where_it_does_not_matter() -> None:
     """Kairos is stricter: it refuses the plan as soon as it looks at the number."""
-    goal = problem("(p)", "(or (> (unset) 0) (p))")
-    assert why_invalid(goal, plan("")) == ""
-    assert validate(goal, plan("")) != ""
+    goal = over_rules("(p)", "(or (> (unset) 0) (p))")
+    assert why_invalid(goal, timed_plan("")) == ""
+    assert validate(goal, timed_plan("")) != ""
 
 
 def test_steps_without_times_come_one_after_the_other() -> None:
@@ -202,7 +202,7 @@ def test_steps_without_times_come_one_after_the_other() -> None:
 
 
 def test_the_states_a_plan_leads_through() -> None:
-    states = trace(problem("(p) (at 3 (q))"), plan("0 hold 2; 0.5 count; 2.5 double"))
+    states = trace(over_rules("(p) (at 3 (q))"), timed_plan("0 hold 2; 0.5 count; 2.5 double"))
     seen = [(time, state.value(("f",)), state.value(("r",)) is True, state.value(("q",)) is True) for time, state in states]
     assert seen == [
         (0.0, 1.0, False, False),
@@ -216,4 +216,4 @@ def test_the_states_a_plan_leads_through() -> None:
 
 def test_an_invalid_plan_leads_nowhere() -> None:
     with pytest.raises(InvalidPlan, match="cannot start"):
-        trace(problem(), plan("0 look"))
+        trace(over_rules(), timed_plan("0 look"))

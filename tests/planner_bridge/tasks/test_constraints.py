@@ -20,8 +20,9 @@ from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.plan_graph import GroundAction
+from tests.support.logic.trajectories import always, sometime
 from tests.support.runs.simulated import LateBackend
-from tests.support.tasks.constraints import TO_C, always, changes, monitored, sometime, within
+from tests.support.tasks.constraints import TO_C, changes, monitored, within
 
 A, B, C, D = (Holds(("clean", room)) for room in "abcd")
 ROOM = Variable("?a", ("room",))
@@ -62,7 +63,7 @@ def test_a_violation_at_the_very_end_counts() -> None:
 
 def test_a_violation_that_is_reported_after_the_end_counts() -> None:
     problem = constrained(always(Not(B)))
-    done = monitored(problem, backend=LateBackend(problem, changes((2.65, "b")), delay=0.3, lag=1.0))
+    done = monitored(problem, backend=LateBackend(problem, changes((2.65, "b"))))
     assert done.outcomes() == ["succeeded", "succeeded"]
     assert done.result.reason == "(always (not (clean b))) is violated after 2.95 s: (clean b) is true"
     assert done.result.as_json()["decisions"] == []

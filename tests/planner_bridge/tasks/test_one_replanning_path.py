@@ -12,13 +12,10 @@ import pytest
 
 from planner_bridge.loading import load
 from planner_bridge.model.problem import Problem
-from planner_bridge.simulation import robots_of
 from planner_bridge.tasks.replanning import Limits
 from planner_bridge.tasks.settings import OnChange, Settings
 from planner_bridge.yaml.reader import read
-from pnm.actions.backend import SimulatedBackend
 from pnm.actions.faults import Fault, FaultKind, Faults
-from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import OnFailure
 from pnm.language.plan import read_plans
@@ -26,6 +23,7 @@ from pnm.language.runner import Program
 from pnm.tasks import Code, TaskState
 from tests.support.files import ROOT
 from tests.support.pddl.problems import fleet
+from tests.support.runs.simulated import LateBackend
 from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
 
 NO_RETRY = Bindings({name: Binding(retries=0) for name in ("move", "pick", "drop")})
@@ -95,20 +93,8 @@ def test_a_task_can_be_paused_and_cancelled_during_the_back_off(goal: str) -> No
     simulate_tasks(scenario, fleet(), faults=Faults((ALWAYS_ABORTED, NEVER_ENDS)), chosen=replace(SERVED, limits=PATIENT))
 
 
-class LateBackend(SimulatedBackend):
-    """Simulated robots whose sensors report 0.3 s late."""
-
-    async def open(self, knowledge: KnowledgeBase) -> None:
-        loop, world = asyncio.get_running_loop(), self.robots.world
-        names = world.reported()
-        knowledge.sense(names, lag=1.0)
-        knowledge.replace(names, world.report(names))
-        world.truth.listen(lambda _: loop.call_later(0.3, lambda: knowledge.replace(names, world.report(names))) and None)
-        self.robots.begin()
-
-
 def late_backend(problem: Problem, bindings: Bindings, faults: Faults) -> LateBackend:
-    return LateBackend(robots_of(problem, bindings, faults))
+    return LateBackend(problem, faults, bindings)
 
 
 @pytest.mark.parametrize("on_change", OnChange)

@@ -28,7 +28,7 @@ trip:
 """
 
 
-def simulate(scenario: Callable[[TaskSimulation], Awaitable[None]]) -> None:
+def simulate_trip(scenario: Callable[[TaskSimulation], Awaitable[None]]) -> None:
     programs = {name: Program.of(plan) for name, plan in parse_plans(TRIP).items()}
     simulate_tasks(scenario, chosen=Settings(), programs=programs)
 
@@ -42,7 +42,7 @@ def test_a_plan_whose_parameter_has_no_value_is_refused_before_anything_of_it_be
         )
         assert simulation.sent(task) == []
 
-    simulate(scenario)
+    simulate_trip(scenario)
 
 
 def test_the_steps_of_a_plan_have_the_values_that_are_known() -> None:
@@ -50,13 +50,13 @@ def test_the_steps_of_a_plan_have_the_values_that_are_known() -> None:
         task = simulation.want("trip", is_plan=True, parameters={"robot": "r0"})
         await simulation.sees(task, "sent")
         assert [str(step) for step in simulation.master.plan(task)[1]] == ["move(r0, a0, a1)", "move(r0, a1, ?to)"]
-        run = simulation.performer.going_on[0].executor.run  # type: ignore[union-attr]
+        run = simulation.runner.going_on[0].executor.run  # type: ignore[union-attr]
         run.knowledge.local.store({"far": "a3", "home": "a0"})
         assert [str(step) for step in simulation.master.plan(task)[1]] == ["move(r0, a0, a1)", "move(r0, a3, a0)"]
         run.knowledge.local.store({"far": "a1"})
         assert await simulation.ended_with(task) == [Code.GOAL_REACHED], simulation.endings[task]
 
-    simulate(scenario)
+    simulate_trip(scenario)
 
 
 def test_people_read_with_which_parameters_a_plan_is_carried_out() -> None:
@@ -68,7 +68,7 @@ def test_people_read_with_which_parameters_a_plan_is_carried_out() -> None:
         other, goal = simulation.want("trip", is_plan=True), simulation.want("(at r0 a0)")
         await simulation.ended_with(one, other, goal)
 
-    simulate(scenario)
+    simulate_trip(scenario)
     goals = [line.split("goal", 1)[1].strip() for line in shown.getvalue().splitlines() if "  goal  " in line]
     assert goals == ['trip(robot: r0, far: ["a1", 2])', "trip", "(at r0 a0)"]
 

@@ -18,7 +18,8 @@ from pnm.core.logic.domain import ActionSchema, Preference
 from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint
 from pnm.core.machine.bindings import Bindings
-from tests.support.tasks.constraints import TO_C, always, changes, monitor, monitored, sometime, within
+from tests.support.logic.trajectories import always, sometime
+from tests.support.tasks.constraints import TO_C, changes, monitor, monitored, within
 
 A, B, C, D = (Holds(("clean", room)) for room in "abcd")
 ROOM = Variable("?a", ("room",))
@@ -148,10 +149,10 @@ def test_a_person_reads_what_is_violated_as_it_happens_and_at_the_end() -> None:
         "         preference p is violated 1 time",
         "         preference q is fulfilled",
     ]
-    assert not any("constraint" in line or "preference" in line for line in _read(TO_C))
+    assert not any("constraint" in line or "preference" in line for line in result_lines(TO_C))
 
 
-def _read(problem: Problem) -> list[str]:
+def result_lines(problem: Problem) -> list[str]:
     text = io.StringIO()
     print_result(Console(file=text), monitored(problem).result)
     return text.getvalue().splitlines()

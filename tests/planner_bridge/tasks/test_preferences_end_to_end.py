@@ -17,7 +17,7 @@ from tests.support.pddl.problems import ROOMS
 from tests.support.processes import pnm
 from tests.support.processes import result as told
 from tests.support.tasks.replanning import pursued
-from tests.support.tasks.rooms import ROUND, done, problem
+from tests.support.tasks.rooms import ROUND, done, ring
 
 # --- preferences ---
 
@@ -25,7 +25,7 @@ from tests.support.tasks.rooms import ROUND, done, problem
 def test_preferences_are_planned_for_counted_and_not_enforced() -> None:
     wishes = "(and (forall (?a - room) (preference tidy (sometime (clean ?a)))) (preference past-d (sometime (at r1 d))))"
     goal = "(and (at r1 c) (preference swept (clean c)) (preference nowhere (not (at r1 c))))"
-    wanted = problem(wishes, goal=goal, more="(:metric minimize (+ (* 5 (is-violated past-d)) (is-violated nowhere) (total-cost)))")
+    wanted = ring(wishes, goal=goal, more="(:metric minimize (+ (* 5 (is-violated past-d)) (is-violated nowhere) (total-cost)))")
     blocked = HiddenChange({("at", "r1", "d"): False, ("at", "r1", "a"): True}, at=1.0)
     result, _ = pursued(wanted, Faults(changes=(blocked,)))
     assert result.goal_reached, result.reason
@@ -34,16 +34,6 @@ def test_preferences_are_planned_for_counted_and_not_enforced() -> None:
     assert (found["nowhere"].status, found["nowhere"].violated) == ("violated", 1)
     assert found["tidy"].violated == 4 - sum("sweep" in call for call in set(done(result)))
     assert result.constraints == ()
-
-
-def test_preferences_of_actions_are_said_not_to_be_monitored() -> None:
-    text = ROOMS.replace(":strips", ":adl :preferences :strips", 1).replace(
-        "(and (at ?r ?a) (way", "(and (preference lit (clean ?b)) (at ?r ?a) (way", 1
-    )
-    wanted = f"(define (problem p) (:domain rooms) (:objects r1 - robot a b c d - room) (:init (at r1 a) {ROUND}) (:goal (at r1 c)))"
-    result, _ = pursued(parse_problem(wanted, parse_domain(text)))
-    assert result.goal_reached
-    assert [(one.name, one.status) for one in result.preferences] == [("lit", "not monitored")]
 
 
 TIDYING = """

@@ -95,10 +95,7 @@ def test_a_pause_before_another_try_is_told_with_its_reason() -> None:
     observer = TaskObserver()
     observer.entered = lambda state, why: told.append((state, why))  # type: ignore[method-assign]
     problem, limits = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc"), Limits(replans=2, forbid_after=100)
-    run_async(
-        achieve_at(simulated_backend(problem, Bindings(), aborts("move")), problem, Settings(limits=limits), observer),
-        virtual=True,
-    )
+    run_async(achieve_at(simulated_backend(problem, Bindings(), aborts("move")), problem, Settings(limits=limits), observer), virtual=True)
     assert (TaskState.REPLANNING, "tries again in 0.5 s after move(r1, a, b) was aborted") in told
     assert [state.name for state, _ in told] == ["PLANNING", "RUNNING", "REPLANNING", "RUNNING", "OVER"]
 

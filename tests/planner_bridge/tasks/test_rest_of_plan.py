@@ -102,7 +102,7 @@ def test_the_rest_of_a_network_of_tasks_is_used_and_otherwise_the_whole_network_
 def test_late_reports_are_waited_for_before_anything_is_decided(what: str) -> None:
     problem = matches(1)
     faults = Faults((Fault(what, FaultKind.ABORT, times=1),))
-    backend = LateBackend(problem, faults, delay=0.3, lag=1.0)
+    backend = LateBackend(problem, faults)
     settings = Settings(bindings=Bindings({"strike": Binding(retries=0), "mend": Binding(retries=0)}))
     result = run_async(achieve_at(backend, problem, settings, TaskObserver()), virtual=True)
     truth = evaluate(problem.goal, backend.robots.world.truth)

@@ -22,7 +22,7 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
 from pnm.errors import InputError
 from pnm.language.plan import merge_bindings, read_plans
-from pnm.language.runner import Performer, Program
+from pnm.language.runner import PlanRunner, Program
 from pnm.ros.tasks.task_messages import read_parameters, result_fields
 from pnm.tasks import Code, TaskEnding, TaskListener, Wanted
 
@@ -90,7 +90,7 @@ def test_calls_and_restarts_of_a_plan_are_counted_and_told(tmp_path: Path) -> No
     )
     (plan,) = read_plans(file).values()
     faults = Faults((Fault("go(b)", FaultKind.ABORT, times=1),))
-    performer = Performer({"tour": Program.of(plan)}, simulated_backend(plan, merge_bindings([plan]), faults), KnowledgeBase())
+    runner = PlanRunner({"tour": Program.of(plan)}, simulated_backend(plan, merge_bindings([plan]), faults), KnowledgeBase())
     tour = Wanted(UUID(int=1), "tour", is_plan=True)
 
     class Told(TaskListener):
@@ -109,14 +109,14 @@ def test_calls_and_restarts_of_a_plan_are_counted_and_told(tmp_path: Path) -> No
             self.over.set()
 
     async def go() -> Told:
-        await performer.backend.open(performer.world)
-        master = TaskManager(NOTHING, performer.world, performer.backend, Settings(), _no_goal, performer=performer)
+        await runner.backend.open(runner.world)
+        master = TaskManager(NOTHING, runner.world, runner.backend, Settings(), _no_goal, runner=runner)
         told = Told(master)
         master.listen(told)
         master.begin(tour)
         await asyncio.wait_for(told.over.wait(), 100.0)
         await master.close()
-        await performer.backend.close()
+        await runner.backend.close()
         return told
 
     told = run_async(go(), virtual=True)
@@ -130,7 +130,7 @@ def test_a_pause_does_not_use_up_the_time_of_a_plan(tmp_path: Path) -> None:
     file = tmp_path / "plan.yaml"
     file.write_text("actions: {go: {params: [place], duration: 5}}\nname: tour\ntimeout: 20\nplan: [go: {place: a}, go: {place: b}]\n")
     (plan,) = read_plans(file).values()
-    performer = Performer({"tour": Program.of(plan)}, simulated_backend(plan, merge_bindings([plan])), KnowledgeBase())
+    runner = PlanRunner({"tour": Program.of(plan)}, simulated_backend(plan, merge_bindings([plan])), KnowledgeBase())
     over: list[Code] = []
 
     class Told(TaskListener):
@@ -138,8 +138,8 @@ def test_a_pause_does_not_use_up_the_time_of_a_plan(tmp_path: Path) -> None:
             over.append(ending.code)
 
     async def go() -> None:
-        await performer.backend.open(performer.world)
-        master = TaskManager(NOTHING, performer.world, performer.backend, Settings(), _no_goal, performer=performer)
+        await runner.backend.open(runner.world)
+        master = TaskManager(NOTHING, runner.world, runner.backend, Settings(), _no_goal, runner=runner)
         master.listen(Told())
         master.begin(Wanted(UUID(int=1), "tour", is_plan=True))
         await asyncio.sleep(1.0)
@@ -148,7 +148,7 @@ def test_a_pause_does_not_use_up_the_time_of_a_plan(tmp_path: Path) -> None:
         await master.resume(UUID(int=1))
         await asyncio.sleep(15.0)
         await master.close()
-        await performer.backend.close()
+        await runner.backend.close()
 
     run_async(go(), virtual=True)
     assert over == [Code.GOAL_REACHED]

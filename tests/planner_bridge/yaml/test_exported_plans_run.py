@@ -17,7 +17,7 @@ from pnm.core.execution.call_results import CallResult
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.language.plan import HandWrittenPlan, merge_bindings, read_plans
-from pnm.language.runner import Performer, Program
+from pnm.language.runner import PlanRunner, Program
 from tests.support.files import ROOT
 
 Told = tuple[bool, list[tuple[str, ...]], dict[Fluent, Value | Unknown]]
@@ -37,7 +37,7 @@ OWN: Final = [
 PAIRS: Final = [*OWN, *((KNOWN / one / "domain.pddl", KNOWN / one / "problem.pddl") for one in SMALLEST if (KNOWN / one).is_dir())]
 
 
-def told(calls: tuple[CallResult, ...]) -> list[tuple[str, ...]]:
+def calls_told(calls: tuple[CallResult, ...]) -> list[tuple[str, ...]]:
     return sorted((one.call.action.name, *one.call.action.arguments, one.outcome, str(one.attempts)) for one in calls)
 
 
@@ -45,18 +45,18 @@ def planned(domain: Path, problem: Path) -> Told:
     loaded = load(domain, problem)
     backend = simulated_backend(loaded, Settings().bindings)
     result = run_async(achieve_at(backend, loaded, Settings(), TaskObserver()), virtual=True)
-    return result.goal_reached, told(result.calls), backend.robots.world.truth.facts()
+    return result.goal_reached, calls_told(result.calls), backend.robots.world.truth.facts()
 
 
 def run_exported(plan: HandWrittenPlan) -> Told:
     backend = simulated_backend(plan, merge_bindings([plan]))
 
     async def performed() -> Told:
-        performer = Performer({plan.name: Program.of(plan)}, backend, KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules))
-        await backend.open(performer.world)
-        result = await performer.execute(performer.perform(plan.name))
+        runner = PlanRunner({plan.name: Program.of(plan)}, backend, KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules))
+        await backend.open(runner.world)
+        result = await runner.execute(runner.prepare_run(plan.name))
         await backend.close()
-        return result.goal, told(result.calls), backend.robots.world.truth.facts()
+        return result.goal, calls_told(result.calls), backend.robots.world.truth.facts()
 
     return run_async(performed(), virtual=True)
 

@@ -62,7 +62,7 @@ def holds(condition: Any, known: dict[str, Any]) -> bool:
     raise Refused(f"not a condition: {condition}")
 
 
-def run(text: str) -> tuple[dict[str, Any], list[tuple[str, dict[str, Any]]]]:
+def run_original_text(text: str) -> tuple[dict[str, Any], list[tuple[str, dict[str, Any]]]]:
     """Carry the plan out: what is known in the end, and the calls of servers."""
     domain, plan = yaml.safe_load_all(text)
     assert set(domain) == {"external_knowledge_base", "actions"}
@@ -127,11 +127,7 @@ def expected(problem: Problem, plan: Plan) -> dict[tuple[str, ...], object]:
     return {fluent: knowledge.value(fluent) or False for fluent in known}
 
 
-PLANS = {
-    "rooms": (rooms(), None),
-    "tanks": (tanks(), None),
-    "everything": (EVERYTHING, Plan((PlanStep("swap-over", ("a", "b")),))),
-}
+PLANS = {"rooms": (rooms(), None), "tanks": (tanks(), None), "everything": (EVERYTHING, Plan((PlanStep("swap-over", ("a", "b")),)))}
 
 
 @pytest.mark.parametrize("name", PLANS)
@@ -139,7 +135,7 @@ def test_it_runs_by_the_old_rules_and_ends_as_the_plan_does(name: str, tmp_path:
     problem, plan = PLANS[name]
     plan = plan or solved(problem)
     text = write_original(problem, plan)
-    known, calls = run(text)
+    known, calls = run_original_text(text)
     assert [(name, tuple(told.values())) for name, told in calls] == [
         (step.action.replace("-", "_"), step.arguments) for step in plan.steps
     ]
@@ -153,7 +149,7 @@ def test_it_runs_by_the_old_rules_and_ends_as_the_plan_does(name: str, tmp_path:
 
 def test_a_false_precondition_stops_it() -> None:
     with pytest.raises(Refused, match="the precondition of before_move is false"):
-        run(write_original(rooms(), Plan((PlanStep("move", ("r1", "b", "c")),))))
+        run_original_text(write_original(rooms(), Plan((PlanStep("move", ("r1", "b", "c")),))))
 
 
 def test_every_text_is_quoted() -> None:
@@ -165,7 +161,7 @@ def test_every_text_is_quoted() -> None:
 ONE = "(:predicates (p ?x) (q-r) (q_r)) (:functions (f))"
 
 
-def tried(action: str, init: str = "", domain: str = "", problem: str = "", objects: str = "a") -> str:
+def written_for_original(action: str, init: str = "", domain: str = "", problem: str = "", objects: str = "a") -> str:
     read = parse_domain(f"(define (domain d) {ONE} {domain} (:action go :parameters (?x) {action}))")
     whole = parse_problem(f"(define (problem p) (:domain d) (:objects {objects}) (:init {init}) (:goal (and)) {problem})", read)
     return write_original(whole, Plan((PlanStep("go", (objects.split()[0],)),)))
@@ -183,7 +179,7 @@ def tried(action: str, init: str = "", domain: str = "", problem: str = "", obje
 )
 def test_what_it_cannot_say_is_refused_by_name(arguments: dict[str, str], message: str) -> None:
     with pytest.raises(InputError) as refusal:
-        tried(**arguments)
+        written_for_original(**arguments)
     assert message in str(refusal.value)
 
 

@@ -75,7 +75,7 @@ def test_blocks(size: int, edges: list[tuple[int, int]], block: Block) -> None:
     assert blocks(reduced(size, edges)) == block
 
 
-def move(robot: str, start: str, end: str) -> PlanStep:
+def moving(robot: str, start: str, end: str) -> PlanStep:
     return PlanStep("move", (robot, start, end))
 
 
@@ -85,7 +85,7 @@ def steps(graph: PlanGraph, problem: object) -> object:
 
 def test_a_sequence_and_what_is_beside_it() -> None:
     problem = rooms()
-    plan = Plan((move("r1", "a", "b"), move("r2", "a", "d"), move("r1", "b", "c"), move("r2", "d", "c")))
+    plan = Plan((moving("r1", "a", "b"), moving("r2", "a", "d"), moving("r1", "b", "c"), moving("r2", "d", "c")))
     text = written(plan_entries(plan_graph(problem, plan), problem.domain))
     assert text == (
         "\n"
@@ -119,7 +119,7 @@ PLACES = ("ab", "bc", "ad", "dc", "ba", "cb")
 @given(ORDERS)
 def test_the_language_reads_the_same_order(tmp_path_factory: pytest.TempPathFactory, edges: set[tuple[int, int]]) -> None:
     problem = rooms()
-    graph = plan_graph(problem, Plan(tuple(move("r1", *places) for places in PLACES)))
+    graph = plan_graph(problem, Plan(tuple(moving("r1", *places) for places in PLACES)))
     orderings = tuple(Ordering(PlanEvent(a, Moment.END), PlanEvent(b, Moment.START)) for a, b in sorted(edges))
     graph = replace(graph, orderings=orderings)
     file = tmp_path_factory.getbasetemp() / "plan.yaml"
@@ -145,7 +145,7 @@ def test_starts_and_ends_that_wait_are_said() -> None:
 
 def test_times_are_said() -> None:
     problem = rooms()
-    graph = plan_graph(problem, Plan((move("r1", "a", "b"),)))
+    graph = plan_graph(problem, Plan((moving("r1", "a", "b"),)))
     (call,) = graph.calls
     assert isinstance(call, ActionCall)
     late = replace(graph, steps=(replace(call, release=2.5, deadline=9.0),))

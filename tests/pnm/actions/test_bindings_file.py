@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.declared_names import Vocabulary
 from pnm.core.logic.expressions import UNKNOWN
 from pnm.core.machine.bindings import Binding, Bindings, goal_data
-from pnm.core.machine.plan_graph import GroundAction
+from pnm.core.machine.generate import generate
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.errors import InputError
 from tests.support.files import refused, written
 from tests.support.runs.files import MOVE, WORDS, error
@@ -85,6 +87,9 @@ def test_the_server_is_named_after_arguments(pattern: str | None, server: str) -
 def test_a_server_named_after_no_parameter_is_refused() -> None:
     with pytest.raises(InputError) as caught:
         Bindings({"move": Binding(server="/{robto}/move")}).server(MOVE)
+    graph, bindings = PlanGraph((ActionCall(0, MOVE),), ()), Bindings({"move": Binding(server="/{robto}/move")})
+    with pytest.raises(InputError, match=re.escape(str(caught.value))):
+        generate(graph, bindings)
     assert str(caught.value) == "the server '/{robto}/move' of move names {robto}, which is not a parameter (robot, from, to)"
 
 

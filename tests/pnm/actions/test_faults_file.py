@@ -39,10 +39,7 @@ changes:
 """
     changes = {("open", "door"): True, ("at", "r1", "hall"): False, ("battery", "r1"): 5.0}
     assert read_faults(written(tmp_path, content)) == Faults(
-        (
-            Fault("move", FaultKind.SLOW),
-            Fault("move(r1, hall)", FaultKind.ABORT, after=1, times=2, message="blocked", ignores_cancel=True),
-        ),
+        (Fault("move", FaultKind.SLOW), Fault("move(r1, hall)", FaultKind.ABORT, after=1, times=2, message="blocked", ignores_cancel=True)),
         (
             HiddenChange(changes, at=2.0),
             HiddenChange({("p",): True}, moment="start", what="move(r1, hall)"),

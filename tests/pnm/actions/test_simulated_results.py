@@ -12,14 +12,14 @@ from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.errors import InputError
 
 
-def run(folder: Path, text: str, faults: Faults = Faults()) -> PlanResult:
+def carry_out_text(folder: Path, text: str, faults: Faults = Faults()) -> PlanResult:
     path = folder / "plan.yaml"
     path.write_text(text, encoding="utf-8")
     return carry_out(path, faults=faults)
 
 
 def returns(folder: Path, simulated: str, step: str = "- look: {x: 3}", rest: str = "") -> PlanResult:
-    return run(folder, f"actions:\n  look:\n    params: [x]\n    simulated: {simulated}\n{rest}plan:\n  {step}\n")
+    return carry_out_text(folder, f"actions:\n  look:\n    params: [x]\n    simulated: {simulated}\n{rest}plan:\n  {step}\n")
 
 
 @pytest.mark.parametrize(
@@ -40,7 +40,7 @@ def test_results_are_computed_from_the_goal_and_the_world(tmp_path: Path, simula
 
 
 def test_facts_are_those_of_the_goal_s_objects_after_the_effects(tmp_path: Path) -> None:
-    result = run(
+    result = carry_out_text(
         tmp_path,
         """
 predicates: ["(at ?r ?p)"]
@@ -74,7 +74,7 @@ def test_what_cannot_be_computed_fails_by_name(tmp_path: Path) -> None:
 def test_an_action_without_effect_returns_nothing(tmp_path: Path) -> None:
     faults = Faults((Fault("look", FaultKind.NO_EFFECT),))
     text = "actions: {look: {params: [x], simulated: {y: 1}}}\nplan: [{look: {x: 3}}]"
-    assert run(tmp_path, text, faults).variables == {}
+    assert carry_out_text(tmp_path, text, faults).variables == {}
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ actions:
 initial_knowledge: {x: 3}
 plan: [{look: {}}]
 """
-    assert run(tmp_path, text).goal_reached
-    denied = run(tmp_path, text.replace("x: 3", "x: 4"))
+    assert carry_out_text(tmp_path, text).goal_reached
+    denied = carry_out_text(tmp_path, text.replace("x: 3", "x: 4"))
     assert not denied.goal_reached
     assert "precondition_false" in denied.reason

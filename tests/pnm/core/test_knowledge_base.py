@@ -210,7 +210,7 @@ LIT = DerivationRule("lit", (X,), All((Holds(("lamp", "?x")), Holds(("power",)))
 DARK = DerivationRule("dark", (), Exists((X,), Not(Holds(("lit", "?x")))))
 
 
-def rooms(facts: Facts | None = None) -> KnowledgeBase:
+def lit_rooms(facts: Facts | None = None) -> KnowledgeBase:
     return KnowledgeBase(facts, objects={"room": ("hall", "lab")}, rules=Rules((LIT, DARK)))
 
 
@@ -218,7 +218,7 @@ def rooms(facts: Facts | None = None) -> KnowledgeBase:
 
 
 def test_derived_facts_follow_from_what_is_recorded_and_are_not_listed() -> None:
-    knowledge = rooms({("lamp", "hall"): True})
+    knowledge = lit_rooms({("lamp", "hall"): True})
     batches = heard(knowledge)
     assert (knowledge.value(("lit", "hall")), knowledge.value(("dark",))) == (False, True)
     knowledge.update({("power",): True})
@@ -232,7 +232,7 @@ def test_derived_facts_follow_from_what_is_recorded_and_are_not_listed() -> None
 
 
 def test_a_listener_sees_the_derived_facts_as_they_are_after_the_change() -> None:
-    knowledge = rooms({("lamp", "hall"): True})
+    knowledge = lit_rooms({("lamp", "hall"): True})
     seen = [knowledge.value(("lit", "hall"))]
     knowledge.listen(lambda _: seen.append(knowledge.value(("lit", "hall"))))
     knowledge.update({("power",): True})
@@ -241,17 +241,17 @@ def test_a_listener_sees_the_derived_facts_as_they_are_after_the_change() -> Non
 
 
 def test_nobody_writes_a_derived_fact() -> None:
-    knowledge = rooms({("power",): True})
+    knowledge = lit_rooms({("power",): True})
     for wrong in ({("power",): False, ("lit", "hall"): True}, {("dark",): False}):
         with pytest.raises(InputError, match=r"\((lit hall|dark)\) follows from rules; it is neither set nor reported"):
             knowledge.update(wrong)
     assert knowledge.facts() == {("power",): True}
     with pytest.raises(InputError, match="follows from rules"):
-        rooms({("dark",): True})
+        lit_rooms({("dark",): True})
 
 
 def test_reports_about_derived_facts_are_left_out() -> None:
-    knowledge = rooms({("power",): True})
+    knowledge = lit_rooms({("power",): True})
     report: Facts = {("lit", "lab"): True, ("lamp", "hall"): True}
     assert knowledge.replace(("lit", "lamp", "dark"), report) == {("lamp", "hall"): True}
     assert (knowledge.value(("lit", "lab")), knowledge.value(("dark",))) == (False, True)
@@ -260,7 +260,7 @@ def test_reports_about_derived_facts_are_left_out() -> None:
 
 
 def test_a_derived_fact_is_sensed_if_all_below_it_is_and_as_late_as_that() -> None:
-    knowledge = rooms()
+    knowledge = lit_rooms()
     knowledge.sense(("lit", "dark", "lamp"), lag=2.0)
     assert not knowledge.is_sensed(("dark",))
     knowledge.sense(("power",), lag=3.0)

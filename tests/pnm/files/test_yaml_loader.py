@@ -25,20 +25,22 @@ BAD_YAML = [
     ("\n  text", "FILE:2:3: expected a mapping (key: value)"),
     ("a: \x07", "FILE:1:1: not YAML: unacceptable character #x0007: special characters are not allowed"),
     ("a: 1" + "0" * 5000, f"FILE:1:4: cannot be read as int: '1{'0' * 39}'"),
+    ("a: 0x" + "f" * 5000, f"FILE:1:4: cannot be read as int: '0x{'f' * 38}'"),
+    ("a: [1" + ":1" * 3000 + "]", f"FILE:1:5: cannot be read as int: '1{':1' * 19}:'"),
     ("a: " + "[" * 20_000, f"FILE:1:1: nested deeper than {MAX_DEPTH}"),
     (b"a: 1\nb: \xff\xfe", "FILE:2:4: not a text file: byte 0xff is not UTF-8"),
     (b"\x7fELF\x00\x00", "FILE:1:1: not a text file: it contains zero bytes"),
 ]
 
 
-def everything(path: Path) -> dict[str, object]:
+def plain_entries(path: Path) -> dict[str, object]:
     top = load_yaml(path)
     return {key: top.plain(key) for key in top.nodes}
 
 
 @pytest.mark.parametrize(("content", "message"), BAD_YAML)
 def test_what_is_not_plain_yaml_is_refused(tmp_path: Path, content: str | bytes, message: str) -> None:
-    assert error(everything, written(tmp_path, content)) == message
+    assert error(plain_entries, written(tmp_path, content)) == message
 
 
 def test_an_alias_bomb_is_refused(tmp_path: Path) -> None:
@@ -73,11 +75,11 @@ PLAIN = [
 
 @pytest.mark.parametrize(("content", "value"), PLAIN, ids=[content for content, _ in PLAIN])
 def test_plain_data_is_read_and_keys_stay_text(tmp_path: Path, content: str, value: object) -> None:
-    assert everything(written(tmp_path, content)) == {"a": value}
+    assert plain_entries(written(tmp_path, content)) == {"a": value}
 
 
 def test_the_deepest_nesting_is_read(tmp_path: Path) -> None:
-    assert everything(written(tmp_path, AT_LIMIT)).keys() == {"a"}
+    assert plain_entries(written(tmp_path, AT_LIMIT)).keys() == {"a"}
 
 
 @given(st.one_of(st.text("ab: -[]{}&*!'\"|>#%@\n?,~<=0.", max_size=40), st.binary(max_size=40)))
@@ -87,7 +89,7 @@ def test_the_deepest_nesting_is_read(tmp_path: Path) -> None:
 def test_anything_is_read_or_refused_with_a_position(tmp_path_factory: pytest.TempPathFactory, content: str | bytes) -> None:
     path = written(tmp_path_factory.getbasetemp(), content)
     try:
-        everything(path)
+        plain_entries(path)
     except InputError as refused:
         position = refused.position
     else:

@@ -20,7 +20,7 @@ from pnm.knowledge.sources import (
     registry,
     source_names,
 )
-from tests.support.people import DelayedSource, about, run
+from tests.support.people import DelayedSource, about, run_questions
 
 ME = Asker(UUID(int=7), "tour")
 
@@ -59,8 +59,8 @@ def test_a_source_of_ones_own(registered: None) -> None:
     register_source("my.module.Ontology", lambda options, surroundings: mine)
     register_source("screen", lambda options, surroundings: people, layer=Layer.PERSON)
     sources = open_sources([SourceChoice("my.module.Ontology"), SourceChoice("screen"), SourceChoice("memory")], Surroundings())
-    assert run(sources.query(about("a"), ME)) == 1
-    assert run(sources.query(about("shop", Layer.PERSON), ME)) == 2
+    assert run_questions(sources.query(about("a"), ME)) == 1
+    assert run_questions(sources.query(about("shop", Layer.PERSON), ME)) == 2
     with pytest.raises(InputError, match="screen speaks for people, and so does another source"):
         open_sources([SourceChoice("person"), SourceChoice("screen")], Surroundings())
 
@@ -95,8 +95,8 @@ def test_a_limit_that_is_chosen_is_waited_for(registered: None) -> None:
     long = open_sources([SourceChoice("slow", {"limit": 250}), SourceChoice("thinker", {"limit": 250.0})], Surroundings())
     for layer in (Layer.GLOBAL, Layer.PERSON):
         with pytest.raises(SourceError, match="within"):
-            run(short.query(about("shop", layer), ME))
-        assert run(long.query(about("shop", layer), ME)) == 1
+            run_questions(short.query(about("shop", layer), ME))
+        assert run_questions(long.query(about("shop", layer), ME)) == 1
 
 
 @pytest.mark.parametrize(
@@ -120,6 +120,6 @@ def test_wrong_options_are_refused_where_they_stand(choice: SourceChoice, said: 
 
 def test_files_are_relative_to_the_file_that_names_them(tmp_path: Path) -> None:
     sources = open_sources([SourceChoice("sqlite", {"file": "kb.sqlite"})], Surroundings(folder=tmp_path))
-    run(sources.update(about("a"), 1, ME))
-    run(sources.close())
+    run_questions(sources.update(about("a"), 1, ME))
+    run_questions(sources.close())
     assert (tmp_path / "kb.sqlite").is_file()

@@ -45,7 +45,7 @@ def test_names_are_not_checked_without_a_domain(tmp_path):
     assert [one.types for one in sensing.sensors[0].statements] == [("object",), ("object",)]
 
 
-def about(entry: str, sensor: str = "topic: t") -> str:
+def sensing_of(entry: str, sensor: str = "topic: t") -> str:
     return f"sensors: [{{{sensor}, facts: [{entry}]}}]"
 
 

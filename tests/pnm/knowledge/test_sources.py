@@ -11,13 +11,9 @@ from hypothesis import strategies as st
 
 from pnm.core.logic.computed_values import MISSING, Layer, Question
 from pnm.errors import InputError
-from pnm.knowledge.sources import (
-    Asker,
-    SourceError,
-    Sources,
-)
+from pnm.knowledge.sources import Asker, SourceError, Sources
 from pnm.knowledge.sources.memory import MemoryKnowledge, read_value, write_value
-from tests.support.people import DelayedSource, about, run
+from tests.support.people import DelayedSource, about, run_questions
 
 ME = Asker(UUID(int=7), "tour")
 JSON = st.recursive(
@@ -33,7 +29,7 @@ JSON = st.recursive(
 @pytest.mark.parametrize("layer", [Layer.GLOBAL, Layer.ALL])
 def test_knowledge_bases_are_asked_in_order(layer: Layer) -> None:
     sources = Sources([DelayedSource({"a": 1}), DelayedSource({"a": 2, "b": None, "c": False})])
-    found = [run(sources.query(about(name, layer), ME)) for name in "abcd"]
+    found = [run_questions(sources.query(about(name, layer), ME)) for name in "abcd"]
     assert found == [1, MISSING, False, MISSING]
 
 
@@ -41,23 +37,23 @@ def test_knowledge_bases_are_asked_in_order(layer: Layer) -> None:
 def test_people_are_asked_and_told_what_is_for_them(question: Question) -> None:
     person, shared = DelayedSource({question.name: "bakery"}), DelayedSource({question.name: "wrong"})
     sources = Sources([shared], person)
-    assert run(sources.query(question, ME)) == "bakery"
-    run(sources.update(question, "done", ME))
+    assert run_questions(sources.query(question, ME)) == "bakery"
+    run_questions(sources.update(question, "done", ME))
     assert (person.updates, shared.updates) == ([(question.name, "done")], [])
 
 
 def test_a_local_variable_called_user_is_no_person() -> None:
-    assert run(Sources([DelayedSource({"USER": 1})], DelayedSource()).query(about("USER", Layer.LOCAL), ME)) == 1
+    assert run_questions(Sources([DelayedSource({"USER": 1})], DelayedSource()).query(about("USER", Layer.LOCAL), ME)) == 1
 
 
 def test_an_update_goes_where_the_next_query_finds_it() -> None:
     first, second = MemoryKnowledge(), DelayedSource({"a": "old"})
     sources = Sources([first, second])
-    run(sources.update(about("a"), "new", ME))
-    assert run(sources.query(about("a"), ME)) == "new"
+    run_questions(sources.update(about("a"), "new", ME))
+    assert run_questions(sources.query(about("a"), ME)) == "new"
     assert second.updates == []
-    run(sources.update(about("a"), None, ME))
-    assert run(first.query(about("a"), ME)) is MISSING
+    run_questions(sources.update(about("a"), None, ME))
+    assert run_questions(first.query(about("a"), ME)) is MISSING
 
 
 @pytest.mark.parametrize(
@@ -71,25 +67,25 @@ def test_an_update_goes_where_the_next_query_finds_it() -> None:
 )
 def test_nobody_and_too_late_are_errors(sources: Sources, question: Question, said: str) -> None:
     with pytest.raises(SourceError, match=said):
-        run(sources.query(question, ME))
+        run_questions(sources.query(question, ME))
     with pytest.raises(SourceError, match=said):
-        run(sources.update(question, 1, ME))
+        run_questions(sources.update(question, 1, ME))
 
 
 def test_storing_without_a_knowledge_base_is_an_error() -> None:
     with pytest.raises(SourceError, match=r"no knowledge base to store global\[a\]"):
-        run(Sources().update(about("a"), 1, ME))
+        run_questions(Sources().update(about("a"), 1, ME))
 
 
 @pytest.mark.parametrize("error", [SourceError("the disk is full"), TimeoutError("the disk is full"), InputError("the disk is full")])
 def test_a_failing_source_is_not_passed_over(error: Exception) -> None:
     with pytest.raises(SourceError, match="the disk is full"):
-        run(Sources([DelayedSource(error=error), DelayedSource({"a": 1})]).query(about("a"), ME))
+        run_questions(Sources([DelayedSource(error=error), DelayedSource({"a": 1})]).query(about("a"), ME))
 
 
 def test_closing_closes_all_whatever_becomes_of_one(caplog: pytest.LogCaptureFixture) -> None:
     last = DelayedSource()
-    run(Sources([DelayedSource(error=OSError("gone"))], last).close())
+    run_questions(Sources([DelayedSource(error=OSError("gone"))], last).close())
     assert last.closed
     assert "<DelayedSource> cannot be closed: gone" in caplog.text
 
@@ -112,7 +108,7 @@ def test_a_question_that_is_withdrawn_is_cancelled() -> None:
         with pytest.raises(asyncio.CancelledError):
             await asking
 
-    run(main())
+    run_questions(main())
     assert seen == ["a"]
 
 

@@ -12,13 +12,10 @@ from uuid import UUID
 import pytest
 
 from pnm.core.logic.computed_values import MISSING
-from pnm.knowledge.sources import (
-    Asker,
-    SourceError,
-)
+from pnm.knowledge.sources import Asker, SourceError
 from pnm.knowledge.sources import sqlite as sqlite_source
 from pnm.knowledge.sources.sqlite import SqliteKnowledge, default_path
-from tests.support.people import about, run
+from tests.support.people import about, run_questions
 
 ME = Asker(UUID(int=7), "tour")
 
@@ -28,7 +25,7 @@ async def stored(knowledge: SqliteKnowledge, **values: object) -> None:
         await knowledge.update(about(name), value, ME)
 
 
-async def read(path: Path, *names: str) -> list[object]:
+async def values_in(path: Path, *names: str) -> list[object]:
     knowledge = SqliteKnowledge(path)
     try:
         return [await knowledge.query(about(name), ME) for name in names]
@@ -49,8 +46,8 @@ def test_what_is_stored_is_there_later(tmp_path: Path) -> None:
         with pytest.raises(SourceError, match="is closed"):
             await knowledge.query(about("a"), ME)
 
-    run(main())
-    assert run(read(file, "a", "b", "c", "d", "e")) == [2, {"x": [None, "ü"]}, False, MISSING, MISSING]
+    run_questions(main())
+    assert run_questions(values_in(file, "a", "b", "c", "d", "e")) == [2, {"x": [None, "ü"]}, False, MISSING, MISSING]
 
 
 def corrupt(path: Path) -> None:
@@ -59,7 +56,7 @@ def corrupt(path: Path) -> None:
 
 def torn(path: Path) -> None:
     """A file of ours whose pages were overwritten."""
-    run(fill(path))
+    run_questions(fill(path))
     whole = path.read_bytes()
     path.write_bytes(whole[:4096] + b"\xff" * (len(whole) - 4096))
 
@@ -70,14 +67,14 @@ async def fill(path: Path) -> None:
     await knowledge.close()
 
 
-def foreign(path: Path) -> None:
+def foreign_database(path: Path) -> None:
     with sqlite3.connect(path) as connection:
         connection.execute("CREATE TABLE variables (name TEXT)")
     connection.close()
 
 
 def later(path: Path) -> None:
-    run(fill(path))
+    run_questions(fill(path))
     with sqlite3.connect(path) as connection:
         connection.execute("PRAGMA user_version = 2")
     connection.close()
@@ -88,7 +85,7 @@ def later(path: Path) -> None:
     [
         (corrupt, "file is not a database"),
         (torn, "malformed"),
-        (foreign, "a database of something else"),
+        (foreign_database, "a database of something else"),
         (later, "a later version of this program"),
         (Path.mkdir, "unable to open database file"),
     ],
@@ -98,14 +95,14 @@ def test_a_file_that_is_no_knowledge_is_an_error_and_left_as_it_is(tmp_path: Pat
     spoil(file)
     before = file.read_bytes() if file.is_file() else b""
     with pytest.raises(SourceError, match=f"the knowledge in {file} cannot be used: .*{said}"):
-        run(read(file, "name19"))
+        run_questions(values_in(file, "name19"))
     assert (file.read_bytes() if file.is_file() else b"") == before
 
 
 def test_a_folder_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(SourceError, match=r"cannot be used: .*file"):
-        run(read(tmp_path / "file" / "kb.sqlite", "a"))
+        run_questions(values_in(tmp_path / "file" / "kb.sqlite", "a"))
 
 
 def test_after_an_error_the_file_is_tried_again(tmp_path: Path) -> None:
@@ -122,13 +119,13 @@ def test_after_an_error_the_file_is_tried_again(tmp_path: Path) -> None:
         await knowledge.close()
         return found
 
-    assert run(main()) == 1
+    assert run_questions(main()) == 1
 
 
 def test_a_file_that_somebody_keeps_locked_is_an_error_in_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sqlite_source, "LIMIT", 0.2)
     file = tmp_path / "kb.sqlite"
-    run(fill(file))
+    run_questions(fill(file))
     holder = sqlite3.connect(file, isolation_level=None)
     holder.execute("BEGIN EXCLUSIVE")
 
@@ -139,7 +136,7 @@ def test_a_file_that_somebody_keeps_locked_is_an_error_in_time(tmp_path: Path, m
             await stored(knowledge, a=1)
         await knowledge.close()
 
-    run(main())
+    run_questions(main())
     holder.close()
 
 
@@ -154,7 +151,7 @@ def test_a_file_that_another_process_is_just_making_is_waited_for(tmp_path: Path
         other.execute("ROLLBACK")
 
     monkeypatch.setattr(sqlite_source, "sleep", pause)
-    assert run(read(file, "a")) == [MISSING]
+    assert run_questions(values_in(file, "a")) == [MISSING]
     assert len(waited) == 1
     other.close()
 
@@ -166,7 +163,7 @@ def test_names_that_cannot_be_written_are_an_error(tmp_path: Path) -> None:
             await knowledge.update(about("\ud800"), 1, ME)
         await knowledge.close()
 
-    run(main())
+    run_questions(main())
 
 
 WRITER = """
@@ -206,7 +203,7 @@ def test_what_was_acknowledged_survives_sigkill(tmp_path: Path, count: int) -> N
     process.kill()
     rest, _ = process.communicate(timeout=30.0)
     acknowledged = count + len([line for line in rest.splitlines(keepends=True) if line.endswith("\n")])
-    assert run(read(file, *(f"a{number}" for number in range(acknowledged)))) == list(range(acknowledged))
+    assert run_questions(values_in(file, *(f"a{number}" for number in range(acknowledged)))) == list(range(acknowledged))
 
 
 def test_processes_write_at_the_same_time_to_a_file_that_is_not_there_yet(tmp_path: Path) -> None:
@@ -216,7 +213,7 @@ def test_processes_write_at_the_same_time_to_a_file_that_is_not_there_yet(tmp_pa
         process.communicate(timeout=60.0)
         assert process.returncode == 0
     names = [f"{name}{number}" for name in "abcd" for number in range(20)]
-    assert run(read(file, *names)) == [number for _ in "abcd" for number in range(20)]
+    assert run_questions(values_in(file, *names)) == [number for _ in "abcd" for number in range(20)]
 
 
 def test_where_knowledge_is_kept_by_default(monkeypatch: pytest.MonkeyPatch) -> None:

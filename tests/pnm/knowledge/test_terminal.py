@@ -10,14 +10,10 @@ from uuid import UUID
 import pytest
 
 from pnm.core.logic.computed_values import MISSING, Layer, Question
-from pnm.knowledge.sources import (
-    Asker,
-    SourceError,
-    Sources,
-)
+from pnm.knowledge.sources import Asker, SourceError, Sources
 from pnm.knowledge.sources.person_text import message_text, printable, question_text, read_answer
 from pnm.knowledge.sources.terminal import TerminalSource
-from tests.support.people import TerminalUser, about, run
+from tests.support.people import TerminalUser, about, run_questions
 
 ME = Asker(UUID(int=7), "tour")
 
@@ -88,7 +84,7 @@ def test_a_question_at_the_terminal(person: TerminalUser) -> None:
             found.append(await asking)
         return found
 
-    assert run(main(), virtual=False) == ["bakery", 5, [1], MISSING]
+    assert run_questions(main(), virtual=False) == ["bakery", 5, [1], MISSING]
 
 
 def test_a_slip_of_the_pen_is_asked_for_once_more(person: TerminalUser) -> None:
@@ -101,7 +97,7 @@ def test_a_slip_of_the_pen_is_asked_for_once_more(person: TerminalUser) -> None:
         person.types('["a"]\n')
         return await asking
 
-    assert run(main(), virtual=False) == ["a"]
+    assert run_questions(main(), virtual=False) == ["a"]
 
 
 def test_questions_queue_and_say_who_asks(person: TerminalUser) -> None:
@@ -118,7 +114,7 @@ def test_questions_queue_and_say_who_asks(person: TerminalUser) -> None:
         await person.sees("Bye!")
         return [await one, await two, await told]
 
-    assert run(main(), virtual=False) == [1, 2, None]
+    assert run_questions(main(), virtual=False) == [1, 2, None]
 
 
 def test_a_withdrawn_question_makes_place_and_its_late_answer_is_not_taken(person: TerminalUser) -> None:
@@ -136,7 +132,7 @@ def test_a_withdrawn_question_makes_place_and_its_late_answer_is_not_taken(perso
         person.types("good\n")
         return await two
 
-    assert run(main(), virtual=False) == "good"
+    assert run_questions(main(), virtual=False) == "good"
 
 
 @pytest.mark.parametrize("virtual", [True, False])
@@ -146,7 +142,7 @@ def test_nobody_answers_at_the_terminal(person: TerminalUser, virtual: bool) -> 
             await TerminalSource(person.answers, person.shown, limit=0.2).query(about("a", Layer.PERSON), ME)
         await person.sees("(no longer asked)")
 
-    run(main(), virtual=virtual)
+    run_questions(main(), virtual=virtual)
 
 
 def test_thinking_takes_no_virtual_time(person: TerminalUser) -> None:
@@ -156,7 +152,7 @@ def test_thinking_takes_no_virtual_time(person: TerminalUser) -> None:
         person.types("x\n")
         return await asking, asyncio.get_running_loop().time()
 
-    assert run(main()) == ("x", 0.0)
+    assert run_questions(main()) == ("x", 0.0)
 
 
 def test_the_terminal_is_closed_while_somebody_thinks(person: TerminalUser) -> None:
@@ -167,7 +163,7 @@ def test_the_terminal_is_closed_while_somebody_thinks(person: TerminalUser) -> N
         with pytest.raises(SourceError, match="the terminal was closed"):
             await asking
 
-    run(main(), virtual=False)
+    run_questions(main(), virtual=False)
 
 
 NO_TERMINAL = """

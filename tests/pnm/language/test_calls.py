@@ -17,13 +17,13 @@ from pnm.core.machine.verification.verify import verify
 from pnm.errors import InputError
 from tests.support.files import refused
 from tests.support.yaml.formulas import q
-from tests.support.yaml.plan_reading import ACTIONS, Read, call, orderings
+from tests.support.yaml.plan_reading import ACTIONS, Read, call_of, orderings
 
 BAD_INPUT = Path(__file__).with_name("refused")
 
 
 def test_what_is_given_goes_into_conditions_and_effects(read: Read) -> None:
-    action = call(read(f"{ACTIONS}plan: [go: {{r: r1, to: hall}}]\n")).action
+    action = call_of(read(f"{ACTIONS}plan: [go: {{r: r1, to: hall}}]\n")).action
     assert (action.parameters, action.arguments) == (("r", "to"), ("r1", "hall"))
     assert action.precondition == Holds(("free", "r1"))
     assert action.end_effects == (Set(("at", "r1", "hall"), Constant(True)),)
@@ -31,14 +31,14 @@ def test_what_is_given_goes_into_conditions_and_effects(read: Read) -> None:
 
 
 def test_what_is_not_given_stays_open(read: Read) -> None:
-    action = call(read(f"{ACTIONS}plan: [go: {{to: {{Query: goal}}}}]\n")).action
+    action = call_of(read(f"{ACTIONS}plan: [go: {{to: {{Query: goal}}}}]\n")).action
     assert action.arguments == ("?r", "?to")
     assert action.given == (("to", q("goal", Layer.ALL)),)
     assert action.precondition == Holds(("free", "?r"))
 
 
 def test_without_declared_parameters_a_step_gives_what_it_likes(read: Read) -> None:
-    action = call(read(f"{ACTIONS}plan: [any: {{x: 1, y: [2], z: {{a: {{Query: b}}}}}}]\n")).action
+    action = call_of(read(f"{ACTIONS}plan: [any: {{x: 1, y: [2], z: {{a: {{Query: b}}}}}}]\n")).action
     assert (action.parameters, action.arguments) == (("x", "y", "z"), ("1", "?y", "?z"))
 
 
@@ -57,7 +57,7 @@ actions:
 plan: [fill: {t: tank, by: 2.5, unit: litre}]
 """
     )
-    action = call(plan).action
+    action = call_of(plan).action
     assert action.arguments == ("tank", "2.5", "litre")
     assert action.precondition.operands[0] == Compare("=", ValueOf(("level", "tank")), Constant(2.5))  # type: ignore[union-attr]
     assert str(action.precondition.operands[1]) == "lt(all[x], 2.5)"  # type: ignore[union-attr]
@@ -81,11 +81,11 @@ plan: [move: {a: x, b: y}, move: {a: y, b: x}, rest: , nod: ]
 """
     plan = read(text)
     assert [one.action.duration for one in plan.graph.calls] == [5.0, None, None, 3.0]
-    assert call(plan).action.end_effects == (Set(("time",), Constant(5.0), "increase"),)
+    assert call_of(plan).action.end_effects == (Set(("time",), Constant(5.0), "increase"),)
 
 
 def test_a_text_that_looks_like_a_parameter_is_not_put_into_facts(read: Read) -> None:
-    action = call(read("actions: {a: {params: [x], preconditions: '(p ?x)'}}\nplan: [a: {x: {Literal: '?y'}}]\n")).action
+    action = call_of(read("actions: {a: {params: [x], preconditions: '(p ?x)'}}\nplan: [a: {x: {Literal: '?y'}}]\n")).action
     assert (action.arguments, action.precondition) == (("?x",), Holds(("p", "?x")))
 
 
@@ -94,7 +94,7 @@ def test_actions_on_knowledge_have_the_parameters_they_use(read: Read) -> None:
         f"{ACTIONS}plan: [set: {{operation: {{LocalUpdate: [a, 1]}}}}, set: {{operation: {{LocalUpdate: [a, '?value']}}, unused: 3}}]\n"
     )
     assert [one.action.parameters for one in plan.graph.calls] == [(), ("value", "unused")]
-    assert call(plan).action.given == ()
+    assert call_of(plan).action.given == ()
     assert [one.recoveries for one in plan.graph.calls] == [(), ()]
 
 
@@ -193,12 +193,7 @@ def test_starts_ends_and_times_are_waited_for(read: Read) -> None:
     )
     start, end = Moment.START, Moment.END
     told = [((one.before.call, one.before.moment), (one.after.call, one.after.moment), one.delay) for one in plan.graph.orderings]
-    assert told == [
-        ((1, end), (0, end), 0.0),
-        ((2, start), (0, end), 0.0),
-        ((0, start), (1, start), 0.0),
-        ((1, end), (2, start), 2.5),
-    ]
+    assert told == [((1, end), (0, end), 0.0), ((2, start), (0, end), 0.0), ((0, start), (1, start), 0.0), ((1, end), (2, start), 2.5)]
     assert [(call.release, call.deadline, bool(call.recoveries)) for call in plan.graph.calls] == [
         (0.0, inf, False),
         (3.0, 60.0, True),
@@ -209,10 +204,7 @@ def test_starts_ends_and_times_are_waited_for(read: Read) -> None:
 
 @pytest.mark.parametrize(
     ("steps", "message"),
-    [
-        *refused(BAD_INPUT / "orderings.yaml"),
-        ("{go: , id: a, end_after: [b]}, {go: , id: b, after: [a]}", "steps wait for each other: "),
-    ],
+    [*refused(BAD_INPUT / "orderings.yaml"), ("{go: , id: a, end_after: [b]}, {go: , id: b, after: [a]}", "steps wait for each other: ")],
 )
 def test_what_cannot_be_waited_for(read: Read, steps: str, message: str) -> None:
     with pytest.raises(InputError) as raised:

@@ -184,3 +184,22 @@ def test_no_condition_is_one_that_always_holds(read: Read) -> None:
     action = read("actions: {a: {preconditions: , effects: {}}}").actions["a"].schema
     assert (action.precondition, action.expected, action.end_effects) == (TRUE, TRUE, ())
     assert read("actions: {a: {preconditions: {or: []}}}").actions["a"].schema.precondition == Any(())
+
+
+@pytest.mark.parametrize(
+    ("part", "where"),
+    [
+        ("preconditions: {forall: {variables: '?x ?y ?z - t', condition: '(p ?x ?y ?z)'}}", ":3:23"),
+        ("effects: {forall: {variables: '?x ?y - t', effects: {forall: {variables: '?z - t', effects: '(p ?x ?y ?z)'}}}}", ":3:17"),
+        ("effects: [{when: {condition: {exists: {variables: '?x ?y ?z - t', condition: '(p ?x ?y ?z)'}}, effects: '(q)'}}]", ":3:37"),
+    ],
+)
+def test_quantifiers_over_too_many_choices_are_refused_where_they_stand(read: Read, tmp_path: Path, part: str, where: str) -> None:
+    for count, is_refused in ((20, False), (50, True)):
+        text = f"types: t\nactions:\n  a: {{{part}}}\nproblem: {{objects: {' '.join(f'o{number}' for number in range(count))} - t}}\n"
+        if not is_refused:
+            assert "a" in read(text).actions
+            continue
+        with pytest.raises(InputError, match="the quantifiers range over 125000 choices of objects; expected 50000 at most") as caught:
+            read(text)
+        assert str(caught.value).removeprefix(str(tmp_path / "domain.yaml")).startswith(where), str(caught.value)

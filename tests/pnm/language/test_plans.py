@@ -110,10 +110,7 @@ def test_the_goal_is_that_of_the_problem_if_the_plan_has_none(read: Read) -> Non
     assert read("actions: {}\nplan: []\n").goal == TRUE
 
 
-USUAL = (
-    Recovery(frozenset({Cause.CANCELED}), Then.CONTINUE, EMPTY),
-    Recovery(frozenset({Cause.EFFECTS_MISSING}), Then.RETRY, EMPTY, 3),
-)
+USUAL = (Recovery(frozenset({Cause.CANCELED}), Then.CONTINUE, EMPTY), Recovery(frozenset({Cause.EFFECTS_MISSING}), Then.RETRY, EMPTY, 3))
 
 
 # --- recoveries ---
@@ -239,3 +236,14 @@ def test_the_depth_of_recoveries_is_bounded(read: Read) -> None:
 def test_a_file_without_plans_is_refused(read: Read) -> None:
     with pytest.raises(InputError, match=r":1:1: there is no plan in the file; expected the key 'plan'"):
         read("actions: {}\n")
+
+
+TOO_LONG = (f"domain: {'a' * 300}.yaml\nplan: []", f"1:9: there is no file '{'a' * 200}' beside this one")
+
+
+@pytest.mark.parametrize(("text", "message"), [*refused(BAD_INPUT / "servers.yaml"), TOO_LONG])
+def test_names_that_there_cannot_be_are_refused_where_they_stand(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "plan.yaml").write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_plans(tmp_path / "plan.yaml")
+    assert str(caught.value) == f"{tmp_path / 'plan.yaml'}:{message.strip()}"

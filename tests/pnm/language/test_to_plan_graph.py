@@ -109,21 +109,21 @@ def as_steps(tree: Tree) -> object:
             return {kind: steps}
 
 
-def calls(tree: Tree) -> Iterator[str]:
+def names_in(tree: Tree) -> Iterator[str]:
     match tree:
         case Call(name):
             yield name
         case Repeat(body):
-            yield from calls(body)
+            yield from names_in(body)
         case Either(then, otherwise):
-            yield from (*calls(then), *calls(otherwise))
+            yield from (*names_in(then), *names_in(otherwise))
         case Block(_, parts):
             for part in parts:
-                yield from calls(part)
+                yield from names_in(part)
 
 
-def plan_of(tree: Tree) -> HandWrittenPlan:
-    actions = dict.fromkeys(calls(tree))
+def plan_from(tree: Tree) -> HandWrittenPlan:
+    actions = dict.fromkeys(names_in(tree))
     return parse_plans(yaml.safe_dump({"actions": actions, "plan": [as_steps(tree)]}, sort_keys=False))["plan"]
 
 
@@ -171,27 +171,27 @@ def holding(parts: st.SearchStrategy[Tree]) -> st.SearchStrategy[Tree]:
     )
 
 
-def named(tree: Tree, numbers: Iterator[int]) -> Tree:
+def numbered(tree: Tree, numbers: Iterator[int]) -> Tree:
     """Give every call a name of its own, in the order of the file."""
     match tree:
         case Call():
             return Call(f"a{next(numbers)}")
         case Repeat(body):
-            return Repeat(named(body, numbers))
+            return Repeat(numbered(body, numbers))
         case Either(then, otherwise):
-            return Either(named(then, numbers), named(otherwise, numbers))
+            return Either(numbered(then, numbers), numbered(otherwise, numbers))
         case Block(kind, parts, waits):
-            return Block(kind, tuple(named(part, numbers) for part in parts), waits)
+            return Block(kind, tuple(numbered(part, numbers) for part in parts), waits)
 
 
-trees = st.recursive(st.just(Call("")), holding, max_leaves=20).map(lambda tree: named(tree, count()))
+trees = st.recursive(st.just(Call("")), holding, max_leaves=20).map(lambda tree: numbered(tree, count()))
 
 
 @given(trees)
 @settings(max_examples=300, deadline=None)
 def test_what_comes_before_what_is_what_the_nesting_says(tree: Tree) -> None:
-    graph = plan_of(tree).graph
-    assert [call.action.name for call in graph.calls] == list(calls(tree))
+    graph = plan_from(tree).graph
+    assert [call.action.name for call in graph.calls] == list(names_in(tree))
     found = [graph.flow, *inner_flows(graph.flow)]
     expected = [tree, *holders(tree)]
     assert len(found) == len(expected)
@@ -203,7 +203,7 @@ def test_what_comes_before_what_is_what_the_nesting_says(tree: Tree) -> None:
 @given(trees)
 @settings(max_examples=100, deadline=None)
 def test_every_ordering_is_said_once(tree: Tree) -> None:
-    graph = plan_of(tree).graph
+    graph = plan_from(tree).graph
     for flow in (graph.flow, *inner_flows(graph.flow)):
         assert len({(one.before.call, one.after.call) for one in flow.orderings}) == len(flow.orderings)
 
@@ -211,13 +211,13 @@ def test_every_ordering_is_said_once(tree: Tree) -> None:
 @given(trees)
 @settings(max_examples=50, deadline=None)
 def test_every_tree_becomes_a_machine(tree: Tree) -> None:
-    plan = plan_of(tree)
+    plan = plan_from(tree)
     assert generate(plan.graph, plan.bindings).plan is plan.graph
 
 
 def test_wide_blocks_after_each_other_have_few_orderings() -> None:
     wide = Block("concurrent_actions", tuple(Call(f"a{number}") for number in range(50)))
-    flow = plan_of(Block("sequence", (wide, wide, wide))).graph.flow
+    flow = plan_from(Block("sequence", (wide, wide, wide))).graph.flow
     assert len(flow.orderings) == 200
     assert sum(isinstance(step, Junction) for step in flow.steps) == 2
 
@@ -226,4 +226,4 @@ def test_the_oracle_sees_what_is_ordered() -> None:
     """Guards the test above: an order that is said the other way round, through an empty part, is seen by both sides."""
     tree = Block("sequence", (Call("a0"), Block("sequence", ()), Call("a1")), ((1,), (2,), ()))
     assert before(tree) == {(1, 0)}
-    assert in_flow(plan_of(tree).graph.flow) == {(1, 0)}
+    assert in_flow(plan_from(tree).graph.flow) == {(1, 0)}

@@ -38,7 +38,7 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
 
 
-class Server:
+class ServerProcess:
     """An action server in another process."""
 
     def __init__(self, *arguments: str) -> None:
@@ -87,7 +87,7 @@ class Sent:
                     return report.outcome
 
 
-class Client:
+class RecordingClient:
     """A client with one binding per action name, and the requests sent through it."""
 
     def __init__(self, ros: RosThread, **bindings: Binding) -> None:
@@ -117,12 +117,12 @@ def names() -> Callable[[], str]:
 
 
 @pytest.fixture
-def start() -> Iterator[Callable[..., Server]]:
+def start() -> Iterator[Callable[..., ServerProcess]]:
     """Start servers that end with the test."""
-    servers: list[Server] = []
+    servers: list[ServerProcess] = []
 
-    def begin(*arguments: str) -> Server:
-        servers.append(Server(*arguments))
+    def begin(*arguments: str) -> ServerProcess:
+        servers.append(ServerProcess(*arguments))
         return servers[-1]
 
     yield begin
@@ -148,12 +148,12 @@ def begin() -> Iterator[Callable[..., ChildProcess]]:
 def shared(names: Callable[[], str]) -> Iterator[str]:
     """Return the name of a server for all tests that do it no harm."""
     name = names()
-    server = Server(name)
+    server = ServerProcess(name)
     yield name
     server.kill()
 
 
-Scenario = Callable[[Client], Coroutine[Any, Any, None]]
+Scenario = Callable[[RecordingClient], Coroutine[Any, Any, None]]
 
 
 @pytest.fixture
@@ -162,7 +162,7 @@ def with_client(ros: RosThread) -> Callable[..., None]:
 
     def run(scenario: Scenario, limit: float = LIMIT, **bindings: Binding) -> None:
         async def whole() -> None:
-            client = Client(ros, **bindings)
+            client = RecordingClient(ros, **bindings)
             try:
                 await asyncio.wait_for(scenario(client), limit)
             finally:

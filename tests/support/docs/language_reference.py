@@ -41,17 +41,17 @@ class Shown:
         return re.fullmatch(pattern, f"\n{printed}") is not None
 
 
-def blocks(kind: str, page: str) -> list[tuple[str, str]]:
+def blocks_of(kind: str, page: str) -> list[tuple[str, str]]:
     """Return the blocks of a kind: what stands behind it, and what is in them."""
     return [(found["name"], found["body"]) for found in BLOCK.finditer(page) if found["kind"] == kind]
 
 
 def example_files(page: str) -> dict[str, str]:
     """Return the files that the page shows, by name."""
-    return {name: body for name, body in blocks("yaml", page) if name.endswith(".yaml")}
+    return {name: body for name, body in blocks_of("yaml", page) if name.endswith(".yaml")}
 
 
-def shown(body: str) -> Shown:
+def command_shown(body: str) -> Shown:
     """Return the command of a block and what it prints."""
     first, _, rest = body.partition("\n")
     return Shown(first.removeprefix("$ "), rest)
@@ -94,7 +94,7 @@ def main() -> None:
         def real(found: re.Match[str]) -> str:
             if found["kind"] == "yaml":
                 return found[0]
-            one = shown(found["body"])
+            one = command_shown(found["body"])
             return f"```console\n$ {one.command}\n{abridged(one.printed())}```"
 
         PAGE.write_text(BLOCK.sub(real, page), encoding="utf-8")

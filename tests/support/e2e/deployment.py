@@ -53,10 +53,10 @@ class Finished:
         return [event["outcome"] for event in self.events if event["event"] == "end" and event["action"].startswith(f"{action}(")]
 
 
-class Simulation(Program):
+class SimulationProgram(Program):
     """`pnm simulate`, which logs what truly happens to its standard output."""
 
-    def ready(self) -> Simulation:
+    def ready(self) -> SimulationProgram:
         """Wait until its servers are up."""
         self.until(lambda: any(line.startswith("ready") for line in self.out))
         return self
@@ -76,7 +76,7 @@ class Simulation(Program):
         self.until(lambda: [one for one in self.objects() if one["event"] == event and one["action"].startswith(f"{action}(")][times - 1 :])
 
 
-class Run(Program):
+class RunProgram(Program):
     """`pnm run --json`."""
 
     def result(self, limit: float = LIMIT) -> tuple[int, dict[str, Any]]:
@@ -159,22 +159,22 @@ class ProblemDeployment(RosDomain):
         """The problem as it is at first."""
         return load(Path(self.files[0]), Path(self.files[1]))
 
-    def simulate(self) -> Simulation:
+    def simulate(self) -> SimulationProgram:
         """Start the robots."""
         options = [*self._bindings, *self._faults, *self._speed, "--log", "/dev/stdout"]
-        return self.start(Simulation(["-m", "planner_bridge", "simulate", *self.files, *options], self.environment))
+        return self.start(SimulationProgram(["-m", "planner_bridge", "simulate", *self.files, *options], self.environment))
 
-    def run(self, *options: str, within: Sequence[str] = ()) -> Run:
+    def run(self, *options: str, within: Sequence[str] = ()) -> RunProgram:
         """Start a run, by the command it is within if any."""
         options = ("--actions", "ros2", "--json", *self._bindings, *options)
-        return self.start(Run(["-m", "planner_bridge", "run", *self.files, *options], self.environment, within))
+        return self.start(RunProgram(["-m", "planner_bridge", "run", *self.files, *options], self.environment, within))
 
     def execute(self, *options: str) -> Finished:
         """Start the robots and a run, and wait for its end; the verdict must be true."""
         simulation = self.simulate().ready()
         return self.finish(self.run(*options), simulation)
 
-    def finish(self, run: Run, simulation: Simulation, limit: float = LIMIT) -> Finished:
+    def finish(self, run: RunProgram, simulation: SimulationProgram, limit: float = LIMIT) -> Finished:
         """Wait for the end of the run and stop the robots; the verdict must be what is true in their world."""
         status, result = run.result(limit)
         simulation.stop()
@@ -183,7 +183,7 @@ class ProblemDeployment(RosDomain):
         assert status == (0 if result["goal_reached"] else 1)
         return Finished(status, result, simulation.objects(), truth)
 
-    def truth(self, simulation: Simulation) -> KnowledgeBase:
+    def truth(self, simulation: SimulationProgram) -> KnowledgeBase:
         """Return the world that is left: the initial state and all changes in the log."""
         world = initial_knowledge(self.problem)
         for event in simulation.objects():

@@ -48,7 +48,7 @@ class Workers(Program):
         )
 
 
-class Client(Program):
+class ClientProgram(Program):
     """A client of a plan's action server; prints what it hears, a JSON object per line."""
 
     def hears(self, event: str, **fields: Any) -> dict[str, Any]:
@@ -91,10 +91,10 @@ class PlanDeployment(RosDomain):
         """Start action servers."""
         return self.start(Workers(["-m", f"tests.support.e2e.programs.{script}", *servers], self.environment))
 
-    def client(self, plan: str, *parameters: Mapping[str, Any] | str, cancel_on: str = "") -> Client:
+    def client(self, plan: str, *parameters: Mapping[str, Any] | str, cancel_on: str = "") -> ClientProgram:
         """Start a client that sends a goal for each of the parameters."""
         texts = [one if isinstance(one, str) else json.dumps(one) for one in parameters or ("",)]
-        return self.start(Client(["-m", "tests.support.e2e.programs.plan_client", plan, cancel_on, *texts], self.environment))
+        return self.start(ClientProgram(["-m", "tests.support.e2e.programs.plan_client", plan, cancel_on, *texts], self.environment))
 
     def cancel_all(self, server: str) -> None:
         """Have somebody cancel all goals of an action server."""

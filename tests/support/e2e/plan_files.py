@@ -14,8 +14,6 @@ DOMAIN = """
 actions:
   wait: {params: [time], timeout: 600}
   broken: {params: [value]}
-  fragile: {params: [time], server: fragile/wait, timeout: 600}
-  nobody: {params: [value], ros_type: pnm_interfaces/action/EstimateTime}
   dummy_server: {type: rpn_action, params: [value], store: {time: result}, effects: {and: {Exists: [LocalQuery: result]}}}
   add_one: {params: [value], store: {time: result}, preconditions: {and: [Exists: [LocalQuery: value]]}}
   remember: {type: rpn_action, params: [value]}
@@ -38,10 +36,6 @@ count:
           - know: {operation: {LocalUpdate: [value, {LocalQuery: result}]}}
 empty:
   plan: []
-fails:
-  plan:
-    - broken: {value: 1}
-    - wait: {time: 77}
 forks:
   plan:
     - concurrent_actions:
@@ -76,9 +70,6 @@ alarmed:
     - concurrent_actions:
         - watched_wait: {time: 3002}
         - alarm: {value: 1}
-misses:
-  plan:
-    - nobody: {value: 1}
 calls:
   params: [shop]
   results: [told]
@@ -90,13 +81,6 @@ called:
   plan:
     - know: {operation: {LocalUpdate: [told, {LocalQuery: place}]}}
     - wait: {}
-breaks:
-  plan:
-    - fragile: {time: 3004}
-limited:
-  timeout: 0.5
-  plan:
-    - wait: {time: 3005}
 """
 
 

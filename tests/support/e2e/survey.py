@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from tests.support.e2e.deployment import P, Run, Simulation
+from tests.support.e2e.deployment import P, RunProgram, SimulationProgram
 from tests.support.e2e.hosts import DDS, Lan
 from tests.support.e2e.plan_deployment import Serving
 from tests.support.files import written
@@ -89,20 +89,20 @@ class Survey:
         robots, init = (" ".join(ROBOTS[kind][part] for kind in kinds) for part in (0, 1))
         return str(written(self._folder / f"{name}.pddl", PROBLEM.format(robots=robots, init=init, goal=goal)))
 
-    def robot(self, kind: str, faults: str = "faults: []") -> Simulation:
+    def robot(self, kind: str, faults: str = "faults: []") -> SimulationProgram:
         """Start the robot of this kind on its host; its world has no other, and its sensors see only where it is."""
         unseen = [name for other, name in SENSED.items() if other != kind]
         files = [self._domain, self._problem(kind, [kind], "(and)")]
         bindings = str(written(self._folder / f"{kind}.yaml", BINDINGS.format(assumed=", ".join((*unseen, "surveyed")))))
         options = ["--bindings", bindings, "--faults", str(written(self._folder / f"{kind}_faults.yaml", faults))]
         arguments = ("planner_bridge", "simulate", *files, *options, "--speed", self._speed, "--log", "/dev/stdout")
-        return self._started(Simulation, kind, *arguments)
+        return self._started(SimulationProgram, kind, *arguments)
 
-    def run(self, goal: str, *, kinds: Sequence[str] = ("rover", "drone")) -> Run:
+    def run(self, goal: str, *, kinds: Sequence[str] = ("rover", "drone")) -> RunProgram:
         """Start a run on the rover's host."""
         files = [self._domain, self._problem("run", kinds, goal)]
         bindings = str(written(self._folder / "run.yaml", BINDINGS.format(assumed="surveyed")))
-        return self._started(Run, "rover", "planner_bridge", "run", *files, "--bindings", bindings, "--actions", "ros2", "--json")
+        return self._started(RunProgram, "rover", "planner_bridge", "run", *files, "--bindings", bindings, "--actions", "ros2", "--json")
 
     def run_plan(self, text: str) -> Program:
         """Start a plan that was written by hand on the rover's host."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.support.e2e.plan_deployment import Client, PlanDeployment, Serving
+from tests.support.e2e.plan_deployment import ClientProgram, PlanDeployment, Serving
 from tests.support.files import ROOT
 
 DOMAIN, PROBLEM = str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl")
@@ -15,12 +15,12 @@ def serve(deployment: PlanDeployment, *arguments: str) -> Serving:
     return deployment.start(Serving(["-m", "tests.support.e2e.programs.fake_serve", "serve", *arguments], deployment.environment))
 
 
-def goals(deployment: PlanDeployment, *texts: str) -> Client:
-    return deployment.start(Client(["-m", "tests.support.e2e.programs.goal_client", "send", *texts], deployment.environment))
+def goals(deployment: PlanDeployment, *texts: str) -> ClientProgram:
+    return deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.goal_client", "send", *texts], deployment.environment))
 
 
-def change(deployment: PlanDeployment, *labels: str) -> list[bool]:
+def transitions(deployment: PlanDeployment, *labels: str) -> list[bool]:
     """Ask for transitions; return which of them were made."""
-    client = deployment.start(Client(["-m", "tests.support.e2e.programs.goal_client", "change", *labels], deployment.environment))
+    client = deployment.start(ClientProgram(["-m", "tests.support.e2e.programs.goal_client", "change", *labels], deployment.environment))
     assert client.ended() == 0, str(client)
     return [one["success"] for one in client.objects() if one["event"] == "changed"]

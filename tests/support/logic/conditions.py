@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from pnm.core.logic.expressions import (
-    Fluent,
-    Unknown,
-    Value,
-)
+from pnm.core.logic.expressions import Fluent, Unknown, Value
 
 Facts = dict[Fluent, Value | Unknown]
 OBJECTS = ("a", "b")
 
 
 @dataclass
-class Picture:
+class GivenState:
     """A state given by its facts; absent fluents are not recorded."""
 
     facts: Facts = field(default_factory=dict)

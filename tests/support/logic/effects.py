@@ -6,13 +6,7 @@ from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TRUE, Condition, Holds, Not
-from pnm.core.logic.effects import (
-    OPERATIONS,
-    Effects,
-    ForEach,
-    Set,
-    When,
-)
+from pnm.core.logic.effects import OPERATIONS, Effects, ForEach, Set, When
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import (
     UNKNOWN,
@@ -41,11 +35,11 @@ def delete(*fluent: str) -> Set:
     return Set(fluent, Constant(False))
 
 
-def number(operation: str, name: str, by: Expression | float) -> Set:
+def change_number(operation: str, name: str, by: Expression | float) -> Set:
     return Set((name,), Constant(by) if isinstance(by, float) else by, operation)
 
 
-def state(facts: dict[Fluent, Value | Unknown] | None = None) -> KnowledgeBase:
+def rooms_state(facts: dict[Fluent, Value | Unknown] | None = None) -> KnowledgeBase:
     return KnowledgeBase(facts, objects={"room": ROOMS, "object": ROOMS})
 
 
@@ -73,7 +67,7 @@ ALL_NUMBERS: list[Fluent] = [("n",), ("m",)]
 TRUTHS: st.SearchStrategy[Value | Unknown] = st.sampled_from((True, False, UNKNOWN))
 FIGURES: st.SearchStrategy[Value | Unknown] = st.sampled_from((0.0, 1.0, 2.5, UNKNOWN))
 STATES = st.builds(
-    lambda facts, numbers: state({**facts, **numbers}),
+    lambda facts, numbers: rooms_state({**facts, **numbers}),
     st.fixed_dictionaries({}, optional=dict.fromkeys(ALL_FACTS, TRUTHS)),
     st.fixed_dictionaries({}, optional=dict.fromkeys(ALL_NUMBERS, FIGURES)),
 )

@@ -16,7 +16,7 @@ RANK: dict[Truth, int] = {False: 0, UNKNOWN: 1, True: 2}
 
 
 @dataclass
-class Picture:
+class DerivedState:
     """Recorded facts and what has been derived so far."""
 
     facts: Facts
@@ -40,7 +40,7 @@ def least(
     rules: Iterable[DerivationRule], strata: Iterable[Set[str]], facts: Facts, things: Mapping[str, tuple[str, ...]] = OBJECTS
 ) -> dict[Fluent, Truth]:
     """The least fixpoint, stratum by stratum."""
-    picture = Picture(facts, {}, things)
+    picture = DerivedState(facts, {}, things)
     for stratum in strata:
         ground_rules = [(fact, rule.condition, env) for rule in rules if rule.name in stratum for fact, env in instances(rule, picture)]
         picture.derived.update(dict.fromkeys((fact for fact, _, _ in ground_rules), False))

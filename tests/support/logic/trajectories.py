@@ -8,24 +8,20 @@ from hypothesis import strategies as st
 
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import All, Any, Condition, Holds, Not
-from pnm.core.logic.expressions import Unknown
-from pnm.core.logic.trajectory import (
-    Constraint,
-    moments,
-    progressed,
-)
+from pnm.core.logic.expressions import Unknown, Variable
+from pnm.core.logic.trajectory import Constraint, moments, progressed
 
 P, Q = Holds(("p",)), Holds(("q",))
 Trace = list[tuple[float, KnowledgeBase]]
 Rest = tuple[Constraint, ...]
 
 
-def state(p: bool | Unknown = False, q: bool | Unknown = False) -> KnowledgeBase:
+def state_of(p: bool | Unknown = False, q: bool | Unknown = False) -> KnowledgeBase:
     return KnowledgeBase({("p",): p, ("q",): q})
 
 
-def always(condition: Condition) -> Constraint:
-    return Constraint("always", (condition,))
+def always(condition: Condition, *variables: Variable) -> Constraint:
+    return Constraint("always", (condition,), (), variables)
 
 
 def sometime(condition: Condition) -> Constraint:
@@ -50,7 +46,7 @@ BOOLEANS = st.tuples(st.booleans(), st.booleans())
 @st.composite
 def traces(draw: st.DrawFn, values: st.SearchStrategy[tuple[bool | Unknown, bool | Unknown]] = BOOLEANS) -> Trace:
     pauses = draw(st.lists(st.sampled_from((0.5, 1.0, 2.5)), max_size=6))
-    return [(sum(pauses[:number]), state(*draw(values))) for number in range(len(pauses) + 1)]
+    return [(sum(pauses[:number]), state_of(*draw(values))) for number in range(len(pauses) + 1)]
 
 
 TIMES = st.sampled_from((0.0, 0.5, 1.0, 2.0, 3.5, 6.0))

@@ -17,7 +17,7 @@ from pnm.core.logic.expressions import Constant, Fluent, Value, ValueOf
 from tests.support.pddl.random_problems import STARTS, Draw, fluents
 
 
-def calls(problem: Problem) -> list[tuple[str, tuple[str, ...]]]:
+def ground_calls(problem: Problem) -> list[tuple[str, tuple[str, ...]]]:
     """Return every ground action: its name and its arguments."""
     return [
         (schema.name, arguments)
@@ -29,7 +29,7 @@ def calls(problem: Problem) -> list[tuple[str, tuple[str, ...]]]:
 @st.composite
 def _steps(draw: Draw, problem: Problem, begin: float = 0.0) -> PlanStep:
     """Draw a step; its duration fits the initial state more often than not."""
-    action, arguments = draw(st.sampled_from(calls(problem)))
+    action, arguments = draw(st.sampled_from(ground_calls(problem)))
     if not problem.is_timed:
         return PlanStep(action, arguments)
     shortest = max(0.0, modelled_duration(problem.domain.actions[action], arguments, initial_knowledge(problem)) or 0.5)
@@ -37,7 +37,7 @@ def _steps(draw: Draw, problem: Problem, begin: float = 0.0) -> PlanStep:
     return PlanStep(action, arguments, begin + draw(STARTS), duration)
 
 
-def plan_of(problem: Problem, steps: Iterable[PlanStep]) -> Plan:
+def as_plan(problem: Problem, steps: Iterable[PlanStep]) -> Plan:
     """Return the steps as a plan: in the order of their starts when these are times."""
     if problem.is_timed:
         return Plan(tuple(sorted(steps, key=lambda step: step.start)), temporal=True)
@@ -55,40 +55,40 @@ def _walks(draw: Draw, problem: Problem, begin: float) -> tuple[list[PlanStep], 
     anywhere = replace(problem, goal=TRUE)
     taken: list[PlanStep] = []
     refused: list[PlanStep] = []
-    for step in draw(st.lists(_steps(problem, begin), min_size=4, max_size=8)) if calls(problem) else ():
-        (refused if why_invalid(anywhere, plan_of(problem, [*taken, step])) else taken).append(step)
+    for step in draw(st.lists(_steps(problem, begin), min_size=4, max_size=8)) if ground_calls(problem) else ():
+        (refused if why_invalid(anywhere, as_plan(problem, [*taken, step])) else taken).append(step)
     return taken, refused
 
 
 def walks(problem: Problem, begin: float = 0.0) -> st.SearchStrategy[Plan]:
     """Draw a plan of steps that can all be taken, from a time on; where they lead does not matter."""
-    return _walks(problem, begin).map(lambda found: plan_of(problem, found[0]))
+    return _walks(problem, begin).map(lambda found: as_plan(problem, found[0]))
 
 
 @st.composite
-def plans(draw: Draw, problem: Problem) -> Plan:
+def plans_for(draw: Draw, problem: Problem) -> Plan:
     """Draw a plan: one that can be carried out, one that is a little different, or any."""
-    if not calls(problem):
-        return plan_of(problem, ())
+    if not ground_calls(problem):
+        return as_plan(problem, ())
     match draw(st.sampled_from(["walk", "one too many", "changed", "any"])):
         case "walk":
             return draw(walks(problem))
         case "one too many":
             taken, refused = draw(_walks(problem, 0.0))
-            return plan_of(problem, [*taken, *refused[:1]])
+            return as_plan(problem, [*taken, *refused[:1]])
         case "any":
-            return plan_of(problem, draw(st.lists(_steps(problem), min_size=1, max_size=4)))
+            return as_plan(problem, draw(st.lists(_steps(problem), min_size=1, max_size=4)))
         case _:
-            return draw(changed(problem, draw(walks(problem))))
+            return draw(one_step_changed(problem, draw(walks(problem))))
 
 
 @st.composite
-def changed(draw: Draw, problem: Problem, plan: Plan) -> Plan:
+def one_step_changed(draw: Draw, problem: Problem, plan: Plan) -> Plan:
     """Draw a plan that differs from this one in one step."""
     steps = list(plan.steps)
     if not steps or draw(st.booleans()):
         steps.insert(draw(st.integers(0, len(steps))), draw(_steps(problem)))
-        return plan_of(problem, steps)
+        return as_plan(problem, steps)
     place = draw(st.integers(0, len(steps) - 1))
     step = steps.pop(place)
     match draw(st.sampled_from(["drop", "move", "stretch", "repeat"])):
@@ -98,7 +98,7 @@ def changed(draw: Draw, problem: Problem, plan: Plan) -> Plan:
             steps.insert(place, replace(step, duration=max(0.0, step.duration + draw(st.sampled_from([0.5, -0.5, 0.0005, 0.002])))))
         case "repeat":
             steps[place:place] = [step, step]
-    return plan_of(problem, steps)
+    return as_plan(problem, steps)
 
 
 def goal_of(problem: Problem, state: Mapping[Fluent, Value]) -> Condition:

@@ -269,7 +269,7 @@ def states(draw: Draw, problem: Problem) -> dict[Fluent, Value]:
 
 
 @st.composite
-def conditions(draw: Draw, problem: Problem, features: Features = Features()) -> Condition:
+def conditions_on(draw: Draw, problem: Problem, features: Features = Features()) -> Condition:
     """Draw a condition on the problem's states."""
     return _Maker(draw, problem.domain, features, {name: types[0] for name, types in problem.objects.items()}).condition(3)
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from contextlib import suppress
 from typing import Any
 
@@ -26,9 +25,10 @@ from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, Si
 
 from pnm.core.logic.computed_values import MISSING, Layer
 from pnm.ros.action_server import LIMIT, KnowledgeError, PnmActionServer, PnmSimpleActionServer
+from tests.support.processes import say
 
 
-class Knowing:
+class ExecuteCallbacks:
     """The execute callbacks of all kinds of servers."""
 
     def __init__(self, kind: str) -> None:
@@ -74,8 +74,7 @@ class Knowing:
 
     def said(self, handle: Any, does: str, found: Any) -> Any:
         message = json.dumps(found if does == "error" else [] if found is MISSING else [found])
-        sys.stdout.write(f"{message}\n")
-        sys.stdout.flush()
+        say(message)
         if handle.is_cancel_requested:
             handle.canceled()
         else:
@@ -92,7 +91,7 @@ def main() -> None:
 
     rclpy.init()
     node = rclpy.create_node(f"knowing_{options.name}")
-    knowing = Knowing(options.kind)
+    knowing = ExecuteCallbacks(options.kind)
     kind = PnmSimpleActionServer if options.kind == "simple" else PnmActionServer
     knowing.server = kind(
         node,
@@ -104,8 +103,7 @@ def main() -> None:
     )
     executor = SingleThreadedExecutor() if options.threads == 1 else MultiThreadedExecutor(options.threads)
     executor.add_node(node)
-    sys.stdout.write("ready\n")
-    sys.stdout.flush()
+    say("ready")
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         while rclpy.ok():
             executor.spin_once(0.5)  # `spin` sometimes sleeps through the signal that is to end it

@@ -46,7 +46,7 @@ class ChildProcess:
         return self.process.communicate(timeout=LIMIT)[1].decode()
 
 
-def run(main: Coroutine[Any, Any, Any], limit: float = LIMIT) -> Any:
+def run_bounded(main: Coroutine[Any, Any, Any], limit: float = LIMIT) -> Any:
     """Run a test's coroutine, which may not hang."""
 
     async def bounded() -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import textwrap
 from contextlib import suppress
 from typing import Any
@@ -13,6 +12,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from pnm.ros.action_server import python_server as action_server
+from tests.support.processes import say
 
 
 def main() -> None:
@@ -21,8 +21,7 @@ def main() -> None:
     exec(textwrap.dedent("\n\n".join(part for part in paragraphs if part.startswith("    "))), names)
     rclpy.init()
     guide = names["Guide"]()
-    sys.stdout.write("ready\n")
-    sys.stdout.flush()
+    say("ready")
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(guide)
 

@@ -23,6 +23,7 @@ from pnm.ros.action_client.client import Ros2ActionClient
 from pnm.ros.knowledge.goal_ids import service_prefix
 from pnm.ros.knowledge.knowledge_services import KnowledgeServices
 from pnm.ros.node.ros_thread import RosThread
+from tests.support.processes import say
 
 
 @dataclass
@@ -109,15 +110,13 @@ class Never(MemoryKnowledge):
     """Global knowledge that never answers; says so on the standard output when it is asked."""
 
     async def query(self, question: Question, asker: Asker, /) -> object:
-        sys.stdout.write("asked\n")
-        sys.stdout.flush()
+        say("asked")
         return await asyncio.get_running_loop().create_future()
 
 
 async def main(server: str) -> None:
     async with fake_executor(RosThread("fake_executor"), [Never()]) as one:
-        sys.stdout.write("ready\n")
-        sys.stdout.flush()
+        say("ready")
         await one.send(server, "query", "global", "spam", None, 3.0)
 
 

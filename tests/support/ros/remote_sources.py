@@ -8,7 +8,6 @@ person NAME WAY     answers questions: "reversed" two at a time, the second firs
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -22,10 +21,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
 
-
-def say(*what: object) -> None:
-    sys.stdout.write(f"{json.dumps(what)}\n")
-    sys.stdout.flush()
+from tests.support.processes import say, say_json
 
 
 class RemoteKnowledge:
@@ -39,7 +35,7 @@ class RemoteKnowledge:
         node.create_service(UpdateKnowledge, f"{name}/update", self.update, callback_group=group)
 
     async def query(self, request: Any, response: Any) -> Any:
-        say("query", request.layer, request.name, request.meta, bytes(request.goal_id.uuid).hex())
+        say_json(["query", request.layer, request.name, request.meta, bytes(request.goal_id.uuid).hex()])
         if request.name == "slow" or self.ignores("query"):
             await Future()
         response.success = request.name != "no"
@@ -49,7 +45,7 @@ class RemoteKnowledge:
         return response
 
     async def update(self, request: Any, response: Any) -> Any:
-        say("update", request.layer, request.name, request.value)
+        say_json(["update", request.layer, request.name, request.value])
         if self.ignores("update"):
             await Future()
         response.success = request.name != "no"
@@ -74,7 +70,7 @@ class RemotePerson:
 
     def hear(self, question: Any) -> None:
         known = next((one for one in self.waiting if one.id == question.id), question)
-        say(("ask", "withdraw", "tell")[question.kind], known.name, question.text, question.plan, question.meta, question.value)
+        say_json([("ask", "withdraw", "tell")[question.kind], known.name, question.text, question.plan, question.meta, question.value])
         self.way(question)
 
     def never(self, question: Any) -> None:
@@ -107,8 +103,7 @@ def main(kind: str, name: str, *rest: str) -> None:
     rclpy.init()
     node = rclpy.create_node(f"somewhere_{name}")
     kept = RemoteKnowledge(node, name, *rest) if kind == "knowledge" else RemotePerson(node, name, *rest)
-    sys.stdout.write("ready\n")
-    sys.stdout.flush()
+    say("ready")
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(node)
     del kept

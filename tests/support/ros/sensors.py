@@ -19,11 +19,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
 from pnm.ros.node.messages import import_type, to_data, to_message
-
-
-def say(what: object) -> None:
-    sys.stdout.write(f"{what if isinstance(what, str) else json.dumps(what)}\n")
-    sys.stdout.flush()
+from tests.support.processes import say, say_json
 
 
 def publish(
@@ -46,7 +42,7 @@ def offer(node: Any, service: str, type: str, fields: dict[str, Any], deaf: bool
     kind = import_type(type)
 
     async def answer(request: Any, response: Any) -> Any:
-        say({name: value for name, value in to_data(request).items() if value})
+        say_json({name: value for name, value in to_data(request).items() if value})
         if deaf:
             await Future()
         return to_message(kind.Response, fields)

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import threading
 import traceback
 from collections.abc import Callable
@@ -33,6 +32,8 @@ from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, Si
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from test_msgs.action import Fibonacci
 
+from tests.support.processes import say
+
 NEVER = 3600.0
 
 
@@ -46,7 +47,7 @@ class Behaviour:
 
     def accept(self, goal: Any) -> GoalResponse:
         if goal.action == "hesitate":
-            threading.Event().wait(number(goal))
+            threading.Event().wait(first_number(goal))
         return GoalResponse.REJECT if goal.action == "reject" else GoalResponse.ACCEPT
 
     def cancel(self, handle: Any) -> CancelResponse:
@@ -63,11 +64,11 @@ class Behaviour:
             case "oddly":
                 return GroundAction.Result(message="no end")
             case "together":
-                self.meet(int(number(goal)))
+                self.meet(int(first_number(goal)))
             case "block":
-                threading.Event().wait(number(goal))
+                threading.Event().wait(first_number(goal))
             case "slow" | "stubborn":
-                return self.work(handle, number(goal))
+                return self.work(handle, first_number(goal))
             case "hang" | "hesitate":
                 return self.work(handle, NEVER)
         handle.succeed()
@@ -92,7 +93,7 @@ class Behaviour:
         return GroundAction.Result(message="done")
 
 
-def number(goal: Any) -> float:
+def first_number(goal: Any) -> float:
     """Return the first argument as a number, 1 without one."""
     return float(goal.arguments[0]) if goal.arguments else 1.0
 
@@ -149,8 +150,7 @@ def main() -> None:
         node.create_publisher(State, "knowledge/sensed", latched).publish(State(**options.report))
     executor = SingleThreadedExecutor() if options.threads == 1 else MultiThreadedExecutor(options.threads)
     executor.add_node(node)
-    sys.stdout.write("ready\n")
-    sys.stdout.flush()
+    say("ready")
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         executor.spin()
 

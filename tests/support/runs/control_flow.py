@@ -4,26 +4,13 @@ from __future__ import annotations
 
 from pnm.core.logic.computed_values import Data, Layer, Literal, Operation, Query, Update
 from pnm.core.logic.conditions import Computed, Condition, Holds
-from pnm.core.machine.plan_graph import (
-    EMPTY,
-    ActionCall,
-    Cause,
-    Choice,
-    Flow,
-    GroundAction,
-    Junction,
-    Loop,
-    PlanGraph,
-    Recovery,
-    Step,
-    Then,
-)
-from tests.support.runs.plan_graphs import ordering
+from pnm.core.machine.plan_graph import EMPTY, ActionCall, Cause, Choice, Flow, GroundAction, Junction, Loop, Recovery, Step, Then
+from tests.support.runs.plan_graphs import ordering, plan_of_steps
 
 OK: Condition = Holds(("ok",))
 
 
-def call(index: int, *recoveries: Recovery, resources: tuple[str, ...] = ()) -> ActionCall:
+def call_with(index: int, *recoveries: Recovery, resources: tuple[str, ...] = ()) -> ActionCall:
     return ActionCall(index, GroundAction(f"a{index}", resources=resources), recoveries=recoveries)
 
 
@@ -31,43 +18,39 @@ def flow(*steps: Step, orders: tuple[str, ...] = ()) -> Flow:
     return Flow(steps, tuple(map(ordering, orders)))
 
 
-def plan(*steps: Step, orders: tuple[str, ...] = ()) -> PlanGraph:
-    return PlanGraph(steps, tuple(map(ordering, orders)))
-
-
 def on(cause: Cause, then: Then, *chain: Step, times: int = 1) -> Recovery:
     return Recovery(frozenset({cause}), then, flow(*chain), times, OK)
 
 
 SHAPES = {
-    "loop": plan(Loop(1, OK, flow(call(0)), 2)),
-    "empty loop": plan(Loop(0, OK, EMPTY, 3)),
-    "loop in a loop": plan(Loop(0, OK, flow(Loop(1, OK, EMPTY, 1)), 2)),
-    "choice": plan(Choice(2, OK, flow(call(0)), flow(call(1)))),
-    "choice without else": plan(Choice(1, OK, flow(call(0)), EMPTY)),
-    "choice in a loop": plan(Loop(1, OK, flow(Choice(2, OK, flow(call(0)), EMPTY)), 1)),
-    "junction": plan(Junction(0), Junction(1), Junction(2), orders=("0e<2s", "1e<2s")),
-    "retry": plan(call(0, on(Cause.ABORTED, Then.RETRY, times=2))),
-    "skip": plan(call(0, on(Cause.ABORTED, Then.SKIP))),
-    "continue": plan(call(0, on(Cause.CANCELED, Then.CONTINUE))),
-    "fail": plan(call(0, on(Cause.EFFECTS_MISSING, Then.FAIL))),
-    "replan": plan(call(0, on(Cause.ABORTED, Then.REPLAN))),
-    "restart": plan(call(0, on(Cause.ABORTED, Then.RESTART_PLAN))),
-    "chain and retry": plan(call(0, on(Cause.ABORTED, Then.RETRY, call(1), times=2))),
-    "own check before": plan(call(0, on(Cause.BEFORE, Then.SKIP, call(1)))),
-    "own check after": plan(call(0, on(Cause.AFTER, Then.RETRY))),
-    "resource": plan(call(0, resources=("arm",)), call(1, resources=("arm",))),
-    "resource and an end that waits": plan(call(0, resources=("arm",)), call(1, resources=("arm",)), orders=("1s<0e",)),
+    "loop": plan_of_steps(Loop(1, OK, flow(call_with(0)), 2)),
+    "empty loop": plan_of_steps(Loop(0, OK, EMPTY, 3)),
+    "loop in a loop": plan_of_steps(Loop(0, OK, flow(Loop(1, OK, EMPTY, 1)), 2)),
+    "choice": plan_of_steps(Choice(2, OK, flow(call_with(0)), flow(call_with(1)))),
+    "choice without else": plan_of_steps(Choice(1, OK, flow(call_with(0)), EMPTY)),
+    "choice in a loop": plan_of_steps(Loop(1, OK, flow(Choice(2, OK, flow(call_with(0)), EMPTY)), 1)),
+    "junction": plan_of_steps(Junction(0), Junction(1), Junction(2), orders=("0e<2s", "1e<2s")),
+    "retry": plan_of_steps(call_with(0, on(Cause.ABORTED, Then.RETRY, times=2))),
+    "skip": plan_of_steps(call_with(0, on(Cause.ABORTED, Then.SKIP))),
+    "continue": plan_of_steps(call_with(0, on(Cause.CANCELED, Then.CONTINUE))),
+    "fail": plan_of_steps(call_with(0, on(Cause.EFFECTS_MISSING, Then.FAIL))),
+    "replan": plan_of_steps(call_with(0, on(Cause.ABORTED, Then.REPLAN))),
+    "restart": plan_of_steps(call_with(0, on(Cause.ABORTED, Then.RESTART_PLAN))),
+    "chain and retry": plan_of_steps(call_with(0, on(Cause.ABORTED, Then.RETRY, call_with(1), times=2))),
+    "own check before": plan_of_steps(call_with(0, on(Cause.BEFORE, Then.SKIP, call_with(1)))),
+    "own check after": plan_of_steps(call_with(0, on(Cause.AFTER, Then.RETRY))),
+    "resource": plan_of_steps(call_with(0, resources=("arm",)), call_with(1, resources=("arm",))),
+    "resource and an end that waits": plan_of_steps(call_with(0, resources=("arm",)), call_with(1, resources=("arm",)), orders=("1s<0e",)),
 }
 LARGE = {
-    "restart beside another call": plan(call(0, on(Cause.ABORTED, Then.RESTART_PLAN)), call(1)),
-    "two restarts": plan(call(0, on(Cause.ABORTED, Then.RESTART_PLAN)), call(1, on(Cause.ABORTED, Then.RESTART_PLAN))),
-    "retry in a loop": plan(Loop(2, OK, flow(call(0, on(Cause.ABORTED, Then.RETRY, call(1)))), 2)),
-    "loop beside a chain": plan(Loop(3, OK, flow(call(0)), 1), call(1), call(2), orders=("1e<2s",)),
-    "many rounds": plan(Loop(1, OK, flow(call(0)), 1000)),
-    "chain that needs more": plan(
-        call(0, on(Cause.ABORTED, Then.RETRY, call(1, resources=("leg",))), resources=("arm",)),
-        call(2, on(Cause.ABORTED, Then.RETRY, call(3, resources=("arm",))), resources=("leg",)),
+    "restart beside another call": plan_of_steps(call_with(0, on(Cause.ABORTED, Then.RESTART_PLAN)), call_with(1)),
+    "two restarts": plan_of_steps(call_with(0, on(Cause.ABORTED, Then.RESTART_PLAN)), call_with(1, on(Cause.ABORTED, Then.RESTART_PLAN))),
+    "retry in a loop": plan_of_steps(Loop(2, OK, flow(call_with(0, on(Cause.ABORTED, Then.RETRY, call_with(1)))), 2)),
+    "loop beside a chain": plan_of_steps(Loop(3, OK, flow(call_with(0)), 1), call_with(1), call_with(2), orders=("1e<2s",)),
+    "many rounds": plan_of_steps(Loop(1, OK, flow(call_with(0)), 1000)),
+    "chain that needs more": plan_of_steps(
+        call_with(0, on(Cause.ABORTED, Then.RETRY, call_with(1, resources=("leg",))), resources=("arm",)),
+        call_with(2, on(Cause.ABORTED, Then.RETRY, call_with(3, resources=("arm",))), resources=("leg",)),
     ),
 }
 

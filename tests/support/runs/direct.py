@@ -27,7 +27,7 @@ def succeed(_request: Request) -> Outcome:
     return Outcome(OutcomeKind.SUCCEEDED)
 
 
-def outcomes(**kinds: list[str]) -> Answer:
+def answering_with(**kinds: list[str]) -> Answer:
     """Answer the requests of an action with these kinds, one after the other, and then with success."""
     left = {name: [*found] for name, found in kinds.items()}
 

@@ -8,35 +8,25 @@ from uuid import UUID
 
 from pnm.clock import run_async
 from pnm.core.execution.call_results import RunResult
-from pnm.core.execution.events import Begin
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.bindings import Bindings
 from pnm.core.machine.generate import generate
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
+from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
 from pnm.core.machine.verification.verify import verify
 from pnm.executor import Executor
 from pnm.knowledge.sources.source import Source
-from tests.support.runs.plan_graphs import ordering
-from tests.support.runs.simulated import Log
+from tests.support.runs.commands import RUN, accepted
+from tests.support.runs.plan_graphs import plan_of, plan_of_steps
+from tests.support.runs.simulated import FiringLog
 
 CANCELED, SUCCEEDED, ABORTED = (Outcome(kind) for kind in (OutcomeKind.CANCELED, OutcomeKind.SUCCEEDED, OutcomeKind.ABORTED))
 
 
-def plan(*calls: ActionCall, orders: tuple[str, ...] = ()) -> PlanGraph:
-    return PlanGraph(calls, tuple(map(ordering, orders)))
-
-
-def going(*actions: GroundAction, bindings: Bindings | None = None, world: KnowledgeBase | None = None, **options: object) -> Run:
+def going(*actions: GroundAction, bindings: Bindings | None = None, **options: object) -> Run:
     """A run whose calls were all accepted at 1 s."""
-    graph = plan(*(ActionCall(index, action) for index, action in enumerate(actions)))
-    machine = generate(graph, bindings)
-    run = Run(machine, Layered(world or KnowledgeBase()), id=UUID(int=1), bindings=bindings, **options)  # type: ignore[arg-type]
-    run.handle(Begin(), 0.0)
-    for request in run.open_requests:
-        run.handle(Accepted(request), 1.0)
-    return run
+    return accepted(plan_of(*actions), bindings, at=1.0, **options)
 
 
 def successor(
@@ -51,14 +41,14 @@ def successor(
     there = old.under_way()[:taken]
     calls = [ActionCall(number, one.call.action, under_way=True) for number, one in enumerate(there)]
     calls += [ActionCall(number, action) for number, action in enumerate(more, len(there))]
-    machine = generate(plan(*calls, orders=orders), bindings)
+    machine = generate(plan_of_steps(*calls, orders=orders), bindings)
     verify(machine)
     adopted = dict(enumerate(there))
     options = {"resources": old.resources, "id": UUID(int=2), **options}
     return Run(machine, old.knowledge, bindings=bindings, adopted=adopted, **options)  # type: ignore[arg-type]
 
 
-class Server:
+class ManualClient:
     """Accepts everything at once; ends what it is told to. The mutable state is what it was asked for."""
 
     def __init__(self) -> None:
@@ -81,13 +71,16 @@ class Server:
 
 
 def carried(
-    scenario: Callable[[Executor, Server], object], *actions: GroundAction, bindings: Bindings | None = None, source: Source | None = None
+    scenario: Callable[[Executor, ManualClient], object],
+    *actions: GroundAction,
+    bindings: Bindings | None = None,
+    source: Source | None = None,
 ) -> RunResult:
     """Have a run of these actions carried out, and something done to it after a second."""
-    graph = plan(*(ActionCall(index, action) for index, action in enumerate(actions)))
-    server = Server()
+    server = ManualClient()
     world = KnowledgeBase(sensed={"seen": 2.0})
-    run = Run(generate(graph, bindings), Layered(world), id=UUID(int=1), bindings=bindings, observer=Log(), asks=source is not None)
+    machine = generate(plan_of(*actions), bindings)
+    run = Run(machine, Layered(world), id=RUN, bindings=bindings, observer=FiringLog(), asks=source is not None)
     executor = Executor(run, server, source)
 
     async def main() -> RunResult:

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
-import pytest
-
-from pnm.core.machine.machine import (
-    Always,
-    PetriNetMachine,
-    Rule,
-)
-from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.machine import Always, PetriNetMachine, Rule
+from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.core.net.net import PetriNet
 
@@ -50,16 +45,25 @@ def mutants(machine: PetriNetMachine) -> list[PetriNetMachine]:
     return found
 
 
+def _is_sound(machine: PetriNetMachine, proof: Callable[[PetriNetMachine], object]) -> bool:
+    try:
+        proof(machine)
+    except Unsound:
+        return False
+    return True
+
+
 def check_proof_of_mutants(machine: PetriNetMachine) -> None:
-    """Whatever mutant the state space refutes, the proof block by block refutes."""
-    refuted = accepted = 0
+    """Whatever mutant the proof block by block accepts, the state space accepts; most mutants, and most that it refutes, are unsound.
+
+    Exploring takes far longer than the proof: of the mutants that the proof refutes, only every fifth is explored.
+    """
+    refuted: list[PetriNetMachine] = []
+    accepted: list[PetriNetMachine] = []
     for mutant in mutants(machine):
-        try:
-            explore(mutant)
-        except Unsound:
-            refuted += 1
-            with pytest.raises(Unsound):
-                verify(mutant)
-        else:
-            accepted += 1
-    assert refuted > accepted
+        (accepted if _is_sound(mutant, verify) else refuted).append(mutant)
+    assert len(refuted) > len(accepted)
+    for mutant in accepted:
+        explore(mutant)
+    explored = refuted[::5]
+    assert sum(not _is_sound(mutant, explore) for mutant in explored) > len(explored) / 2

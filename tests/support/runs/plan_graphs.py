@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from math import inf
 
 from hypothesis import strategies as st
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 from pnm.core.logic.conditions import TRUE, Condition, Holds
 from pnm.core.logic.effects import Set
 from pnm.core.logic.expressions import Constant, Fluent
-from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
+from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph, Step
 
 _MOMENTS = {"s": Moment.START, "e": Moment.END}
 
@@ -36,9 +37,32 @@ def plan(calls: int, *orderings: str, invariants: bool = False, goal: Condition 
     return PlanGraph(tuple(call(index, invariant=invariants) for index in range(calls)), tuple(map(ordering, orderings)), goal)
 
 
-def plan_of(*actions: GroundAction, orders: tuple[str, ...] = ()) -> PlanGraph:
+def plan_of_steps(*steps: Step, orders: tuple[str, ...] = (), goal: Condition = TRUE) -> PlanGraph:
+    """A plan of these steps, with orderings by their numbers."""
+    return PlanGraph(steps, tuple(map(ordering, orders)), goal)
+
+
+def plan_of(*actions: GroundAction, orders: tuple[str, ...] = (), goal: Condition = TRUE) -> PlanGraph:
     """A plan of these actions, with orderings by their numbers."""
-    return PlanGraph(tuple(ActionCall(index, action) for index, action in enumerate(actions)), tuple(map(ordering, orders)))
+    return plan_of_steps(*(ActionCall(index, action) for index, action in enumerate(actions)), orders=orders, goal=goal)
+
+
+def shown(graph: PlanGraph) -> list[str]:
+    return [str(ordering) for ordering in graph.orderings]
+
+
+def any_order(graph: PlanGraph, chooser: random.Random) -> list[PlanEvent]:
+    """A random order of all events that keeps every ordering."""
+    left = {PlanEvent(call.index, moment): set[PlanEvent]() for call in graph.calls for moment in Moment}
+    for call in graph.calls:
+        left[PlanEvent(call.index, Moment.END)].add(PlanEvent(call.index, Moment.START))
+    for one in graph.orderings:
+        left[one.after].add(one.before)
+    order: list[PlanEvent] = []
+    while left:
+        order.append(chooser.choice(sorted((event for event, before in left.items() if not before & left.keys()), key=str)))
+        del left[order[-1]]
+    return order
 
 
 @st.composite

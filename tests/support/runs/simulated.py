@@ -54,7 +54,7 @@ def hidden(changes: dict[Fluent, Value], **when: object) -> Faults:
 
 
 @dataclass
-class Log(Observer):
+class FiringLog(Observer):
     """Writes down what fired, and when."""
 
     fired_at: list[tuple[float, str]] = field(default_factory=list)
@@ -71,14 +71,14 @@ class Log(Observer):
 
 
 @dataclass
-class Simulation:
+class SimulatedRun:
     """A finished run, the world it was in, and what the robots believed."""
 
     result: RunResult
     truth: KnowledgeBase
     beliefs: KnowledgeBase
     run: Run
-    log: Log
+    log: FiringLog
 
     def outcomes(self) -> list[str]:
         return [call.outcome for call in self.result.calls]
@@ -100,14 +100,14 @@ def simulate(
     believed: dict[Fluent, Value] | None = None,
     watched: bool = True,
     stop_at: float | None = None,
-) -> Simulation:
+) -> SimulatedRun:
     """Run a plan to its end. Unless `watched`, nothing reports what the world is like."""
     chosen = bindings or Bindings()
     truth = KnowledgeBase(init)
     world = SimulatedWorld(truth, {fluent[0] for fluent in init} | {"at"})
     beliefs = KnowledgeBase(init if believed is None else believed)
     robots = SimulatedRobots(world, faults, chosen)
-    log = Log()
+    log = FiringLog()
     machine = generate(plan, chosen, on_failure=on_failure)
     verify(machine)
     run = Run(machine, Layered(beliefs), id=RUN, bindings=chosen, goal_fields=robots.goal_fields, observer=log)
@@ -123,20 +123,19 @@ def simulate(
             asyncio.get_running_loop().call_later(stop_at, executor.stop)
         return await executor.execute()
 
-    return Simulation(run_async(main(), virtual=True), truth, beliefs, run, log)
+    return SimulatedRun(run_async(main(), virtual=True), truth, beliefs, run, log)
 
 
 class LateBackend(SimulatedBackend):
-    """Simulated robots whose sensors are late."""
+    """Simulated robots whose sensors report 0.3 s late."""
 
-    def __init__(self, problem: Problem, faults: Faults, delay: float, lag: float) -> None:
-        super().__init__(robots_of(problem, Bindings(), faults))
-        self.delay, self.lag = delay, lag
+    def __init__(self, problem: Problem, faults: Faults, bindings: Bindings = Bindings()) -> None:
+        super().__init__(robots_of(problem, bindings, faults))
 
     async def open(self, knowledge: KnowledgeBase) -> None:
-        loop = asyncio.get_running_loop()
-        world = self.robots.world
+        loop, world = asyncio.get_running_loop(), self.robots.world
         names = world.reported()
-        knowledge.sense(names, lag=self.lag)
-        world.truth.listen(lambda _: loop.call_later(self.delay, lambda: knowledge.replace(names, world.report(names))) and None)
+        knowledge.sense(names, lag=1.0)
+        knowledge.replace(names, world.report(names))
+        world.truth.listen(lambda _: loop.call_later(0.3, lambda: knowledge.replace(names, world.report(names))) and None)
         self.robots.begin()

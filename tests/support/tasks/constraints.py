@@ -18,21 +18,12 @@ from pnm.actions.faults import NO_FAULTS, Faults, HiddenChange
 from pnm.clock import run_async
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.conditions import Condition
-from pnm.core.logic.expressions import Variable
 from pnm.core.logic.trajectory import Constraint
 from pnm.core.machine.bindings import Bindings
 from tests.support.pddl.problems import rooms
 
 TO_C = rooms(init="(at r1 a)", goal="(at r1 c)", ways="ab bc")
 """Two moves of a second each, from a over b to c."""
-
-
-def always(condition: Condition, *variables: Variable) -> Constraint:
-    return Constraint("always", (condition,), (), variables)
-
-
-def sometime(condition: Condition) -> Constraint:
-    return Constraint("sometime", (condition,))
 
 
 def within(seconds: float, condition: Condition) -> Constraint:
@@ -45,7 +36,7 @@ def changes(*times: tuple[float, str], value: bool = True) -> Faults:
 
 
 @dataclass
-class Log(TaskObserver):
+class ViolationLog(TaskObserver):
     """Writes down which constraints are violated, when that is told, and how often a planner is asked."""
 
     told: list[tuple[float, Violation]] = field(default_factory=list)
@@ -63,7 +54,7 @@ class MonitoredTask:
     """A task that is over."""
 
     result: TaskResult
-    log: Log
+    log: ViolationLog
     truth: KnowledgeBase
     ended: float
 
@@ -82,7 +73,7 @@ def monitored(
     bindings: Bindings = Bindings(),
     backend: SimulatedBackend | None = None,
 ) -> MonitoredTask:
-    backend, log = backend or simulated_backend(problem, bindings, faults), Log()
+    backend, log = backend or simulated_backend(problem, bindings, faults), ViolationLog()
 
     async def main() -> tuple[TaskResult, float]:
         result = await achieve_at(backend, problem, Settings(limits=limits, bindings=bindings), log)

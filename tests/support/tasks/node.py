@@ -23,14 +23,14 @@ P = ParamSpec("P")
 CALLS = ("move", "pick", "drop")
 
 
-def needing(resource: str, **bindings: Binding) -> Settings:
+def everything_needs(resource: str, **bindings: Binding) -> Settings:
     """Whatever a robot does needs this resource, and nothing is tried twice."""
     usual = {name: Binding(resources=(resource,), retries=0) for name in CALLS}
     return replace(EAGER, bindings=Bindings({**usual, **bindings}))
 
 
 EAGER = Settings(on_change=OnChange.EAGER, on_failure=OnFailure.CONTINUE_OTHERS, limits=Limits(seconds=2000.0))
-USUAL = needing("{r}")
+USUAL = everything_needs("{r}")
 
 
 def simulated(

@@ -27,7 +27,7 @@ from pnm.executor import Executor
 
 
 @dataclass
-class Simulation:
+class SimulatedSite:
     """A simulated world, and what is known of it, for one run after the other."""
 
     problem: Problem
@@ -54,12 +54,12 @@ class Simulation:
         return decide(self.now(), Progress(graph, result.calls), self.knowledge.world, history, Limits())
 
 
-Scenario = Callable[[Simulation], Coroutine[Anything, Anything, None]]
+Scenario = Callable[[SimulatedSite], Coroutine[Anything, Anything, None]]
 
 
-def simulate(problem: Problem, scenario: Scenario, faults: Faults = NO_FAULTS, bindings: Bindings = Bindings()) -> None:
+def with_site(problem: Problem, scenario: Scenario, faults: Faults = NO_FAULTS, bindings: Bindings = Bindings()) -> None:
     async def main() -> None:
-        simulation = Simulation(problem, simulated_backend(problem, bindings, faults), Layered(initial_knowledge(problem)), bindings)
+        simulation = SimulatedSite(problem, simulated_backend(problem, bindings, faults), Layered(initial_knowledge(problem)), bindings)
         await simulation.backend.open(simulation.knowledge.world)
         try:
             await scenario(simulation)
@@ -75,9 +75,5 @@ def timed(*steps: str) -> Plan:
     return Plan(tuple(PlanStep(one[2], tuple(one[3:]), float(one[0]), float(one[1])) for one in found), temporal=True)
 
 
-def shown(graph: PlanGraph) -> list[str]:
-    return [str(ordering) for ordering in graph.orderings]
-
-
-def changed(when: float, changes: dict[Fluent, Value]) -> Faults:
+def change_at(when: float, changes: dict[Fluent, Value]) -> Faults:
     return Faults(changes=(HiddenChange(changes, at=when),))

@@ -11,7 +11,7 @@ ROUND = "(way a b) (way b a) (way b c) (way a d) (way d a) (way d c) (way c d)"
 """Rooms a, b, c and d in a ring; there is no way back from c to b."""
 
 
-def problem(constraints: str = "", *, goal: str = "(at r1 c)", init: str = "(at r1 a)", ways: str = ROUND, more: str = "") -> Problem:
+def ring(constraints: str = "", *, goal: str = "(at r1 c)", init: str = "(at r1 a)", ways: str = ROUND, more: str = "") -> Problem:
     domain = parse_domain(ROOMS.replace("(:requirements :strips", "(:requirements :adl :constraints :preferences :strips", 1))
     return parse_problem(
         f"(define (problem p) (:domain rooms) (:objects r1 r2 - robot a b c d - room) (:init {init} {ways} (= (total-cost) 0))"

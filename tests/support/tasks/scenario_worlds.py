@@ -30,13 +30,7 @@ class ScenarioWorld:
 
 def _fleet_plan(rng: random.Random) -> str:
     r, p, a, b = f"r{rng.randrange(3)}", f"p{rng.randrange(4)}", (n := rng.randrange(4)), (n + rng.choice([1, 3])) % 4
-    return rng.choice(
-        [
-            f"(move {r} a{a} a{b})\n(move {r} a{b} a{a})",
-            f"(pick {r} {p} a{a})\n(drop {r} {p} a{a})",
-            f"(move {r} a{a} a{b})",
-        ]
-    )
+    return rng.choice([f"(move {r} a{a} a{b})\n(move {r} a{b} a{a})", f"(pick {r} {p} a{a})\n(drop {r} {p} a{a})", f"(move {r} a{a} a{b})"])
 
 
 def _fleet_goal(rng: random.Random) -> str:
@@ -119,12 +113,6 @@ def scenario_worlds() -> tuple[ScenarioWorld, ...]:
             lambda rng: f"0: (strike m{rng.randrange(5)}) [8]\n1: (mend f{rng.randrange(5)} m{rng.randrange(5)}) [5]",
             _matches_change,
         ),
-        ScenarioWorld(
-            tanks("8"),
-            {"pour": ("{from}", "{to}")},
-            _tanks_goal,
-            lambda rng: "(unlock b)\n(pour a b)",
-            _tanks_change,
-        ),
+        ScenarioWorld(tanks("8"), {"pour": ("{from}", "{to}")}, _tanks_goal, lambda rng: "(unlock b)\n(pour a b)", _tanks_change),
         ScenarioWorld(delivery, robots, _delivery_goal, lambda rng: "(move r1 store hall)\n(move r1 hall store)", _delivery_change),
     )

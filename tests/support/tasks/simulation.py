@@ -22,7 +22,7 @@ from pnm.core.logic.evaluation import evaluate
 from pnm.core.machine.bindings import Bindings
 from pnm.errors import InputError
 from pnm.knowledge.sources.source import Source
-from pnm.language.runner import Performer, Program
+from pnm.language.runner import PlanRunner, Program
 from pnm.tasks import Code, TaskEnding, TaskListener, TaskState, TraceEvent, Wanted
 from tests.support.pddl.problems import fleet
 
@@ -46,9 +46,9 @@ class TaskSimulation(TaskListener):
         self.problem = problem
         self.backend = make_backend(problem, chosen.bindings, faults)
         self.knowledge = initial_knowledge(problem)
-        self.performer = None if programs is None else Performer(programs, self.backend, self.knowledge, source)
+        self.runner = None if programs is None else PlanRunner(programs, self.backend, self.knowledge, source)
         self.master = TaskManager(
-            problem, self.knowledge, self.backend, chosen, self.read, source=source, limits=limits, performer=self.performer
+            problem, self.knowledge, self.backend, chosen, self.read, source=source, limits=limits, runner=self.runner
         )
         self.master.listen(self)
         self.goals: dict[UUID, str] = {}
@@ -102,7 +102,7 @@ class TaskSimulation(TaskListener):
     def orphans(self) -> list[str]:
         """Return what robots do for no task."""
         runs = [one.control.run for one in self.master._tasks.values() if one.control.run]
-        runs += [one.executor.run for one in self.performer.going_on] if self.performer else []
+        runs += [one.executor.run for one in self.runner.going_on] if self.runner else []
         wanted = {request for run in runs for request in run.open_requests}
         jobs = self.backend.robots._jobs
         return [str(job.request.action) for id, job in jobs.items() if id not in wanted and not (job.fault and job.fault.ignores_cancel)]

@@ -6,7 +6,7 @@ from planner_bridge.pddl.comments.table import Table
 from planner_bridge.pddl.syntax.expressions import tokens
 
 
-def told(table: Table) -> list[str]:
+def notes(table: Table) -> list[str]:
     return sorted(one for note in table.values() for one in (*note.before, *note.beside, *note.below) if one)
 
 

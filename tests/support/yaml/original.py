@@ -31,19 +31,19 @@ actions:
 """
 
 
-def read(folder: Path, plan: str, knowledge: str = "{}", rest: str = "") -> HandWrittenPlan:
+def read_original(folder: Path, plan: str, knowledge: str = "{}", rest: str = "") -> HandWrittenPlan:
     path = folder / "plan.yaml"
     path.write_text(f"{TYPES}{rest}---\ninitial_knowledge: {knowledge}\nplan: {plan}\n", encoding="utf-8")
     (found,) = read_plans(path).values()
     return found
 
 
-def told(plan: HandWrittenPlan, answer: Answer = succeed, known: Mapping[str, object] | None = None) -> Trace:
+def run_original(plan: HandWrittenPlan, answer: Answer = succeed, known: Mapping[str, object] | None = None) -> Trace:
     world = KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules)
     return drive(plan.graph, answer, bindings=plan.bindings, variables=plan.variables, known=known, world=world)
 
 
-class Run:
+class RunOriginal:
     """Reads a plan and runs it."""
 
     def __init__(self, folder: Path) -> None:
@@ -52,11 +52,11 @@ class Run:
     def __call__(
         self, plan: str, answer: Answer = succeed, *, knowledge: str = "{}", rest: str = "", known: dict[str, object] | None = None
     ) -> Trace:
-        return told(read(self.folder, plan, knowledge, rest), answer, known)
+        return run_original(read_original(self.folder, plan, knowledge, rest), answer, known)
 
     def wrong(self, plan: str, rest: str = "") -> str:
         with pytest.raises(InputError) as caught:
-            read(self.folder, plan, rest=rest)
+            read_original(self.folder, plan, rest=rest)
         return str(caught.value)
 
 

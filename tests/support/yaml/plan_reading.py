@@ -26,5 +26,5 @@ actions:
 """
 
 
-def call(plan: HandWrittenPlan, number: int = 0) -> ActionCall:
+def call_of(plan: HandWrittenPlan, number: int = 0) -> ActionCall:
     return plan.graph.calls[number]

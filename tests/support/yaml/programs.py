@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from functools import cache
 from typing import Any
 
 import yaml
 from hypothesis import strategies as st
 
-from pnm.language import HandWrittenPlan, read_plans
+from pnm.language import HandWrittenPlan, parse_plans
 
 Json = Any
 """What YAML is written from."""
@@ -78,10 +77,11 @@ CALLS: st.SearchStrategy[Json] = st.one_of(
 )
 
 
+@cache
 @st.composite
 def _recoveries(draw: st.DrawFn, depth: int) -> Json:
     def chain(commands: tuple[str, ...] = COMMANDS) -> Json:
-        found = [*draw(st.lists(_steps(depth - 1), max_size=2)), draw(st.sampled_from(commands))]
+        found = [*draw(st.lists(_program_steps(depth - 1), max_size=2)), draw(st.sampled_from(commands))]
         if draw(st.booleans()):
             return found
         return {"do": found, "times": draw(st.integers(1, 2))}
@@ -96,6 +96,7 @@ def _recoveries(draw: st.DrawFn, depth: int) -> Json:
     return found
 
 
+@cache
 @st.composite
 def _call(draw: st.DrawFn, depth: int) -> Json:
     step = dict(draw(CALLS))
@@ -110,10 +111,11 @@ def _call(draw: st.DrawFn, depth: int) -> Json:
     return step
 
 
+@cache
 @st.composite
 def _list(draw: st.DrawFn, depth: int, least: int = 0) -> Json:
     """A list of steps, which may say themselves what they wait for."""
-    steps = draw(st.lists(_steps(depth), min_size=least, max_size=3))
+    steps = draw(st.lists(_program_steps(depth), min_size=least, max_size=3))
     if draw(st.integers(0, 3)) == 0:
         for number, step in enumerate(steps):
             if isinstance(step, dict):
@@ -140,7 +142,8 @@ def _is_free(step: Json) -> bool:
     return not FREE.isdisjoint(step) and step.keys().isdisjoint({"recoveries"})
 
 
-def _steps(depth: int) -> st.SearchStrategy[Json]:
+@cache
+def _program_steps(depth: int) -> st.SearchStrategy[Json]:
     if depth <= 0:
         return _call(0)
     inner = depth - 1
@@ -190,9 +193,7 @@ class _Plain(yaml.SafeDumper):
 # --- a world that answers as it likes ------------------------------------------------------
 
 
-def read(text: str) -> HandWrittenPlan:
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "plan.yaml"
-        path.write_text(text, encoding="utf-8")
-        (plan,) = read_plans(path).values()
+def only_plan(text: str) -> HandWrittenPlan:
+    """Read a text with one plan."""
+    (plan,) = parse_plans(text).values()
     return plan

@@ -7,9 +7,9 @@ direction only, they come to an end. So the work does not grow with the tokens, 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
-from pnm.core.machine.verification.explore import Count, Left, Step, Unsound
+from pnm.core.machine.verification.part import Count, Left, Step, Unsound
 
 
 def without_counts(
@@ -43,7 +43,7 @@ def without_counts(
         left, spent = pairs.get(taken[0], (taken[0], ""))
         total, gives = initial.get(left, 0), any(place in budgets for place in step.outputs)
         if len(taken) > 1 or not (gives or step.inputs[taken[0]] == total):
-            raise Unsound(f"{step.name} takes {', '.join(taken)}, and neither one token nor all of one counter")
+            raise Unsound(f"{step.name} takes {step.inputs[taken[0]]} of {', '.join(taken)}, which is neither one nor all")
         inputs, outputs = (
             {place: weight for place, weight in arcs.items() if place not in budgets} for arcs in (step.inputs, step.outputs)
         )
@@ -58,3 +58,16 @@ def without_counts(
     kept = {place: tokens for place, tokens in initial.items() if place not in budgets}
     counters = frozenset(left for left, _ in pairs.values()) | {place for place in budgets if place not in pairs}
     return tuple(map(abstract, steps)), {**kept, **{place: 1 for place in counters if initial.get(place)}}, counters
+
+
+def in_each_case(steps: Sequence[Step]) -> Iterator[list[list[Step]]]:
+    """Yield for each counter that the steps ask for, if there is one, which of the steps are enabled in each of its cases.
+
+    Steps that ask for another counter are left out: they may be enabled or not.
+    """
+    counts = {step.counted.place: step.counted for step in steps if step.counted}
+    if not counts:
+        yield [[*steps]]
+    for place, count in counts.items():
+        own = [step for step in steps if not step.counted or step.counted.place == place]
+        yield [[step for step in own if not step.counted or case in step.counted.cases] for case in count.possible]

@@ -1,6 +1,6 @@
 """A machine taken apart for its proof: blocks, one per step, the regions they stand in, and what connects them.
 
-Nothing that a machine says of its regions is believed: it is compared with the net.
+The regions that a machine declares are not trusted: they are compared with the net.
 """
 
 from __future__ import annotations
@@ -11,10 +11,11 @@ from functools import cached_property
 from itertools import chain
 from typing import Final, TypeAlias
 
-from pnm.core.machine.machine import OnFailure, PetriNetMachine, Region
+from pnm.core.machine.machine import Accepts, Ends, OnFailure, PetriNetMachine, Region
 from pnm.core.machine.plan_graph import Moment
 from pnm.core.machine.verification.counters import without_counts
-from pnm.core.machine.verification.explore import Inside, Part, Step, Unsound
+from pnm.core.machine.verification.part import Inside, Part, Step, Unsound
+from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.net.net import Weights
 
 Owner: TypeAlias = int | None
@@ -22,7 +23,7 @@ Owner: TypeAlias = int | None
 Event: TypeAlias = tuple[Owner, str]
 """The start or the end of a block, or the marking of one of its places."""
 ENOUGH: Final = 2
-"""A counter of more is explored as one of so many: whether none, some or all of it is spent is all that matters."""
+"""Counters larger than two are verified as two: guards only distinguish none, some and all spent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,7 @@ class Anatomy:
     """The blocks and regions of a machine.
 
     Raises:
-        Unsound: a place connects what it must not connect, or regions are not what the machine says.
+        Unsound: a place connects what it must not connect, or regions are not what the machine declares.
     """
 
     def __init__(self, machine: PetriNetMachine) -> None:
@@ -61,11 +62,12 @@ class Anatomy:
                 if step in self.region_of:
                     raise Unsound(f"step {step} stands in two regions")
                 self.region_of[step] = region
-            if region.steps:
+            if region.steps:  # a region without steps is a single place inside the block of its owner, and needs no entry
                 self.regions.setdefault(region.owner, []).append(region)
                 self.first |= dict.fromkeys(region.first, region)
                 self.last |= dict.fromkeys(region.last, region)
-        self._check_nesting()
+        self._check_nesting()  # the proof goes from the innermost steps outwards: owners in a circle would be left out of it
+        self._check_lasting(check_roles(machine))
         self.between = frozenset(filter(self._is_between, machine.net.places))
         """Places that connect blocks, or should."""
         for place in self.between:
@@ -75,16 +77,18 @@ class Anatomy:
                 self._check_entry(region)
 
     def _owners(self, weights: Mapping[str, Weights]) -> dict[str, set[Owner]]:
-        found: dict[str, set[Owner]] = {place: set() for place in self.machine.net.places}
+        owners: dict[str, set[Owner]] = {place: set() for place in self.machine.net.places}
         for transition, connected in weights.items():
             owner = self.machine.rules[transition].call
             for place in connected:
-                found[place].add(owner)
-        return found
+                owners[place].add(owner)
+        return owners
 
     def _is_between(self, place: str) -> bool:
+        # Many blocks share these by design; that each takes all it needs at once is checked by `_resources`.
         if place in self.machine.resource_places:
             return False
+        # A place that only one block reads and writes is inside that block, unless it has a role between blocks.
         readers = self.readers[place]
         between = len(readers) != 1 or readers != self.writers[place]
         return between or place in self.machine.orderings or place in self.first or place in self.last
@@ -103,11 +107,28 @@ class Anatomy:
                 owner = self.region_of[owner].owner
             proved.update(chain)
 
+    def _check_lasting(self, start: str) -> None:
+        """Check that only the frame takes from the start, nothing from failures and final places, and that counters are of one block."""
+        machine = self.machine
+        if self.readers[start] != {None} or self.writers[start] - {None}:
+            raise Unsound(f"{start} is not where the frame begins")
+        for place in (machine.goal_place, machine.failed_place, *machine.failure_places):
+            if self.readers[place]:
+                raise Unsound(f"step {min(self.readers[place], key=str)} takes from {place}, which stays as it is")
+        for place, call in machine.failure_places.items():
+            if self.writers[place] - {call}:
+                raise Unsound(f"{place} marks the failure of another call than its own")
+        for place in machine.budget_places:
+            if len(self.readers[place] | self.writers[place]) > 1:
+                raise Unsound(f"{place} counts for more than one step")
+
     def _check_channel(self, place: str) -> None:
         """Check that the place connects two blocks at most: neighbours, or a step and what holds it."""
         readers, outside = self.readers[place], self.writers[place] - self.readers[place]
+        # A block may write to the place that it reads (it gives back what it looked at), hence two writers but one from outside.
         if len(readers) > 1 or len(outside) > 1 or len(self.writers[place]) > 2:
             raise Unsound(f"{place} connects more than two blocks")
+        # The order of waits is proved free of cycles over these places, so they must connect what they claim to connect.
         if place in self.machine.orderings:
             ordering = self.machine.orderings[place]
             if outside != {ordering.before.call} or readers != {ordering.after.call}:
@@ -115,6 +136,7 @@ class Anatomy:
         entered, left = self.first.get(place), self.last.get(place)
         if (entered or left) and not (readers and outside):
             raise Unsound(f"{place} does not connect a step and what holds it")
+        # Nothing passes between two blocks here; restarts go from any depth to the frame, which is explored with them.
         if not readers or not outside or place in self.machine.restart_places:
             return
         (writer,), (reader,) = outside, readers
@@ -131,6 +153,7 @@ class Anatomy:
         for name in self.transitions[region.owner]:
             marked = first.intersection(self.machine.net.outputs[name])
             taken = last.intersection(self.machine.net.inputs[name])
+            # Entered or left in part, the block inside would not get all its inputs, as its exploration assumes.
             if 0 < len(marked) < len(region.first) or 0 < len(taken) < len(region.last):
                 raise Unsound(f"{name} enters or leaves only some of the steps it holds")
 
@@ -141,24 +164,31 @@ class Anatomy:
         machine = self.machine
         regions = self.regions.get(owner, [])
         own_records = self._restarts if owner is None else ()
+        # Where restarts are alike only some are explored, and the transitions of the others are left out with them.
         left_out = machine.restart_places.keys() - set(own_records) if owner is None else frozenset[str]()
         own = [step_of(machine, name) for name in self.transitions[owner]]
-        steps = (*(one for one in own if left_out.isdisjoint(one.inputs)), *self._inside(regions)) if owner is None or regions else (*own,)
+        steps = (
+            (*(step for step in own if left_out.isdisjoint(step.inputs)), *self._inside(regions)) if owner is None or regions else (*own,)
+        )
         places = dict.fromkeys(chain.from_iterable(connected for step in steps for connected in (step.inputs, step.outputs)))
         held = {place for region in regions for place in (*region.first, *region.last)}
         ends = frozenset((machine.goal_place, machine.failed_place))
         finals = ends if owner is None else frozenset[str]()
-        between = [one for one in places if one in self.between and one not in held and one not in machine.restart_places]
-        inputs = [one for one in between if owner in self.readers[one] and self.writers[one] - {owner}]
-        written = [one for one in between if owner in self.writers[one] and one not in finals]
-        outputs = [one for one in written if one in ends or self.readers[one] - {owner}]
+        between = [place for place in places if place in self.between and place not in held and place not in machine.restart_places]
+        inputs = [place for place in between if owner in self.readers[place] and self.writers[place] - {owner}]
+        written = [place for place in between if owner in self.writers[place] and place not in finals]
+        outputs = [place for place in written if place in ends or self.readers[place] - {owner}]
         given = frozenset(chain.from_iterable(step.outputs for step in steps))
-        first = tuple(one for one in inputs if one not in given)
-        rest = tuple(one for one in inputs if one in given)
+        # An input that the block also puts back is looked at late, at its end; all others are needed to start.
+        first = tuple(place for place in inputs if place not in given)
+        rest = tuple(place for place in inputs if place in given)
         _check_together((first, rest), steps)
-        early = frozenset(one for one in outputs if one in machine.orderings and machine.orderings[one].before.moment is Moment.START)
+        early = frozenset(
+            place for place in outputs if place in machine.orderings and machine.orderings[place].before.moment is Moment.START
+        )
         resources = frozenset(place for place in places if place in machine.resource_places)
-        taken = _resources(steps, resources)
+        # The block is explored with exactly what it takes: that others give it back is proved for them, each on its own.
+        taken = _resources(steps, {place: machine.initial[place] for place in resources})
         initial = {place: machine.initial[place] for place in places if machine.initial[place] and place not in resources}
         counters = frozenset(place for place in places if place in machine.counter_places).union(map(_may_come, own_records))
         budgets = counters & machine.budget_places
@@ -168,19 +198,24 @@ class Anatomy:
         part = Part(
             places=tuple(places),
             steps=steps,
-            initial={**initial, **taken, **{_may_come(one): ENOUGH for one in own_records}},
+            initial={**initial, **taken, **{_may_come(record): ENOUGH for record in own_records}},
             supplies=tuple(together for together in (first, rest) if together),
             failures=frozenset(place for place in counters if place in machine.failure_places),
             records=counters,
             counters=counters,
             cancels=machine.on_failure is OnFailure.CANCEL,
             outputs=frozenset(outputs),
+            ends=frozenset(outputs) - early,
             finals=finals,
+            goal=machine.goal_place if owner is None else "",
             early=early if rest else frozenset(),
             restarts=frozenset(own_records),
+            # Any other step may ask for a restart at any moment; for the frame these are its own records.
             others_restart=bool(machine.restart_places) and owner is not None,
             repeats=owner is not None and (bool(machine.restart_places) or self.region_of[owner].owner is not None),
             resources=resources,
+            alive=machine.alive_places.intersection(places),
+            settling=frozenset(place for place in places if machine.settling_places.get(place, -1) == owner),
         )
         return Block(owner, part, first, rest, early)
 
@@ -200,9 +235,11 @@ class Anatomy:
                 rest = {place: weight for place, weight in inputs.items() if place not in taking}
                 taking[touched[0]].append((machine.rules[name].guard, rest, inputs.get(touched[0]), outputs))
                 numbers.append(number)
+            # Treated together or put back: how many are marked could matter then, so all of them are explored.
             if len(touched) > 1 or any(place in taking for place in outputs):
                 return tuple(places)
-        are_alike = all(one == next(iter(taking.values())) for one in taking.values())
+        are_alike = all(taken == next(iter(taking.values())) for taken in taking.values())
+        # Rules are asked in order: others between these could tell the first from the last.
         stand_together = not numbers or numbers == [*range(numbers[0], numbers[-1] + 1)]
         return tuple(places)[:ENOUGH] if are_alike and stand_together else tuple(places)
 
@@ -221,7 +258,7 @@ class Anatomy:
         waits.setdefault(end, set()).add(start)
         for places, event in ((block.first, start), (block.rest, end)):
             for place in places:
-                (writer,) = self.writers[place] - {block.owner}
+                (writer,) = self.writers[place] - {block.owner}  # `_check_channel` has made sure that there is exactly one
                 if place not in self.first:
                     waits.setdefault(event, set()).add((writer, f"start of {place}"))
         for place in block.part.outputs:
@@ -229,8 +266,16 @@ class Anatomy:
 
 
 def step_of(machine: PetriNetMachine, name: str) -> Step:
-    """Return a transition with its guard."""
-    return Step(name, machine.rules[name].guard, machine.net.inputs[name], machine.net.outputs[name])
+    """Return a transition with its guard, and with its action if it belongs to a call."""
+    rule, inputs, outputs = machine.rules[name], machine.net.inputs[name], machine.net.outputs[name]
+    about = getattr(rule.guard, "call", rule.call)
+    if about != rule.call:
+        raise Unsound(f"{name} listens to another call")
+    if rule.call is None or rule.call >= len(machine.plan.calls):
+        if rule.action is not None or isinstance(rule.guard, Accepts | Ends):
+            raise Unsound(f"{name} is about a request, and belongs to no call")
+        return Step(name, rule.guard, inputs, outputs)
+    return Step(name, rule.guard, inputs, outputs, rule.call, rule.action, rule.gives_up)
 
 
 def _may_come(place: str) -> str:
@@ -246,7 +291,7 @@ def _check_together(supplies: Iterable[tuple[str, ...]], steps: Sequence[Step]) 
                     raise Unsound(f"{step.name} takes only some of the inputs {list(together)}")
 
 
-def _resources(steps: Iterable[Step], resources: frozenset[str]) -> dict[str, int]:
+def _resources(steps: Iterable[Step], resources: Mapping[str, int]) -> dict[str, int]:
     """Return what the block takes of resources; it must take all of it at once.
 
     That it has none of it when it does, is explored: there is only so much for it.
@@ -258,5 +303,8 @@ def _resources(steps: Iterable[Step], resources: frozenset[str]) -> dict[str, in
         wanted = {place: weight for place, weight in step.inputs.items() if place in resources}
         if wanted and taken not in ({}, wanted):
             raise Unsound(f"{step.name} waits for {', '.join(wanted)} while it may hold what others wait for")
+        for place, weight in wanted.items():
+            if weight > resources[place]:
+                raise Unsound(f"{step.name} takes {weight} of {place}, and there is {resources[place]}")
         taken |= wanted
     return taken

@@ -13,11 +13,13 @@ _ANY = frozenset(OutcomeKind)
 
 def missing_exit(guards: Collection[Guard]) -> str:
     """Return for which answer of the world none of these guards opens in finite time; empty when one always does."""
+    # Ends first: a request that is out may end in any way, whatever other exits there are.
     outcomes = [guard.kinds for guard in guards if isinstance(guard, Ends)]
     if outcomes and (others := _ANY.difference(*outcomes)):
         return f"has no exit for {set(others)}"
     for guard in guards:
         match guard:
+            # A condition and its complement: one of them opens, if perhaps only after the report delay.
             case ConditionFalse(condition) if ConditionTrue(condition) in guards:
                 return ""
             case EffectsMissing(call) if EffectsSeen(call) in guards:

@@ -1,102 +1,20 @@
-"""Every state that a part of a machine can reach, whatever the world answers.
-
-A part is a whole machine, or a block of it with its inputs supplied from outside at any moment.
-"""
+"""Every state that a part of a machine can reach, whatever the world answers: tokens, and what became of the requests of its calls."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, field
-from enum import Enum
-from typing import Final, NamedTuple, TypeAlias
+from dataclasses import dataclass, field, replace
+from typing import Final, TypeAlias
 
-from pnm.core.machine.machine import Adopted, After, Always, CancelAsked, Due, Ending, Ends, Failing, Guard, PauseAsked
+from pnm.core.machine.machine import Accepts, Adopted, After, Always, CancelAsked, Due, Ending, Ends, Failing, Guard, PauseAsked
+from pnm.core.machine.verification.counters import in_each_case
 from pnm.core.machine.verification.exits import missing_exit
-from pnm.core.net.net import Weights
-from pnm.errors import PnmError
+from pnm.core.machine.verification.part import Inside, Part, Step, Unsound
+from pnm.core.machine.verification.place_roles import check_steps
+from pnm.core.machine.verification.request_life import Life, following, may_open, misuse, untaken
 
 MAX_STATES: Final = 2_000_000
-
-
-class Unsound(PnmError):
-    """The machine can reach a state it must not reach; `trace` leads there."""
-
-    def __init__(self, what: str, trace: Sequence[str] = ()) -> None:
-        super().__init__(f"{what}{f'; after {chr(32).join(trace)}' if trace else ''}")
-        self.trace = tuple(trace)
-
-
-@dataclass(frozen=True, slots=True)
-class Inside:
-    """In the place of a guard: what happens inside a region, which takes its time but comes to an end."""
-
-
-class Left(Enum):
-    """How much of a counter is left."""
-
-    ALL = "all"
-    SOME = "some"
-    NONE = "none"
-
-    __hash__ = object.__hash__  # each is there once
-
-
-class Count(NamedTuple):
-    """What a step asks of a counter, a pair of places that one place stands for."""
-
-    place: str
-    cases: frozenset[Left]
-    """Those in which the step is enabled."""
-    possible: frozenset[Left]
-    """All cases of this counter."""
-    restores: bool | None
-    """Whether the step moves a token back, or on; None if it takes all of them away."""
-
-
-class Step(NamedTuple):
-    """A transition of a part of a net, or all that happens inside a region."""
-
-    name: str
-    guard: Guard | Inside
-    inputs: Weights
-    outputs: Weights
-    counted: Count | None = None
-    """What it asks of a counter, which may be so or not at any time."""
-
-
 Tokens: TypeAlias = tuple[int, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Part:
-    """A part of a machine with what surrounds it: inputs that come once, at any moment."""
-
-    places: tuple[str, ...]
-    steps: tuple[Step, ...]
-    initial: Mapping[str, int]
-    supplies: tuple[tuple[str, ...], ...] = ()
-    """Sets of places that get their tokens from outside, each set at once."""
-    failures: frozenset[str] = frozenset()
-    records: frozenset[str] = frozenset()
-    """Places that may stay marked."""
-    counters: frozenset[str] = frozenset()
-    """Those of them from which nothing starts: what takes from them is asked for at other places."""
-    cancels: bool = False
-    """Whether a failure has running calls cancelled."""
-    outputs: frozenset[str] = frozenset()
-    """Places that are marked in the end, each once: others take from them."""
-    finals: frozenset[str] = frozenset()
-    """Final places: exactly one is marked in the end, if there are any."""
-    early: frozenset[str] = frozenset()
-    """Places that must be marked once nothing more can happen without the last supply."""
-    restarts: frozenset[str] = frozenset()
-    """Places that ask for the plan to begin anew."""
-    others_restart: bool = False
-    """Whether other parts may ask for that."""
-    repeats: bool = False
-    """Whether it may be entered again once it was left, with its counters as they then are."""
-    resources: frozenset[str] = frozenset()
-    """Places that others take from as well: a step that lacks nothing else is waited for, and the rules after it are not asked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +24,8 @@ class _State:
     """0: going on, 1: another part asks for the plan to begin anew, 2: a stop, 3: a stop that cancels."""
     supplied: int = 0
     """How many of the supplies have come."""
+    requests: tuple[Life, ...] = ()
+    """What became of the last request of each call."""
     restored: bool = False
     """Whether something that was counted has come back since the part was entered."""
 
@@ -118,26 +38,57 @@ class _Explorer:
 
     most: list[int] = field(init=False)
     """How many tokens each place may hold."""
+    fired: set[int] = field(default_factory=set)
+    """The steps that can happen, as far as is known."""
 
     def __post_init__(self) -> None:
-        self.index = {place: number for number, place in enumerate(self.part.places)}
-        self.consumers = [[] for _ in self.part.places]
-        for number, step in enumerate(self.part.steps):
+        part = self.part
+        self.index = {place: number for number, place in enumerate(part.places)}
+        self.consumers = [[] for _ in part.places]
+        for number, step in enumerate(part.steps):
             for place in step.inputs:
                 self.consumers[self.index[place]].append(number)
-        self.failures = [self.index[place] for place in self.part.failures]
-        self.restarts = [self.index[place] for place in self.part.restarts]
-        self.counters = {self.index[place] for place in self.part.counters if place in self.index}
-        self.resources = {self.index[place]: self.part.initial.get(place, 0) for place in self.part.resources}
+        self.calls = {call: number for number, call in enumerate(dict.fromkeys(one.call for one in part.steps if one.call is not None))}
+        adopted = {step.call for step in part.steps if isinstance(step.guard, Adopted)}
+        self.requests = tuple(Life.ADOPTABLE if call in adopted else Life.NONE for call in self.calls)
+        self.reports = [number for number, step in enumerate(part.steps) if isinstance(step.guard, Accepts | Ends)]
+        self.failures = [self.index[place] for place in part.failures]
+        self.restarts = [self.index[place] for place in part.restarts]
+        # Places without an arc in this part have no index.
+        self.counters = {self.index[place] for place in part.counters if place in self.index}
+        self.resources = {self.index[place]: part.initial.get(place, 0) for place in part.resources}
         self.records = self.counters | self.resources.keys()
-        self.asking = [place for place in range(len(self.part.places)) if place not in self.records and self._may_be_unanswered(place)]
-        self.stops = (1, 2, 3) if self.part.others_restart else (2, 3)
-        budget = sum(tokens for place, tokens in self.part.initial.items() if place in self.part.records)
-        self.most = [budget if place in self.part.records - self.part.failures else 1 for place in self.part.places]
+        self.alive = [self.index[place] for place in part.alive if place in self.index]
+        self.ends = [self.index[place] for place in part.ends | part.finals if place in self.index]
+        self.may_rest = {self.index[place] for place in part.outputs | part.finals if place in self.index} | self.records
+        # Found once per part: whether a place asks the world depends on its arcs and not on the state.
+        self.asking = [place for place in range(len(part.places)) if place not in self.records and self._may_be_unanswered(place)]
+        # Only upwards in `successors`: a stop is never taken back, so the states of a part are finitely many.
+        self.stops = (1, 2, 3) if part.others_restart else (2, 3)
+        # A place that asks for a restart is emptied before anything begins anew.
+        counting = {step.counted.place for step in part.steps if step.counted}
+        self.lasting = {self.index[place] for place in part.failures | counting if place in self.index}
+        # Tokens move between counters, so none can hold more than all of them together.
+        budget = sum(tokens for place, tokens in part.initial.items() if place in part.records)
+        self.most = [budget if place in part.records - part.failures else 1 for place in part.places]
 
-    def successors(self, state: _State) -> Iterator[tuple[str, _State]]:
-        """Yield everything that can happen next."""
-        for step in self._possible(state):
+    def start(self) -> _State:
+        """Return the state that the part begins in."""
+        return _State(tuple(self.part.initial.get(place, 0) for place in self.part.places), requests=self.requests)
+
+    def successors(self, state: _State, possible: Sequence[int], is_at_rest: bool) -> Iterator[tuple[str, _State]]:
+        """Yield everything that can happen next, given the steps that can."""
+        ending = self._moods(state)[1]
+        for number in possible:
+            step, requests = self.part.steps[number], state.requests
+            self.fired.add(number)
+            if step.call is not None:
+                position = self.calls[step.call]
+                before = requests[position]
+                if wrong := misuse(step, before, ending=ending):
+                    raise Unsound(wrong)
+                if (after := following(step, before)) is not before:
+                    requests = (*requests[:position], after, *requests[position + 1 :])
             tokens = list(state.tokens)
             for place, weight in step.inputs.items():
                 tokens[self.index[place]] -= weight
@@ -146,65 +97,79 @@ class _Explorer:
             restores = step.counted.restores if step.counted else None
             if state.restored and restores is False:
                 raise Unsound(f"{step.name} counts on after something was counted back, which may go on for ever")
-            yield step.name, _State(tuple(tokens), state.stop, state.supplied, state.restored or bool(restores))
+            yield step.name, _State(tuple(tokens), state.stop, state.supplied, requests, state.restored or bool(restores))
         if state.supplied < len(self.part.supplies):
             tokens = list(state.tokens)
             for place in self.part.supplies[state.supplied]:
                 tokens[self.index[place]] += 1
-            yield _SUPPLY, _State(tuple(tokens), state.stop, state.supplied + 1, state.restored)
-        elif self.part.repeats and not self._possible(state):
+            yield _SUPPLY, replace(state, tokens=tuple(tokens), supplied=state.supplied + 1)
+        # Entered again only once it has come to rest, and with its counters as they are: that they are full again is to be shown.
+        elif self.part.repeats and is_at_rest:
             tokens = [
-                (0 if number in self.restarts else state.tokens[number]) if number in self.counters else self.part.initial.get(place, 0)
-                for place, number in self.index.items()
+                state.tokens[number] if number in self.lasting else self.part.initial.get(place, 0) for place, number in self.index.items()
             ]
-            yield _AGAIN, _State(tuple(tokens), 0 if state.stop == 1 else state.stop)
+            yield _AGAIN, _State(tuple(tokens), 0 if state.stop == 1 else state.stop, requests=(Life.NONE,) * len(self.calls))
+        if self.part.finals and any(state.tokens[place] for place in self.ends):
+            return  # it is over: nobody stops it any more
         for stop in self.stops:
-            if stop > state.stop:
-                yield _STOPS[stop], _State(state.tokens, stop, state.supplied, state.restored)
+            if stop > state.stop:  # a stop may come at any moment, between any two firings
+                yield _STOPS[stop], replace(state, stop=stop)
 
     def _moods(self, state: _State) -> tuple[bool, bool, bool]:
         failing = state.stop > 1 or any(state.tokens[place] for place in self.failures)
         ending = failing or state.stop > 0 or any(state.tokens[place] for place in self.restarts)
         return failing, ending, state.stop == 3 or (ending and self.part.cancels)
 
-    def _possible(self, state: _State) -> list[Step]:
-        """Return the enabled steps whose guards may be open, as `pnm.core.execution.run` asks them: in order, at each marked place."""
+    def possible(self, state: _State) -> list[int]:
+        """Return the enabled steps whose guards may be open, as `pnm.core.execution.run` asks them: in order, at each marked place.
+
+        Reports are not asked for at a place: they come when they like as long as their request is alive.
+        """
         moods = self._moods(state)
-        found: dict[int, None] = {}
+        possible: dict[int, None] = {}
         enabled: dict[int, bool] = {}
         for place, tokens in enumerate(state.tokens):
             if tokens and place not in self.records:
-                found |= dict.fromkeys(self._exits(place, state, moods, enabled)[0])
-        return [self.part.steps[number] for number in found]
+                possible |= dict.fromkeys(self._exits(place, state, moods, enabled)[0])
+        if Life.ALIVE in state.requests:
+            steps = self.part.steps
+            alive = (number for number in self.reports if self._life(steps[number], state) is Life.ALIVE)
+            possible |= dict.fromkeys(number for number in alive if self._is_enabled(steps[number], state))
+        return [*possible]
+
+    def _life(self, step: Step, state: _State) -> Life:
+        return Life.ALIVE if step.call is None else state.requests[self.calls[step.call]]
 
     def _exits(self, place: int, state: _State, moods: tuple[bool, bool, bool], enabled: dict[int, bool]) -> tuple[list[int], bool]:
         """Return which steps may be open at a place, and whether those after them wait for resources."""
-        found: list[int] = []
+        exits: list[int] = []
         for number in self.consumers[place]:
             step = self.part.steps[number]
             if number not in enabled:
                 enabled[number] = self._is_enabled(step, state)
             if not enabled[number]:
+                # As in the run: the call stands in line here, and the rules after this one are not asked.
                 if self._lacks_resources(step, state) and not isinstance(step.guard, Adopted):
-                    return found, True
+                    return exits, True
                 continue
             is_open = _is_open(step.guard, *moods)
-            if is_open is not False:
-                found.append(number)
-            if is_open is True and not step.counted:
+            if is_open is None and isinstance(step.guard, Adopted | Accepts | Ends):
+                is_open = may_open(step, self._life(step, state))
+            if is_open is not False:  # guards that ask the world may go either way, so both are followed
+                exits.append(number)
+            if is_open is True and not step.counted:  # rules after one that is surely open are never asked
                 break
-        return found, False
+        return exits, False
 
     def _starves(self, state: _State) -> bool:
         """Return whether resources are waited for, and nothing else is sure to happen."""
         moods, waits, enabled = self._moods(state), False, dict[int, bool]()
         for place, tokens in enumerate(state.tokens):
             if tokens and place not in self.records:
-                found, waiting = self._exits(place, state, moods, enabled)
-                steps = (self.part.steps[number] for number in found)
-                if any(
-                    not waiting or isinstance(step.guard, After | Due) or _is_open(step.guard, *moods) for step in steps if not step.counted
-                ):
+                exits, waiting = self._exits(place, state, moods, enabled)
+                steps = (self.part.steps[number] for number in exits)
+                sure = (step for step in steps if not step.counted)
+                if (not waiting and exits) or any(isinstance(step.guard, After | Due) or _is_open(step.guard, *moods) for step in sure):
                     return False
                 waits = waits or waiting
         return waits
@@ -224,7 +189,7 @@ class _Explorer:
         if any(self._lacks_resources(step, state) for step in steps):
             return ""
         enabled = [step for step in steps if self._is_enabled(step, state)]
-        return min((max(self._unsure(case, state) for case in cases) for cases in _cases(enabled)), key=len)
+        return min((max((self._unsure(case, state) for case in cases), key=len) for cases in in_each_case(enabled)), key=len)
 
     def _unsure(self, steps: Sequence[Step], state: _State) -> str:
         """Return for which answer of the world none of the enabled steps at a place opens; empty if one does, or the world is not asked."""
@@ -234,53 +199,85 @@ class _Explorer:
             return ""
         return missing_exit(asking)
 
-    def is_stuck(self, state: _State) -> bool:
-        """Return whether nothing may happen without something from outside, in some case of the counters."""
-        possible = self._possible(state)
-        if any(not step.counted for step in possible):
+    def is_stuck(self, state: _State, possible: Sequence[int]) -> bool:
+        """Return whether, in some case of the counters, none of the possible steps is: nothing happens without something from outside."""
+        steps = [self.part.steps[number] for number in possible]
+        if any(not step.counted for step in steps):
             return False
         moods = self._moods(state)
-        for place in {place for step in possible for place in step.inputs} - self.part.records:
-            enabled = [step for number in self.consumers[self.index[place]] if self._is_enabled(step := self.part.steps[number], state)]
-            if any(all(any(_is_open(step.guard, *moods) for step in case) for case in cases) for cases in _cases(enabled)):
+        for place in {self.index[name] for step in steps for name in step.inputs} - self.records:
+            enabled = [step for number in self.consumers[place] if self._is_enabled(step := self.part.steps[number], state)]
+            if any(all(any(_is_open(step.guard, *moods) for step in case) for case in cases) for cases in in_each_case(enabled)):
                 return False
         return True
 
     def _is_enabled(self, step: Step, state: _State) -> bool:
-        return all(state.tokens[self.index[one]] >= weight for one, weight in step.inputs.items())
+        return all(state.tokens[self.index[name]] >= weight for name, weight in step.inputs.items())
 
     def _lacks_resources(self, step: Step, state: _State) -> bool:
         """Return whether the step would be enabled if all resources were free."""
-        if self.resources.keys().isdisjoint(self.index[one] for one in step.inputs):
+        if self.resources.keys().isdisjoint(self.index[name] for name in step.inputs):
             return False
-        own = ((self.index[one], weight) for one, weight in step.inputs.items())
+        own = ((self.index[name], weight) for name, weight in step.inputs.items())
         lacking = {place for place, weight in own if state.tokens[place] < weight}
         return bool(lacking) and lacking <= self.resources.keys()
 
-    def check(self, state: _State, stuck: bool) -> str:
+    def check(self, state: _State, possible: Sequence[int], stuck: bool) -> str:
         """Return what is wrong with a state; empty when nothing is."""
         for number, tokens in enumerate(state.tokens):
+            # Safe places are what makes guards and times meaningful: the time of a marking is one number per place.
             if tokens > self.most[number]:
                 return f"{self.part.places[number]} holds {tokens} tokens"
         for number in self.asking:
             if state.tokens[number] and (wrong := self._unanswered(number, state)):
                 return f"{self.part.places[number]} {wrong}"
+        # Hold and wait is one of the conditions of a deadlock; it is excluded here, so that runs cannot block each other.
         keeps = any(state.tokens[place] < tokens for place, tokens in self.resources.items())
-        if keeps and (stuck or any(isinstance(step.guard, Inside) for step in self._possible(state))):
+        if keeps and (stuck or any(isinstance(self.part.steps[number].guard, Inside) for number in possible)):
             return "it waits for others while it keeps resources that they may need"
         if self.resources and self._starves(state):
-            return "it waits for resources that nobody gives back"
+            return "it waits for resources that no call gives back"
+        if wrong := self._ends_too_soon(state) or self._loses_reports(state):
+            return wrong
         if not stuck:
             return ""
         missing = len(self.part.supplies) - state.supplied
+        # What the start of a block gives must not wait for inputs that only its end needs: neighbours may wait for it.
         if missing == 1 and (late := [place for place in self.part.early if not state.tokens[self.index[place]]]):
             return f"{late[0]} is not marked although only later inputs are missing"
-        if missing:
+        if missing:  # more inputs are to come, so to be at rest is no end yet
             return ""
         left = {
             place: state.tokens[number] for place, number in self.index.items() if state.tokens[number] and place not in self.part.records
         }
         return self._why_improper(left)
+
+    def _ends_too_soon(self, state: _State) -> str:
+        """Return what is still going on although the end of the part is marked; empty when nothing is, or it is not."""
+        ended = [place for place in self.ends if state.tokens[place]]
+        if not ended:
+            return ""
+        name, places = self.part.places[ended[0]], self.part.places
+        if busy := [places[number] for number, tokens in enumerate(state.tokens) if tokens and number not in self.may_rest]:
+            return f"{name} is marked although {busy[0]} still is"
+        if Life.ALIVE in state.requests or Life.ADOPTABLE in state.requests:
+            return f"{name} is marked although a request is alive"
+        if self.part.goal in map(places.__getitem__, ended) and self._moods(state)[1]:
+            return f"{name} is marked although the run is ending"
+        return ""
+
+    def _loses_reports(self, state: _State) -> str:
+        """Return for which request that is alive an end would be lost, or be taken for that of a call at rest."""
+        alive = [call for call, position in self.calls.items() if state.requests[position] is Life.ALIVE]
+        if not alive:
+            return ""
+        if len(alive) > sum(state.tokens[place] for place in self.alive):
+            return "a request is alive, and no place is marked that says so"
+        enabled = [self.part.steps[number] for number in self.reports if self._is_enabled(self.part.steps[number], state)]
+        for call in alive:
+            if lost := untaken(step for step in enabled if step.call == call):
+                return f"nothing takes the report that a request has {'/'.join(sorted(kind.value for kind in lost))}"
+        return ""
 
     def _why_improper(self, left: Mapping[str, int]) -> str:
         """Return what is wrong with a final marking of all but record places; empty when it is proper."""
@@ -319,19 +316,6 @@ def _is_open(guard: Guard | Inside, failing: bool, ending: bool, cancel: bool) -
             return None
 
 
-def _cases(steps: Sequence[Step]) -> Iterator[list[list[Step]]]:
-    """Yield for each counter that the steps ask for, if there is one, which of the steps are enabled in each of its cases.
-
-    Steps that ask for others are left out: they may be enabled or not.
-    """
-    counts = {step.counted.place: step.counted for step in steps if step.counted}
-    if not counts:
-        yield [[*steps]]
-    for place, count in counts.items():
-        own = [step for step in steps if not step.counted or step.counted.place == place]
-        yield [[step for step in own if not step.counted or case in step.counted.cases] for case in count.possible]
-
-
 def _asks_the_world(guard: Guard | Inside) -> bool:
     """Return whether the guard opens because of the world, of a request from outside, or of time."""
     return not isinstance(guard, Inside) and _is_open(guard, False, False, False) is None
@@ -345,12 +329,13 @@ def explore_part(part: Part) -> int:
     """
     if confusing := [step.name for step in part.steps if step.name in _FROM_OUTSIDE]:
         raise Unsound(f"a step is called {confusing[0]!r}, as is what happens from outside")
+    check_steps(part)
     explorer = _Explorer(part)
     # pauses and entries come from outside, as often as they like: what follows from there is walked through apart
-    # so is what is counted, which comes to an end
+    # so is what is counted: `successors` makes sure that it comes to an end
+    # A cycle through them is no error: pauses are assumed to be finitely many, and entries are counted by whatever holds the block.
     apart = {step.name for step in part.steps if isinstance(step.guard, PauseAsked) or step.counted} | {_AGAIN}
-    start = _State(tuple(part.initial.get(place, 0) for place in part.places))
-    roots: list[_Reached] = [(start, None)]
+    roots: list[_Reached] = [(explorer.start(), None)]
     seen: set[_State] = set()
     while roots:
         root = roots.pop()
@@ -361,15 +346,19 @@ def explore_part(part: Part) -> int:
 
 def _walk(explorer: _Explorer, root: _Reached, seen: set[_State], apart: Set[str]) -> list[_Reached]:
     """Walk through every state that is reached from the root but by some steps; return what those lead to."""
-    path: list[tuple[_Reached, Iterator[tuple[str, _State]]]] = []
+    path: list[tuple[_Reached, Iterator[tuple[str, _State]]]] = []  # an explicit stack: plans may be deeper than Python's recursion limit
     on_path: set[_State] = set()
     left: dict[_State, _Reached] = {}
 
     def enter(reached: _Reached) -> None:
         state, trace = reached
-        nexts = list(explorer.successors(state))
-        stuck = explorer.is_stuck(state)
-        if wrong := explorer.check(state, stuck):
+        possible = explorer.possible(state)
+        stuck = explorer.is_stuck(state, possible)
+        try:
+            nexts = list(explorer.successors(state, possible, stuck))
+        except Unsound as error:
+            raise Unsound(str(error), _names(trace)) from error
+        if wrong := explorer.check(state, possible, stuck):
             raise Unsound(wrong, _names(trace))
         if len(seen) > MAX_STATES:
             raise Unsound(f"more than {MAX_STATES} states")
@@ -380,15 +369,16 @@ def _walk(explorer: _Explorer, root: _Reached, seen: set[_State], apart: Set[str
     enter(root)
     while path:
         (state, trace), nexts = path[-1]
-        found = next(nexts, None)
-        if found is None:
+        successor = next(nexts, None)
+        if successor is None:
             path.pop()
             on_path.remove(state)
             continue
-        name, following = found
+        name, following = successor
         if name in apart:
             if following not in seen:
                 left.setdefault(following, (following, (trace, name)))
+        # A state on the current path is a cycle that the machine goes through without help from outside: it would not terminate.
         elif following in on_path:
             raise Unsound("it can go round for ever", _names((trace, name)))
         elif following not in seen:
@@ -397,8 +387,8 @@ def _walk(explorer: _Explorer, root: _Reached, seen: set[_State], apart: Set[str
 
 
 def _names(trace: _Trace) -> list[str]:
-    found: list[str] = []
+    names: list[str] = []
     while trace is not None:
         trace, name = trace
-        found.append(name)
-    return found[::-1]
+        names.append(name)
+    return names[::-1]

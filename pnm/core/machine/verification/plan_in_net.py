@@ -8,7 +8,7 @@ from collections.abc import Collection
 from pnm.core.machine.machine import Due, Ending, PetriNetMachine, TransitionAction
 from pnm.core.machine.plan_graph import Flow, Moment, flows
 from pnm.core.machine.verification.decompose import Block
-from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.part import Unsound
 
 _BEGINNINGS = (TransitionAction.BEGIN, TransitionAction.ADOPT)
 

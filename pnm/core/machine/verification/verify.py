@@ -1,9 +1,9 @@
 """Is the machine sound? Proved before it runs, block by block; or by its whole state space.
 
-*Sound* means: whatever its servers and the world answer, and whenever it is told to stop, the
+*Sound* means: whatever its servers and the world answer, and whenever it is stopped, the
 machine ends, with exactly one token on its goal place or on its failed place and none elsewhere
 but on record places; no place ever holds two tokens, a budget never more than it began with. A run
-that is paused goes on when it is told to, and each pause may have calls begin anew: so it ends if it
+that is paused goes on when it is resumed, and each pause may have calls begin anew: so it ends if it
 is paused finitely often.
 
 `explore` walks through all states: the oracle, for machines of a few calls. `verify` is linear
@@ -29,18 +29,17 @@ from math import isfinite
 from typing import Final
 
 from pnm.core.machine.machine import (
-    Accepts,
     Adopted,
     ConditionTrue,
-    Due,
     OnFailure,
     PetriNetMachine,
-    TransitionAction,
     Withheld,
 )
 from pnm.core.machine.verification.block_shape import shape_of
 from pnm.core.machine.verification.decompose import Anatomy, Event, step_of
-from pnm.core.machine.verification.explore import Part, Unsound, explore_part
+from pnm.core.machine.verification.explore import explore_part
+from pnm.core.machine.verification.part import Part, Unsound
+from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.machine.verification.plan_in_net import check_events, check_flows
 
 
@@ -81,16 +80,19 @@ def verify(machine: PetriNetMachine) -> Proof:
     anatomy = Anatomy(machine)
     proved: set[_Proved] = set()
     waits: dict[Event, set[Event]] = {}
-    for place, call in anatomy.machine.failure_places.items():
-        if anatomy.writers[place] - {call}:
-            raise Unsound(f"{place} marks the failure of another call than its own")
-    for owner, names in anatomy.transitions.items():
-        _check_rules(anatomy, owner, names)
+    for owner in anatomy.writers[machine.goal_place]:
+        for name in anatomy.transitions[owner]:
+            if machine.goal_place in machine.net.outputs[name] and machine.rules[name].guard != ConditionTrue(machine.plan.goal):
+                raise Unsound(f"{name} marks the goal place without asking for the goal")
+    for owner in anatomy.transitions:
         block = anatomy.block(owner)
-        check_events(machine, block, names)
+        if owner is not None and not block.part.ends:
+            raise Unsound(f"nothing waits for the end of step {owner}")
+        check_events(machine, block, anatomy.transitions[owner])
         anatomy.note_waits(block, waits)
         proved.add(_proved(block.part))
     try:
+        # Each block gives its outputs once it has its inputs; without a cycle all get them, by induction.
         TopologicalSorter(waits).prepare()
     except CycleError as error:
         raise Unsound(f"blocks wait for each other: {error.args[1]}") from error
@@ -100,19 +102,23 @@ def verify(machine: PetriNetMachine) -> Proof:
 def _proved(part: Part) -> _Proved:
     """Prove a block, unless one of its shape was found good before: a task proves many machines of the same few shapes."""
     shape = shape_of(part)
-    found = _FOUND_GOOD.get(shape)
-    if found is None:
+    proved = _FOUND_GOOD.get(shape)
+    if proved is None:
         for number, step in enumerate(part.steps):
+            # The exploration assumes that resources come in the end, which is not so if they are withheld: hence this check by form.
             rest = {place: weight for place, weight in step.inputs.items() if place not in part.resources}
             if rest != step.inputs and not isinstance(step.guard, Adopted):
+                # Rules are asked in order: only an exit before the transition is asked while that waits for its resources.
                 before = part.steps[:number]
-                if not any(isinstance(one.guard, Withheld) and isfinite(one.guard.seconds) and one.inputs == rest for one in before):
+                if not any(
+                    isinstance(way_out.guard, Withheld) and isfinite(way_out.guard.seconds) and way_out.inputs == rest for way_out in before
+                ):
                     raise Unsound(f"{step.name} has no way out for when resources that it needs are withheld")
-        found = _Proved(explore_part(part))
+        proved = _Proved(explore_part(part))
         if len(_FOUND_GOOD) == _REMEMBERED:
             _FOUND_GOOD.pop(next(iter(_FOUND_GOOD)))
-        _FOUND_GOOD[shape] = found
-    return found
+        _FOUND_GOOD[shape] = proved
+    return proved
 
 
 def explore(machine: PetriNetMachine) -> int:
@@ -121,6 +127,7 @@ def explore(machine: PetriNetMachine) -> int:
     Raises:
         Unsound: some state is wrong, or there are more than `MAX_STATES`.
     """
+    check_roles(machine)
     return explore_part(
         Part(
             places=machine.net.places,
@@ -131,28 +138,10 @@ def explore(machine: PetriNetMachine) -> int:
             counters=machine.counter_places,
             cancels=machine.on_failure is OnFailure.CANCEL,
             finals=frozenset((machine.goal_place, machine.failed_place)),
+            goal=machine.goal_place,
             restarts=frozenset(machine.restart_places),
             resources=frozenset(machine.resource_places),
+            alive=machine.alive_places,
+            settling=frozenset(machine.settling_places),
         )
     )
-
-
-# --- checks --------------------------------------------------------------------------------
-
-
-def _check_rules(anatomy: Anatomy, call: int | None, names: list[str]) -> None:
-    """Check that the rules of a block speak of its own call, and that requests and the goal are what they seem."""
-    machine = anatomy.machine
-    rules, net, goal = machine.rules, machine.net, machine.goal_place
-    waiting = {place for name in names if isinstance(rules[name].guard, Accepts) for place in net.inputs[name]}
-    for name in names:
-        rule, outputs = rules[name], net.outputs[name]
-        if getattr(rule.guard, "call", call) != call:
-            raise Unsound(f"{name} listens to another call")
-        if (rule.action is TransitionAction.SEND) is waiting.isdisjoint(outputs):
-            raise Unsound(f"{name} does not send the request that is waited for, or sends one that is not")
-        if isinstance(rule.guard, Due):
-            for place in dict(rule.guard.since).keys() - net.inputs[name].keys():
-                raise Unsound(f"{name} counts from the marking of {place}, which it does not take from")
-        if goal in outputs and rule.guard != ConditionTrue(machine.plan.goal):
-            raise Unsound(f"{name} marks the goal place without asking for the goal")

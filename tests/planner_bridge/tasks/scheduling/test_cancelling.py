@@ -9,7 +9,7 @@ import pytest
 from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.machine.bindings import Binding
 from pnm.tasks import Code, TaskRefused
-from tests.support.tasks.node import needing, robots_of, simulated
+from tests.support.tasks.node import everything_needs, robots_of, simulated
 from tests.support.tasks.simulation import TaskSimulation
 
 
@@ -48,7 +48,7 @@ async def test_a_server_that_does_not_confirm_is_given_up_after_its_limit(simula
 async def test_what_a_request_has_that_was_given_up_is_not_used_by_others_and_they_find_another_way(simulation: TaskSimulation):
     first = await simulation.begun("(at r0 a1)")
     await simulation.master.cancel(first)
-    assert simulation.seen(first, "withheld", "keeps r0 until its server says that it is over")
+    assert simulation.seen(first, "withheld", "keeps r0 until its server reports the end")
     second = simulation.want("(in p0 a1)")
     assert await simulation.ended_with(second) == [Code.GOAL_REACHED]
     (failure,) = simulation.seen(second, "failed")
@@ -65,7 +65,7 @@ async def test_what_a_request_has_that_was_given_up_is_not_used_by_others_and_th
 
 @simulated(
     faults=Faults((Fault("move(r0, a0, a1)", FaultKind.SLOW, ignores_cancel=True, times=1),)),
-    chosen=needing("{r}", move=Binding(resources=("{r}",), retries=0, cancel=2.0)),
+    chosen=everything_needs("{r}", move=Binding(resources=("{r}",), retries=0, cancel=2.0)),
 )
 async def test_what_a_request_has_that_was_given_up_is_free_when_its_server_reports_late(simulation: TaskSimulation):
     first = await simulation.begun("(at r0 a1)")
@@ -83,7 +83,9 @@ async def test_what_a_request_has_that_was_given_up_is_free_when_its_server_repo
             Fault("pick(r1, p0, a0)", FaultKind.ABORT),
         )
     ),
-    chosen=needing("{r}", move=Binding(resources=("{r}",), retries=0, cancel=2.0), pick=Binding(resources=("{r}",), retries=0, accept=3.0)),
+    chosen=everything_needs(
+        "{r}", move=Binding(resources=("{r}",), retries=0, cancel=2.0), pick=Binding(resources=("{r}",), retries=0, accept=3.0)
+    ),
 )
 async def test_what_was_waited_for_in_vain_is_planned_with_again_when_it_is_free(simulation: TaskSimulation):
     first = await simulation.begun("(at r0 a1)")

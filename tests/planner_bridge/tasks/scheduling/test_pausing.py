@@ -13,7 +13,7 @@ from pnm.actions.faults import Fault, FaultKind, Faults
 from pnm.core.machine.bindings import Binding
 from pnm.tasks import Code, OnConflict, TaskState
 from tests.support.pddl.problems import fleet
-from tests.support.tasks.node import USUAL, carry, needing, robots_of, simulated
+from tests.support.tasks.node import USUAL, carry, everything_needs, robots_of, simulated
 from tests.support.tasks.simulation import TaskSimulation
 
 
@@ -176,7 +176,7 @@ async def test_a_paused_task_keeps_nobody_waiting(simulation: TaskSimulation):
 
 @simulated(
     faults=Faults((Fault("move(r0, a0, a1)", FaultKind.HANG, ignores_cancel=True),)),
-    chosen=needing("{r}", move=Binding(resources=("{r}",), retries=0, cancel=2.0)),
+    chosen=everything_needs("{r}", move=Binding(resources=("{r}",), retries=0, cancel=2.0)),
 )
 async def test_a_task_that_a_pause_leaves_without_a_plan_keeps_nobody_waiting(simulation: TaskSimulation):
     paused = await simulation.begun("(at r0 a1)")

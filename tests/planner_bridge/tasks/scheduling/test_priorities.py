@@ -9,7 +9,7 @@ from pnm.core.machine.bindings import Binding
 from pnm.knowledge.sources.source import Asker
 from pnm.tasks import TaskState
 from tests.support.pddl.problems import fleet
-from tests.support.tasks.node import needing, simulated
+from tests.support.tasks.node import everything_needs, simulated
 from tests.support.tasks.simulation import TaskSimulation
 
 
@@ -23,7 +23,7 @@ async def test_a_higher_goal_preempts_a_lower_one_that_goes_on_by_itself(simulat
     assert simulation.holds("(at r0 a2)")
 
 
-@simulated(chosen=needing("lift"))
+@simulated(chosen=everything_needs("lift"))
 async def test_a_higher_goal_takes_the_resource_of_a_lower_one_even_if_their_facts_have_nothing_to_do_with_each_other(
     simulation: TaskSimulation,
 ):
@@ -34,7 +34,7 @@ async def test_a_higher_goal_takes_the_resource_of_a_lower_one_even_if_their_fac
     assert simulation.ended_at(high) < simulation.ended_at(low)
 
 
-@simulated(chosen=needing("lift"))
+@simulated(chosen=everything_needs("lift"))
 async def test_equal_goals_that_share_a_resource_take_turns(simulation: TaskSimulation):
     tasks = [simulation.want("(at r0 a2)"), simulation.want("(at r1 a3)")]
     await simulation.reaches(*tasks)
@@ -81,7 +81,7 @@ class SlowPerson:
 ASKING = Binding(resources=("lift",), retries=0, ask={"word": "May I?"}, goal={"word": "$word"})
 
 
-@simulated(fleet(robots=2, parcels=3, places=8), chosen=needing("lift", pick=ASKING), source=SlowPerson())
+@simulated(fleet(robots=2, parcels=3, places=8), chosen=everything_needs("lift", pick=ASKING), source=SlowPerson())
 async def test_nobody_is_held_up_by_a_task_that_only_waits_for_an_answer(simulation: TaskSimulation):
     low = await simulation.begun("(at r0 a4)")
     high = simulation.want("(has r1 p2)", priority=1)

@@ -14,22 +14,17 @@ from pnm.core.logic.expressions import Constant
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.machine import OnFailure
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
-from tests.support.runs.plan_graphs import ordering
-from tests.support.runs.simulated import Simulation, fault, hidden, move, simulate
+from tests.support.runs.plan_graphs import ordering, plan_of
+from tests.support.runs.simulated import SimulatedRun, fault, hidden, move, simulate
 
 AT_START = {("at", "r1", "hall"): True, ("at", "r2", "hall"): True}
 
 
-def graph(actions: list[GroundAction], *orderings: str, goal: Condition = All()) -> PlanGraph:
-    calls = tuple(ActionCall(index, action) for index, action in enumerate(actions))
-    return PlanGraph(calls, tuple(map(ordering, orderings)), goal)
-
-
 GOAL = Holds(("at", "r1", "kitchen"))
-TO_KITCHEN = graph([move("r1", "hall", "door"), move("r1", "door", "kitchen")], "0e<1s", goal=GOAL)
+TO_KITCHEN = plan_of(move("r1", "hall", "door"), move("r1", "door", "kitchen"), orders=("0e<1s",), goal=GOAL)
 
 
-def assert_true_to_the_world(simulation: Simulation, goal: Condition = GOAL) -> None:
+def assert_true_to_the_world(simulation: SimulatedRun, goal: Condition = GOAL) -> None:
     assert simulation.result.goal == (evaluate(goal, simulation.truth) is True)
 
 
@@ -108,7 +103,7 @@ def test_a_fact_changed_behind_the_robots_back_is_found_by_the_precondition() ->
 
 
 def test_effects_that_hold_already_are_skipped() -> None:
-    done = simulate(graph([move("r1", "hall", "door")], goal=Holds(("at", "r1", "door"))), {("at", "r1", "door"): True})
+    done = simulate(plan_of(move("r1", "hall", "door"), goal=Holds(("at", "r1", "door"))), {("at", "r1", "door"): True})
     assert done.result.goal
     assert done.outcomes() == ["already true"]
     assert done.attempts() == [0]
@@ -117,7 +112,7 @@ def test_effects_that_hold_already_are_skipped() -> None:
 def test_effects_that_something_still_to_come_will_undo_are_not_skipped() -> None:
     leave = replace(move("r1", "door", "yard", 7.0), start_effects=(), end_effects=(Set(("at", "r1", "door"), Constant(False)),))
     back = replace(move("r1", "hall", "door", 8.0), precondition=All(), start_effects=())
-    done = simulate(graph([leave, back], "0e<1e", goal=Holds(("at", "r1", "door"))), {("at", "r1", "door"): True})
+    done = simulate(plan_of(leave, back, orders=("0e<1e",), goal=Holds(("at", "r1", "door"))), {("at", "r1", "door"): True})
     assert done.outcomes() == ["succeeded", "succeeded"]
     assert done.result.goal
 
@@ -128,29 +123,29 @@ HOLD = GroundAction(
 
 
 def test_an_over_all_condition_that_breaks_cancels_the_call() -> None:
-    done = simulate(graph([HOLD], goal=GOAL), {("ok",): True}, hidden({("ok",): False}, at=3.0))
+    done = simulate(plan_of(HOLD, goal=GOAL), {("ok",): True}, hidden({("ok",): False}, at=3.0))
     assert done.causes() == ["invariant_false"]
-    assert done.log.times("invariant_false") == [pytest.approx(3.01)]
+    assert done.log.times("invariant_false") == [pytest.approx(3.0)]
     assert done.result.failures[0].expected == "(ok)"
     assert_true_to_the_world(done)
 
 
 def test_an_over_all_condition_that_nobody_watches_fails_in_the_world() -> None:
     bindings = Bindings({"hold": Binding(retries=0)})
-    done = simulate(graph([HOLD], goal=GOAL), {("ok",): True}, hidden({("ok",): False}, at=3.0), watched=False, bindings=bindings)
+    done = simulate(plan_of(HOLD, goal=GOAL), {("ok",): True}, hidden({("ok",): False}, at=3.0), watched=False, bindings=bindings)
     assert done.causes() == ["aborted"]
     assert_true_to_the_world(done)
 
 
 def test_siblings_drain_when_a_call_has_failed() -> None:
-    plan = graph([move("r1", "hall", "door", 4.0), move("r2", "hall", "door", 20.0), move("r2", "door", "yard")], "1e<2s")
+    plan = plan_of(move("r1", "hall", "door", 4.0), move("r2", "hall", "door", 20.0), move("r2", "door", "yard"), orders=("1e<2s",))
     done = simulate(plan, AT_START, fault("move(r1, hall, door)", FaultKind.ABORT))
     assert done.outcomes() == ["aborted", "succeeded", "skipped"]
     assert done.truth.value(("at", "r2", "door")) is True
 
 
 def test_siblings_are_cancelled_if_that_is_the_policy() -> None:
-    plan = graph([move("r1", "hall", "door", 4.0), move("r2", "hall", "door", 20.0), move("r2", "door", "yard")], "1e<2s")
+    plan = plan_of(move("r1", "hall", "door", 4.0), move("r2", "hall", "door", 20.0), move("r2", "door", "yard"), orders=("1e<2s",))
     done = simulate(plan, AT_START, fault("move(r1, hall, door)", FaultKind.ABORT), on_failure=OnFailure.CANCEL)
     assert done.outcomes() == ["aborted", "canceled", "skipped"]
     assert done.truth.value(("at", "r2", "hall")) is True
@@ -167,26 +162,26 @@ def test_stopping_a_run_cancels_what_runs_and_reports_no_success() -> None:
 
 
 def test_calls_without_orderings_overlap() -> None:
-    plan = graph([move("r1", "hall", "door", 4.0), move("r2", "hall", "door", 6.0)])
+    plan = plan_of(move("r1", "hall", "door", 4.0), move("r2", "hall", "door", 6.0))
     done = simulate(plan, AT_START)
     assert [(call.started, call.ended) for call in done.result.calls] == [(0.0, 4.0), (0.0, 6.0)]
 
 
 def test_a_call_may_start_with_the_start_of_another() -> None:
-    plan = graph([move("r1", "hall", "door", 10.0), move("r2", "hall", "door", 4.0)], "0s<1s")
+    plan = plan_of(move("r1", "hall", "door", 10.0), move("r2", "hall", "door", 4.0), orders=("0s<1s",))
     done = simulate(plan, AT_START)
     assert done.result.calls[1].ended == 4.0
 
 
 def test_an_announced_start_is_announced_once_however_often_it_is_tried() -> None:
-    plan = graph([move("r1", "hall", "door", 10.0), move("r2", "hall", "door", 4.0)], "0s<1s")
+    plan = plan_of(move("r1", "hall", "door", 10.0), move("r2", "hall", "door", 4.0), orders=("0s<1s",))
     done = simulate(plan, AT_START, fault("move(r1, hall, door)", FaultKind.ABORT, times=1))
     assert done.result.goal
     assert done.attempts() == [2, 1]
 
 
 def test_a_rejected_start_is_not_announced() -> None:
-    plan = graph([move("r1", "hall", "door", 10.0), move("r2", "hall", "door", 4.0)], "0s<1s")
+    plan = plan_of(move("r1", "hall", "door", 10.0), move("r2", "hall", "door", 4.0), orders=("0s<1s",))
     done = simulate(plan, AT_START, fault("move(r1, hall, door)", FaultKind.REJECT))
     assert done.outcomes() == ["rejected", "skipped"]
 
@@ -228,7 +223,7 @@ def test_a_call_waits_for_its_release() -> None:
 
 
 def test_an_end_waits_for_the_events_before_it() -> None:
-    plan = graph([move("r1", "hall", "door", 2.0), move("r2", "hall", "door", 8.0)], "1e<0e")
+    plan = plan_of(move("r1", "hall", "door", 2.0), move("r2", "hall", "door", 8.0), orders=("1e<0e",))
     done = simulate(plan, AT_START)
     assert done.result.goal
     assert done.result.calls[0].ended == 8.0
@@ -249,7 +244,8 @@ def test_unwatched_start_effects_are_taken_back_when_an_action_fails() -> None:
 
 def test_every_call_done_is_not_yet_the_goal() -> None:
     elsewhere = hidden({("at", "r1", "kitchen"): False}, at=9.0)
-    plan = graph([move("r1", "hall", "door"), move("r1", "door", "kitchen"), move("r2", "hall", "door", 20.0)], "0e<1s", goal=GOAL)
+    moves = move("r1", "hall", "door"), move("r1", "door", "kitchen"), move("r2", "hall", "door", 20.0)
+    plan = plan_of(*moves, orders=("0e<1s",), goal=GOAL)
     done = simulate(plan, AT_START, elsewhere)
     assert not done.result.goal
     assert done.result.failures == ()
@@ -259,8 +255,8 @@ def test_every_call_done_is_not_yet_the_goal() -> None:
 
 
 def test_an_empty_plan_reaches_a_goal_that_holds() -> None:
-    assert simulate(graph([], goal=Holds(("at", "r1", "hall"))), AT_START).result.goal
-    assert not simulate(graph([], goal=GOAL), AT_START).result.goal
+    assert simulate(plan_of(goal=Holds(("at", "r1", "hall"))), AT_START).result.goal
+    assert not simulate(plan_of(goal=GOAL), AT_START).result.goal
 
 
 def test_the_end_leaves_only_records_behind() -> None:

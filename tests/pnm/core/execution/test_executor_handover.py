@@ -21,7 +21,8 @@ from pnm.core.machine.plan_graph import ActionCall, GroundAction
 from pnm.core.machine.requests import Ended
 from pnm.errors import RunError
 from pnm.executor import Executor
-from tests.support.runs.handover import SUCCEEDED, Server, carried, going, plan, successor
+from tests.support.runs.handover import SUCCEEDED, ManualClient, carried, going, successor
+from tests.support.runs.plan_graphs import plan_of_steps
 
 ACT = GroundAction("act", resources=("arm",), duration=5.0)
 LAST = GroundAction("last", resources=("arm",))
@@ -31,7 +32,7 @@ LAST = GroundAction("last", resources=("arm",))
 
 
 def test_the_result_is_that_of_the_last_run() -> None:
-    def scenario(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: ManualClient) -> None:
         executor.succeed(successor(executor.run, LAST))
         asyncio.get_running_loop().call_later(3, server.end, "act")
         asyncio.get_running_loop().call_later(5, server.end, "last")
@@ -45,7 +46,7 @@ def test_the_result_is_that_of_the_last_run() -> None:
 
 
 def test_a_report_that_waits_in_the_inbox_reaches_the_successor() -> None:
-    def scenario(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: ManualClient) -> None:
         server.end("act")
         executor.succeed(successor(executor.run))
 
@@ -53,14 +54,14 @@ def test_a_report_that_waits_in_the_inbox_reaches_the_successor() -> None:
 
 
 def test_a_successor_with_nothing_to_do_ends_at_once() -> None:
-    def scenario(executor: Executor, _: Server) -> None:
+    def scenario(executor: Executor, _: ManualClient) -> None:
         executor.succeed(successor(executor.run))
 
     assert carried(scenario, GroundAction("blocked", precondition=Holds(("seen",)))).goal
 
 
 def test_nobody_stands_in_line_for_a_run_that_is_succeeded() -> None:
-    def scenario(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: ManualClient) -> None:
         pool = executor.run.resources
         assert len(pool.line) == 1
         executor.succeed(successor(executor.run))
@@ -71,7 +72,7 @@ def test_nobody_stands_in_line_for_a_run_that_is_succeeded() -> None:
 
 
 def test_a_pause_goes_on_in_the_successor() -> None:
-    def scenario(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: ManualClient) -> None:
         executor.run.handle(Pause(), 1.0)
         executor.succeed(successor(executor.run, LAST))
         server.end("act")
@@ -85,10 +86,10 @@ def test_a_pause_goes_on_in_the_successor() -> None:
     assert states == [(True, ["act"])]
 
 
-def refusing(match: str, change: Callable[[Executor, Server], Run]) -> Callable[[Executor, Server], None]:
+def refusing(match: str, change: Callable[[Executor, ManualClient], Run]) -> Callable[[Executor, ManualClient], None]:
     """Try to go on with another run; then end all that is open."""
 
-    def scenario(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: ManualClient) -> None:
         old, new = executor.run, change(executor, server)
         with pytest.raises(RunError, match=match):
             executor.succeed(new)
@@ -126,7 +127,7 @@ def test_nothing_that_is_under_way_is_lost() -> None:
 def test_a_call_whose_effects_are_looked_for_is_waited_for() -> None:
     effects = (Set(("seen",), Constant(True)),)
 
-    def scenario(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: ManualClient) -> None:
         executor.run.handle(Ended(executor.run.open_requests[0], SUCCEEDED), 1.0)
         new = successor(executor.run)
         with pytest.raises(RunError, match=r"the effects of act\(\)#0 are still to be looked for"):
@@ -137,8 +138,8 @@ def test_a_call_whose_effects_are_looked_for_is_waited_for() -> None:
 
 
 def test_what_is_not_being_carried_out_is_not_succeeded() -> None:
-    machine, knowledge = generate(plan(ActionCall(0, LAST))), Layered(KnowledgeBase())
-    server = Server()
+    machine, knowledge = generate(plan_of_steps(ActionCall(0, LAST))), Layered(KnowledgeBase())
+    server = ManualClient()
     executor = Executor(Run(machine, knowledge, id=UUID(int=1)), server)
 
     def refused() -> None:
@@ -160,7 +161,7 @@ def test_what_is_not_being_carried_out_is_not_succeeded() -> None:
 def test_the_resources_of_a_run_that_is_succeeded_are_given_back_but_for_what_goes_on() -> None:
     pool = Resources()
     old = going(ACT, GroundAction("wheel", resources=("base",)), resources=pool)
-    waiting = Run(generate(plan(ActionCall(0, LAST))), Layered(KnowledgeBase()), id=UUID(int=9), resources=pool)
+    waiting = Run(generate(plan_of_steps(ActionCall(0, LAST))), Layered(KnowledgeBase()), id=UUID(int=9), resources=pool)
     waiting.handle(Begin(), 1.0)
     kept, left = old.open_requests
     old.retire([kept])
@@ -173,7 +174,7 @@ def test_the_resources_of_a_run_that_is_succeeded_are_given_back_but_for_what_go
 
 
 def test_changes_of_knowledge_reach_the_successor_alone() -> None:
-    def scenario(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: ManualClient) -> None:
         old = executor.run
         executor.succeed(successor(old, GroundAction("sees", precondition=Holds(("seen",)))))
         old.knowledge.world.update({("seen",): True})

@@ -8,7 +8,7 @@ from uuid import UUID
 
 import pytest
 
-from pnm.core.execution.events import Begin, Cancel, Command, Pause, Send, Stop, Tick, Wake
+from pnm.core.execution.events import Begin, Pause, Stop, Tick, Wake
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.resources import Resources
 from pnm.core.execution.run import Run
@@ -20,20 +20,14 @@ from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Orderi
 from pnm.core.machine.requests import Accepted, Ended
 from pnm.core.machine.verification.verify import explore
 from pnm.errors import RunError
-from tests.support.runs.handover import ABORTED, CANCELED, SUCCEEDED, going, plan, successor
+from tests.support.runs.commands import cancelled, sent
+from tests.support.runs.handover import ABORTED, CANCELED, SUCCEEDED, going, successor
 from tests.support.runs.mutants import check_proof_of_mutants
+from tests.support.runs.plan_graphs import plan_of_steps
 from tests.support.runs.simulated import move
 
 ACT = GroundAction("act", resources=("arm",), duration=5.0)
 LAST = GroundAction("last", resources=("arm",))
-
-
-def sent(commands: list[Command]) -> list[str]:
-    return [command.request.action.name for command in commands if isinstance(command, Send)]
-
-
-def cancelled(commands: list[Command]) -> list[UUID]:
-    return [command.request for command in commands if isinstance(command, Cancel)]
 
 
 def test_a_request_is_taken_over_and_what_waits_for_it_goes_on_after_its_end() -> None:
@@ -156,7 +150,7 @@ def test_a_run_without_others_keeps_what_its_predecessor_had() -> None:
 def test_what_contradicts_the_plan_is_refused() -> None:
     old = going(ACT)
     (there,) = old.under_way()
-    machine = generate(plan(ActionCall(0, ACT, under_way=True)))
+    machine = generate(plan_of_steps(ActionCall(0, ACT, under_way=True)))
 
     def refused(adopted: Mapping[int, UnderWay], match: str) -> None:
         with pytest.raises(RunError, match=match):
@@ -165,12 +159,12 @@ def test_what_contradicts_the_plan_is_refused() -> None:
     refused({}, r"the calls \[0\] of the plan are under way; requests are taken over for \[\]")
     refused({0: there, 1: there}, r"taken over for \[0, 1\]")
     refused({0: replace(there, resources=("leg",))}, "has leg for itself; the plan says otherwise")
-    twice = generate(plan(ActionCall(0, ACT, under_way=True), ActionCall(1, ACT, under_way=True)))
+    twice = generate(plan_of_steps(ActionCall(0, ACT, under_way=True), ActionCall(1, ACT, under_way=True)))
     with pytest.raises(RunError, match="2 requests that are taken over have arm"):
         Run(twice, old.knowledge, id=UUID(int=2), adopted={0: there, 1: there})
     with pytest.raises(PlanGraphError, match="is under way: it cannot wait for others"):
-        plan(ActionCall(0, LAST), ActionCall(1, ACT, under_way=True), orders=("0e<1s",))
+        plan_of_steps(ActionCall(0, LAST), ActionCall(1, ACT, under_way=True), orders=("0e<1s",))
 
 
 def test_the_block_proof_accepts_no_machine_that_the_state_space_refutes() -> None:
-    check_proof_of_mutants(generate(plan(ActionCall(0, ACT, under_way=True)), Bindings({"act": Binding(retries=0)})))
+    check_proof_of_mutants(generate(plan_of_steps(ActionCall(0, ACT, under_way=True)), Bindings({"act": Binding(retries=0)})))

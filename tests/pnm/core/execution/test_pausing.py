@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from uuid import UUID
-
 import pytest
 
-from pnm.core.execution.events import Answered, Ask, Begin, Cancel, Command, KnowledgeChanged, Pause, Resume, Send, Stop, Tick
+from pnm.core.execution.events import Answered, Ask, Begin, KnowledgeChanged, Pause, Resume, Send, Stop, Tick
 from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.logic.effects import Set
@@ -16,37 +14,15 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.machine.verification.verify import verify
+from tests.support.runs.commands import RUN, accepted, begun, cancelled, sent
 from tests.support.runs.plan_graphs import plan, plan_of
 from tests.support.runs.simulated import move
 
-RUN = UUID(int=1)
 CANCELED, SUCCEEDED = Outcome(OutcomeKind.CANCELED), Outcome(OutcomeKind.SUCCEEDED)
 
 
-def begun(graph: PlanGraph, bindings: Bindings | None = None, **options: object) -> tuple[Run, list[Command]]:
-    knowledge = Layered(options.pop("world", None) or KnowledgeBase())  # type: ignore[arg-type]
-    run = Run(generate(graph, bindings), knowledge, id=RUN, bindings=bindings, **options)  # type: ignore[arg-type]
-    return run, run.handle(Begin(), 0.0)
-
-
-def sent(commands: list[Command]) -> list[str]:
-    return [command.request.action.name for command in commands if isinstance(command, Send)]
-
-
-def cancelled(commands: list[Command]) -> list[UUID]:
-    return [command.request for command in commands if isinstance(command, Cancel)]
-
-
-def going(graph: PlanGraph | None = None, bindings: Bindings | None = None, **options: object) -> Run:
-    """A run whose first calls have been accepted."""
-    run, _ = begun(graph or plan(1), bindings, **options)
-    for request in run.open_requests:
-        run.handle(Accepted(request), 0.0)
-    return run
-
-
 def test_nothing_starts_while_a_run_is_paused_and_what_runs_goes_on() -> None:
-    run = going(plan(2, "0e<1s"))
+    run = accepted(plan(2, "0e<1s"))
     assert cancelled(run.handle(Pause(), 1.0)) == []
     assert not run.paused
     assert sent(run.handle(Ended(run.open_requests[0], SUCCEEDED), 2.0)) == []
@@ -68,7 +44,7 @@ def test_what_has_not_begun_begins_paused_and_resuming_what_is_not_paused_change
 
 
 def test_a_call_is_cancelled_at_once_and_begins_anew_without_spending_its_budget() -> None:
-    run = going(bindings=Bindings({"a0": Binding(retries=1)}))
+    run = accepted(bindings=Bindings({"a0": Binding(retries=1)}))
     (first,) = run.open_requests
     assert cancelled(run.handle(Pause(at_once=True), 1.0)) == [first]
     assert not run.paused
@@ -82,7 +58,7 @@ def test_a_call_is_cancelled_at_once_and_begins_anew_without_spending_its_budget
 
 
 def test_being_told_twice_cancels_once_and_at_once_is_the_stronger_word() -> None:
-    run = going()
+    run = accepted()
     assert cancelled(run.handle(Pause(), 1.0)) == []
     assert len(cancelled(run.handle(Pause(at_once=True), 1.0))) == 1
     assert cancelled(run.handle(Pause(at_once=True), 1.0)) == []
@@ -108,7 +84,7 @@ def test_a_request_that_is_never_accepted_is_withdrawn_and_tried_again_after_the
 
 
 def test_success_in_spite_of_the_cancellation_is_success() -> None:
-    run = going(plan(2, "0e<1s"))
+    run = accepted(plan(2, "0e<1s"))
     run.handle(Pause(at_once=True), 1.0)
     assert sent(run.handle(Ended(run.open_requests[0], SUCCEEDED), 2.0)) == []
     assert run.paused
@@ -118,14 +94,14 @@ def test_success_in_spite_of_the_cancellation_is_success() -> None:
 
 @pytest.mark.parametrize("kind", [OutcomeKind.ABORTED, OutcomeKind.LOST, OutcomeKind.REJECTED, OutcomeKind.UNAVAILABLE])
 def test_any_other_end_has_the_call_begin_anew(kind: OutcomeKind) -> None:
-    run = going(bindings=Bindings({"a0": Binding(retries=0)}))
+    run = accepted(bindings=Bindings({"a0": Binding(retries=0)}))
     run.handle(Pause(at_once=True), 1.0)
     run.handle(Ended(run.open_requests[0], Outcome(kind)), 2.0)
     assert sent(run.handle(Resume(), 3.0)) == ["a0"]
 
 
 def test_a_cancellation_that_is_not_confirmed_is_a_failure_with_an_open_end() -> None:
-    run = going(bindings=Bindings({"a0": Binding(cancel=3.0)}))
+    run = accepted(bindings=Bindings({"a0": Binding(cancel=3.0)}))
     run.handle(Pause(at_once=True), 1.0)
     run.handle(Tick(), 4.0)
     (failure,) = run.result().failures
@@ -133,7 +109,7 @@ def test_a_cancellation_that_is_not_confirmed_is_a_failure_with_an_open_end() ->
 
 
 def test_resuming_before_the_cancellation_is_confirmed_waits_for_it() -> None:
-    run = going()
+    run = accepted()
     (first,) = run.open_requests
     run.handle(Pause(at_once=True), 1.0)
     assert sent(run.handle(Resume(), 1.5)) == []
@@ -142,7 +118,7 @@ def test_resuming_before_the_cancellation_is_confirmed_waits_for_it() -> None:
 
 @pytest.mark.parametrize(("ending", "outcome"), [(CANCELED, "canceled"), (SUCCEEDED, "succeeded"), (None, "canceled, unconfirmed")])
 def test_a_run_that_is_stopped_while_it_pauses_ends(ending: Outcome | None, outcome: str) -> None:
-    run = going(bindings=Bindings({"a0": Binding(cancel=3.0)}))
+    run = accepted(bindings=Bindings({"a0": Binding(cancel=3.0)}))
     run.handle(Pause(at_once=True), 1.0)
     assert cancelled(run.handle(Stop(reason="enough"), 2.0)) == []
     run.handle(Tick() if ending is None else Ended(run.open_requests[0], ending), 5.0)
@@ -152,7 +128,7 @@ def test_a_run_that_is_stopped_while_it_pauses_ends(ending: Outcome | None, outc
 
 
 def test_a_run_that_is_stopped_when_it_is_paused_ends_at_once() -> None:
-    run = going()
+    run = accepted()
     run.handle(Pause(at_once=True), 1.0)
     run.handle(Ended(run.open_requests[0], CANCELED), 2.0)
     run.handle(Stop(), 3.0)
@@ -165,7 +141,7 @@ def test_a_run_that_is_stopped_when_it_is_paused_ends_at_once() -> None:
 
 
 def test_a_failure_while_a_call_is_being_suspended_ends_the_run() -> None:
-    run = going(plan(2), Bindings({"a1": Binding(retries=0)}))
+    run = accepted(plan(2), Bindings({"a1": Binding(retries=0)}))
     one, other = run.open_requests
     run.handle(Pause(at_once=True), 1.0)
     run.handle(Ended(one, CANCELED), 2.0)
@@ -180,7 +156,7 @@ def test_a_failure_while_a_call_is_being_suspended_ends_the_run() -> None:
 
 def test_assumed_start_effects_are_taken_back_and_all_checks_are_made_anew() -> None:
     world = KnowledgeBase({("at", "r1", "hall"): True})
-    run = going(plan_of(move("r1", "hall", "lab")), world=world)
+    run = accepted(plan_of(move("r1", "hall", "lab")), world=world)
     assert world.value(("at", "r1", "hall")) is False
     run.handle(Pause(at_once=True), 1.0)
     run.handle(Ended(run.open_requests[0], CANCELED), 2.0)
@@ -205,7 +181,7 @@ def test_what_became_true_during_the_pause_is_not_done() -> None:
 
 
 def test_a_start_that_others_wait_for_is_announced_once() -> None:
-    run = going(plan(2, "0s<1s"))
+    run = accepted(plan(2, "0s<1s"))
     verify(run.machine)
     assert [str(call) for call in run.open_calls.values()] == ["a0()#0", "a1()#1"]
     run.handle(Pause(at_once=True), 1.0)
@@ -218,7 +194,7 @@ def test_a_start_that_others_wait_for_is_announced_once() -> None:
 
 def test_effects_are_looked_for_during_a_pause() -> None:
     world = KnowledgeBase(sensed={"done": 2.0})
-    run = going(plan_of(GroundAction("act", end_effects=(Set(("done",), Constant(True)),))), world=world)
+    run = accepted(plan_of(GroundAction("act", end_effects=(Set(("done",), Constant(True)),))), world=world)
     run.handle(Ended(run.open_requests[0], SUCCEEDED), 1.0)
     run.handle(Pause(at_once=True), 1.5)
     assert not run.paused
@@ -229,7 +205,7 @@ def test_effects_are_looked_for_during_a_pause() -> None:
 
 def test_a_call_whose_effects_stay_away_during_a_pause_begins_anew_after_it() -> None:
     world = KnowledgeBase(sensed={"done": 2.0})
-    run = going(plan_of(GroundAction("act", end_effects=(Set(("done",), Constant(True)),))), world=world)
+    run = accepted(plan_of(GroundAction("act", end_effects=(Set(("done",), Constant(True)),))), world=world)
     run.handle(Ended(run.open_requests[0], SUCCEEDED), 1.0)
     run.handle(Pause(), 1.5)
     assert sent(run.handle(Tick(), 3.0)) == []
@@ -263,7 +239,7 @@ def test_a_call_that_goes_on_after_a_recovery_waits_for_the_end_of_the_pause() -
     recovery = Recovery(frozenset({Cause.ABORTED}), Then.CONTINUE, Flow((ActionCall(1, GroundAction("mend")),)))
     acting = GroundAction("act", resources=("arm",), end_effects=(Set(("done",), Constant(True)),))
     world = KnowledgeBase(sensed={"done": 2.0})
-    run = going(PlanGraph((ActionCall(0, acting, recoveries=(recovery,)),)), world=world)
+    run = accepted(PlanGraph((ActionCall(0, acting, recoveries=(recovery,)),)), world=world)
     run.handle(Ended(run.open_requests[0], Outcome(OutcomeKind.ABORTED)), 1.0)
     run.handle(Pause(), 1.0)
     run.handle(Ended(run.open_requests[0], SUCCEEDED), 2.0)
@@ -277,7 +253,7 @@ def test_a_call_that_goes_on_after_a_recovery_waits_for_the_end_of_the_pause() -
 
 
 def test_a_call_s_own_limit_counts_only_while_it_is_under_way() -> None:
-    run = going(bindings=Bindings({"a0": Binding(timeout=10.0)}))
+    run = accepted(bindings=Bindings({"a0": Binding(timeout=10.0)}))
     run.handle(Pause(at_once=True), 1.0)
     run.handle(Ended(run.open_requests[0], CANCELED), 2.0)
     assert run.handle(Tick(), 50.0) == []
@@ -289,7 +265,7 @@ def test_a_call_s_own_limit_counts_only_while_it_is_under_way() -> None:
 
 def test_what_the_plan_says_about_cancelled_calls_is_about_others_wishes() -> None:
     recovery = Recovery(frozenset({Cause.CANCELED}), Then.SKIP, Flow((ActionCall(1, GroundAction("mend")),)))
-    run = going(PlanGraph((ActionCall(0, GroundAction("act"), recoveries=(recovery,)),)))
+    run = accepted(PlanGraph((ActionCall(0, GroundAction("act"), recoveries=(recovery,)),)))
     run.handle(Pause(at_once=True), 1.0)
     assert sent(run.handle(Ended(run.open_requests[0], CANCELED), 2.0)) == []
     assert sent(run.handle(Resume(), 3.0)) == ["act"]

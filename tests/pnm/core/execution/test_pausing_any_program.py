@@ -20,13 +20,13 @@ from pnm.core.execution.run import Run
 from pnm.core.knowledge_base import KnowledgeBase, Layered
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import Always, CancelAsked, PauseAsked
-from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
 from pnm.executor import Executor
 from tests.support.runs.plan_graphs import plan, plan_of
-from tests.support.runs.simulated import Log, move
+from tests.support.runs.simulated import FiringLog, move
 from tests.support.yaml.chaos import Chaos, in_use
-from tests.support.yaml.programs import programs, read
+from tests.support.yaml.programs import only_plan, programs
 
 RUN = UUID(int=1)
 
@@ -63,7 +63,7 @@ def test_a_round_beside_that_of_a_pause_is_found() -> None:
 def test_robots_stop_for_a_pause_and_do_the_rest_after_it() -> None:
     at = ("at", "r1", "hall")
     truth = KnowledgeBase({at: True})
-    world, beliefs, log = SimulatedWorld(truth, {"at"}), KnowledgeBase({at: True}), Log()
+    world, beliefs, log = SimulatedWorld(truth, {"at"}), KnowledgeBase({at: True}), FiringLog()
     robots = SimulatedRobots(world)
     graph = plan_of(move("r1", "hall", "door"), move("r1", "door", "lab"), orders=("0e<1s",))
     run = Run(generate(graph), Layered(beliefs), id=RUN, observer=log)
@@ -113,7 +113,7 @@ class Pausing(Chaos):
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(programs(), st.integers(0, 2**32))
 def test_any_program_that_is_paused_and_resumed_ends_and_loses_no_token(text: str, seed: int) -> None:
-    found = read(text)
+    found = only_plan(text)
     machine = generate(found.graph, found.bindings, on_failure=found.on_failure)
     random = Random(seed)
     world = KnowledgeBase(found.facts, objects=found.objects, rules=found.rules)

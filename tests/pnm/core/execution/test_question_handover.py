@@ -14,7 +14,7 @@ from pnm.core.machine.plan_graph import GroundAction
 from pnm.executor import Executor
 from pnm.knowledge.sources.person_text import question_text
 from tests.support.people import Person
-from tests.support.runs.handover import Server, carried, successor
+from tests.support.runs.handover import ManualClient, carried, successor
 
 ACT = GroundAction("act", resources=("arm",), duration=5.0)
 ASKING = Bindings({"greet": Binding(goal={"word": "$word"}, ask={"word": "What shall I say to {whom}?"})})
@@ -33,10 +33,10 @@ async def settle() -> None:
 def test_what_a_person_is_asked_is_asked_once_whichever_run_goes_on(moment: str) -> None:
     person, loops = Person(question_text, Layer.PERSON), list[asyncio.Task[None]]()
 
-    def scenario(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: ManualClient) -> None:
         loops.append(asyncio.ensure_future(tell(executor, server)))
 
-    async def tell(executor: Executor, server: Server) -> None:
+    async def tell(executor: Executor, server: ManualClient) -> None:
         def succeed() -> None:
             executor.succeed(successor(executor.run, GroundAction("first"), greet("ann"), orders=("1e<2s",), bindings=ASKING, asks=True))
 
@@ -77,7 +77,7 @@ def test_what_a_person_is_asked_is_asked_once_whichever_run_goes_on(moment: str)
 def test_a_question_that_the_successor_does_not_ask_is_withdrawn() -> None:
     person = Person(question_text, Layer.PERSON)
 
-    def scenario(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: ManualClient) -> None:
         executor.succeed(successor(executor.run, greet("bob"), bindings=ASKING, asks=True))
         asyncio.get_running_loop().call_later(1, lambda: open_then.extend(person.open))
         asyncio.get_running_loop().call_later(2, person.answer, "What shall I say to bob?", "good day")
@@ -93,7 +93,7 @@ def test_a_question_that_the_successor_does_not_ask_is_withdrawn() -> None:
 def test_an_answer_does_for_one_call() -> None:
     person = Person(question_text, Layer.PERSON)
 
-    def scenario(executor: Executor, server: Server) -> None:
+    def scenario(executor: Executor, server: ManualClient) -> None:
         executor.pause()
         loop = asyncio.get_running_loop()
         loop.call_later(1, person.answer, "What shall I say to ann?", "hello")

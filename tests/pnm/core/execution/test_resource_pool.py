@@ -18,7 +18,7 @@ from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
-from tests.support.runs.claims import claim
+from tests.support.runs.commands import claim
 
 
 def test_a_claim_gets_all_or_nothing() -> None:

@@ -30,8 +30,8 @@ from pnm.core.machine.requests import Ended, Outcome, OutcomeKind, Request
 from pnm.errors import InputError, RunError
 from pnm.executor import Executor
 from pnm.language.plan import merge_bindings, read_plans
-from pnm.language.runner import Performer, Program
-from tests.support.runs.claims import names
+from pnm.language.runner import PlanRunner, Program
+from tests.support.runs.commands import begun, sent
 from tests.support.runs.plan_graphs import plan_of
 
 SUCCEEDED = Outcome(OutcomeKind.SUCCEEDED)
@@ -39,13 +39,6 @@ SUCCEEDED = Outcome(OutcomeKind.SUCCEEDED)
 
 def arm(name: str, **options: object) -> GroundAction:
     return GroundAction(name, resources=("arm",), **options)  # type: ignore[arg-type]
-
-
-def begun(graph: PlanGraph, number: int = 1, **options: object) -> tuple[Run, list[Command]]:
-    bindings = options.pop("bindings", None)
-    knowledge = Layered(options.pop("world", None) or KnowledgeBase())  # type: ignore[arg-type]
-    run = Run(generate(graph, bindings), knowledge, id=UUID(int=number), bindings=bindings, **options)  # type: ignore[arg-type]
-    return run, run.handle(Begin(), 0.0)
 
 
 def finish(run: Run) -> list[Command]:
@@ -59,20 +52,20 @@ def finish(run: Run) -> list[Command]:
 def test_a_call_that_waits_for_an_answer_has_nothing() -> None:
     asking = Bindings({"asks": Binding(goal={"word": "$word"})})
     run, commands = begun(plan_of(arm("asks"), arm("acts")), bindings=asking, asks=True)
-    assert names(commands) == ["acts"]
+    assert sent(commands) == ["acts"]
     (question,) = [command for command in commands if isinstance(command, Ask)]
     assert run.handle(Answered(question.id, "hello"), 1.0) == []
-    assert names(finish(run)) == ["asks"]
+    assert sent(finish(run)) == ["asks"]
 
 
 def test_a_call_that_waits_for_a_fact_has_nothing_and_stands_in_nobody_s_way() -> None:
     world = KnowledgeBase(sensed={"ready": 5.0})
     run, commands = begun(plan_of(arm("waits", precondition=Holds(("ready",))), arm("first"), arm("second")), world=world)
-    assert names(commands) == ["first"]
-    assert names(finish(run)) == ["second"], "the fact that it needs is not there when the arm is"
+    assert sent(commands) == ["first"]
+    assert sent(finish(run)) == ["second"], "the fact that it needs is not there when the arm is"
     world.update({("ready",): True})
-    assert names(run.handle(KnowledgeChanged(), 2.0)) == []
-    assert names(finish(run)) == ["waits"]
+    assert sent(run.handle(KnowledgeChanged(), 2.0)) == []
+    assert sent(finish(run)) == ["waits"]
 
 
 def test_whoever_cannot_use_it_yet_leaves_the_line() -> None:
@@ -81,9 +74,9 @@ def test_whoever_cannot_use_it_yet_leaves_the_line() -> None:
     for condition in (Holds(("ready",)), asked):
         waits = arm("waits", precondition=condition)
         run, commands = begun(plan_of(arm("first"), waits, arm("behind")), world=world, asks=True)
-        assert names(commands) == ["first"]
+        assert sent(commands) == ["first"]
         assert len(run.resources.line) == 2
-        assert names(finish(run)) == ["behind"]
+        assert sent(finish(run)) == ["behind"]
 
 
 def test_what_need_not_be_done_is_not_waited_for() -> None:
@@ -99,10 +92,10 @@ def test_what_need_not_be_done_is_not_waited_for() -> None:
 def test_a_precondition_is_looked_at_when_the_call_can_start() -> None:
     world = KnowledgeBase(facts={("ready",): False})
     run, commands = begun(plan_of(arm("first"), arm("second", precondition=Holds(("ready",)))), world=world)
-    assert names(commands) == ["first"]
+    assert sent(commands) == ["first"]
     assert not run.ending
     world.update({("ready",): True})
-    assert names(finish(run)) == ["second"]
+    assert sent(finish(run)) == ["second"]
 
 
 def test_a_deadline_counts_while_a_call_waits_for_resources() -> None:
@@ -119,24 +112,26 @@ def test_the_steps_of_a_recovery_take_their_own() -> None:
     mending = ActionCall(1, GroundAction("b", resources=("arm", "leg")))
     recovery = Recovery(frozenset({Cause.ABORTED}), Then.RETRY, Flow((mending,)))
     run, commands = begun(PlanGraph((ActionCall(0, arm("a"), recoveries=(recovery,)),)))
-    assert names(commands) == ["a"]
+    assert sent(commands) == ["a"]
     commands = run.handle(Ended(run.open_requests[0], Outcome(OutcomeKind.ABORTED)), 1.0)
-    assert names(commands) == ["b"]
+    assert sent(commands) == ["b"]
     assert [one.names for one in run.resources.held] == [("arm", "leg")]
-    assert names(finish(run)) == ["a"]
+    assert sent(finish(run)) == ["a"]
 
 
 def test_runs_with_one_pool_take_turns_by_priority_then_in_order() -> None:
     pool = Resources()
-    low, commands = begun(plan_of(arm("low")), 1, resources=pool)
-    assert names(commands) == ["low"]
-    waiting = [begun(plan_of(arm(name)), number, resources=pool, priority=rank)[0] for number, (name, rank) in enumerate(LINE, 2)]
+    low, commands = begun(plan_of(arm("low")), resources=pool)
+    assert sent(commands) == ["low"]
+    waiting = [
+        begun(plan_of(arm(name)), id=UUID(int=number), resources=pool, priority=rank)[0] for number, (name, rank) in enumerate(LINE, 2)
+    ]
     assert pool.outranked() == {low.task}
     finish(low)
     order = []
     for _ in LINE:
         for run in waiting:
-            order += names(run.handle(ResourcesChanged(), 2.0))
+            order += sent(run.handle(ResourcesChanged(), 2.0))
         finish(next(run for run in waiting if run.open_requests))
     assert order == ["high", "second", "third"]
     assert (pool.held, pool.line) == ((), ())
@@ -147,8 +142,8 @@ LINE = (("second", 0), ("third", 0), ("high", 1))
 
 def test_a_claim_is_withdrawn_when_the_call_is_skipped() -> None:
     pool = Resources()
-    begun(plan_of(arm("first")), 1, resources=pool)
-    run, _ = begun(plan_of(arm("second")), 2, resources=pool)
+    begun(plan_of(arm("first")), resources=pool)
+    run, _ = begun(plan_of(arm("second")), id=UUID(int=2), resources=pool)
     assert len(pool.line) == 1
     run.handle(Stop(), 1.0)
     assert run.over
@@ -222,17 +217,17 @@ inner: {params: [what], plan: [{lift: }, {lift: }]}
 """
 
 
-def test_all_plans_of_a_performer_share_resources(tmp_path: Path) -> None:
+def test_all_plans_of_a_runner_share_resources(tmp_path: Path) -> None:
     file = tmp_path / "plan.yaml"
     file.write_text(NESTED, encoding="utf-8")
     plans = read_plans(file)
     backend = simulated_backend(plans["inner"], merge_bindings(plans.values()))
-    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase())
+    runner = PlanRunner({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase())
 
     async def main() -> None:
-        await backend.open(performer.world)
-        performances = [performer.perform("outer", {"what": what}) for what in ("plate", "spoon", "fork")]
-        results = await asyncio.gather(*map(performer.execute, performances))
+        await backend.open(runner.world)
+        plan_runs = [runner.prepare_run("outer", {"what": what}) for what in ("plate", "spoon", "fork")]
+        results = await asyncio.gather(*map(runner.execute, plan_runs))
         assert all(result.goal for result in results)
         assert asyncio.get_running_loop().time() == pytest.approx(18.0, abs=0.1)
         await backend.close()
@@ -269,18 +264,18 @@ def test_a_plan_that_is_called_has_no_resources_itself(tmp_path: Path) -> None:
         Program.of(read_plans(file)["outer"])
 
 
-def test_every_plan_of_a_performer_shares_what_one_of_them_says_of_a_resource(tmp_path: Path) -> None:
+def test_every_plan_of_a_runner_shares_what_one_of_them_says_of_a_resource(tmp_path: Path) -> None:
     file = tmp_path / "plan.yaml"
     text = "actions: {lift: {params: [what], duration: 2, resources: [arm]}}\n"
     branches = "plan: [{concurrent_actions: [{lift: {what: plate}}, {lift: {what: spoon}}]}]"
     file.write_text(f"{text}one: {{resources: {{arm: 2}}, {branches}}}\nother: {{{branches}}}\n", encoding="utf-8")
     plans = read_plans(file)
     backend = simulated_backend(plans["one"], merge_bindings(plans.values()))
-    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase())
+    runner = PlanRunner({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase())
 
     async def main() -> None:
-        await backend.open(performer.world)
-        assert (await performer.execute(performer.perform("other"))).goal
+        await backend.open(runner.world)
+        assert (await runner.execute(runner.prepare_run("other"))).goal
         assert asyncio.get_running_loop().time() == pytest.approx(2.0, abs=0.1)
         await backend.close()
 

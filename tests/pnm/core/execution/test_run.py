@@ -22,25 +22,20 @@ from pnm.core.machine.plan_graph import ActionCall, GroundAction, PlanGraph
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind
 from pnm.core.net.firing_rule import fire
 from pnm.errors import RunError
+from tests.support.runs.commands import RUN, begun, sent
 from tests.support.runs.plan_graphs import plan, plans
-from tests.support.runs.simulated import Log
+from tests.support.runs.simulated import FiringLog
 
-RUN = UUID(int=1)
 SUCCEEDED = Outcome(OutcomeKind.SUCCEEDED)
 
 
-def begun(graph: PlanGraph, bindings: Bindings | None = None, log: Log | None = None) -> tuple[Run, list[Command]]:
-    run = Run(generate(graph, bindings), Layered(KnowledgeBase()), id=RUN, bindings=bindings, observer=log)
-    return run, run.handle(Begin(), 0.0)
-
-
-def sent(commands: list[Command]) -> list[UUID]:
+def ids_sent(commands: list[Command]) -> list[UUID]:
     return [command.request.id for command in commands if isinstance(command, Send)]
 
 
 def test_beginning_sends_what_waits_for_nothing() -> None:
     _, commands = begun(plan(3, "0e<2s"))
-    assert [command.request.action.name for command in commands if isinstance(command, Send)] == ["a0", "a1"]
+    assert sent(commands) == ["a0", "a1"]
 
 
 def test_a_run_begins_once() -> None:
@@ -60,9 +55,9 @@ def test_the_same_events_give_the_same_commands_and_identities() -> None:
 
 
 def test_reports_about_unknown_or_finished_requests_change_nothing() -> None:
-    log = Log()
-    run, commands = begun(plan(1), log=log)
-    request = sent(commands)[0]
+    log = FiringLog()
+    run, commands = begun(plan(1), observer=log)
+    request = ids_sent(commands)[0]
     before = run.marking
     assert run.handle(Ended(UUID(int=99), SUCCEEDED), 1.0) == []
     assert run.marking == before
@@ -78,30 +73,30 @@ def test_a_goal_that_nobody_answers_is_withdrawn_and_tried_again_once_that_is_co
     bindings = Bindings({"a0": Binding(accept=5.0, cancel=3.0, retries=1)})
     run, commands = begun(plan(1), bindings)
     assert commands[-1] == Wake(5.0)
-    first = sent(commands)[0]
+    first = ids_sent(commands)[0]
     assert run.handle(Tick(), 5.0) == [Cancel(first), Wake(8.0)]
     run.handle(Accepted(first), 6.0)
     commands = run.handle(Ended(first, Outcome(OutcomeKind.CANCELED)), 6.0)
-    assert len(sent(commands)) == 1
-    assert sent(commands)[0] != first
+    assert len(ids_sent(commands)) == 1
+    assert ids_sent(commands)[0] != first
 
 
 def test_a_goal_that_is_neither_answered_nor_confirmed_as_withdrawn_is_not_tried_again() -> None:
-    log = Log()
-    run, commands = begun(plan(1), Bindings({"a0": Binding(accept=5.0, cancel=3.0, retries=5)}), log)
+    log = FiringLog()
+    run, commands = begun(plan(1), Bindings({"a0": Binding(accept=5.0, cancel=3.0, retries=5)}), observer=log)
     run.handle(Tick(), 5.0)
-    assert sent(run.handle(Tick(), 8.0)) == []
-    run.handle(Accepted(sent(commands)[0]), 9.0)
+    assert ids_sent(run.handle(Tick(), 8.0)) == []
+    run.handle(Accepted(ids_sent(commands)[0]), 9.0)
     failure = run.result().failures[0]
     assert (failure.cause, failure.unconfirmed) == ("unavailable", True)
-    assert log.orphans == [Accepted(sent(commands)[0])]
+    assert log.orphans == [Accepted(ids_sent(commands)[0])]
 
 
 def test_results_are_stored_by_name_and_fill_later_goals() -> None:
     bindings = Bindings({"a0": Binding(store={"time": "wait"}), "a1": Binding(goal={"time": "$wait", "word": "$spam"})})
     run, commands = begun(plan(2, "0e<1s"), bindings)
-    run.handle(Accepted(sent(commands)[0]), 0.0)
-    commands = run.handle(Ended(sent(commands)[0], Outcome(OutcomeKind.SUCCEEDED, {"time": 4, "spam": "eggs"})), 1.0)
+    run.handle(Accepted(ids_sent(commands)[0]), 0.0)
+    commands = run.handle(Ended(ids_sent(commands)[0], Outcome(OutcomeKind.SUCCEEDED, {"time": 4, "spam": "eggs"})), 1.0)
     goals = [command.request.goal for command in commands if isinstance(command, Send)]
     assert [(goal["time"], goal["word"]) for goal in goals] == [(4, "eggs")]
     assert run.knowledge.world.variables() == {}
@@ -109,7 +104,7 @@ def test_results_are_stored_by_name_and_fill_later_goals() -> None:
 
 def test_a_goal_field_without_a_value_is_a_failure_by_name() -> None:
     run, commands = begun(plan(1), Bindings({"a0": Binding(goal={"time": "$nobody_knows"})}))
-    assert sent(commands) == []
+    assert ids_sent(commands) == []
     assert run.result().failures[0].cause == "data_missing"
     assert run.result().failures[0].expected == "values for time"
 
@@ -121,7 +116,7 @@ def test_a_fact_that_comes_in_time_opens_a_waiting_check() -> None:
     run = Run(generate(PlanGraph((replace(graph.calls[0], action=action),))), Layered(knowledge), id=RUN)
     assert run.handle(Begin(), 0.0) == [Wake(2.0)]
     knowledge.update({("ok",): True})
-    assert len(sent(run.handle(KnowledgeChanged(), 1.0))) == 1
+    assert len(ids_sent(run.handle(KnowledgeChanged(), 1.0))) == 1
 
 
 def test_a_fact_that_does_not_come_in_time_is_a_failure() -> None:
@@ -135,15 +130,15 @@ def test_a_fact_that_does_not_come_in_time_is_a_failure() -> None:
 
 def test_an_end_that_implies_acceptance_needs_no_acceptance() -> None:
     run, commands = begun(plan(1))
-    assert sent(run.handle(Ended(sent(commands)[0], SUCCEEDED), 1.0)) == []
+    assert ids_sent(run.handle(Ended(ids_sent(commands)[0], SUCCEEDED), 1.0)) == []
     assert run.result().goal
 
 
 def test_being_told_to_cancel_is_stronger_than_being_told_to_end() -> None:
     run, commands = begun(plan(1))
-    run.handle(Accepted(sent(commands)[0]), 0.0)
+    run.handle(Accepted(ids_sent(commands)[0]), 0.0)
     assert run.handle(Stop(cancel=False), 1.0) == []
-    assert run.handle(Stop(cancel=True), 2.0)[0] == Cancel(sent(commands)[0])
+    assert run.handle(Stop(cancel=True), 2.0)[0] == Cancel(ids_sent(commands)[0])
 
 
 def test_releases_count_from_the_moment_that_was_planned_from() -> None:
@@ -164,10 +159,10 @@ def test_assumed_effects_do_not_depend_on_what_the_sensors_show_meanwhile() -> N
     held = Holds(("held",))
     effects = When(held, (Set(("held",), Constant(False)), Set(("delivered",), Constant(True))))
     run, commands = acting(effects, facts={("held",): True}, sensed={"held": 0.0})
-    run.handle(Accepted(sent(commands)[0]), 0.0)
+    run.handle(Accepted(ids_sent(commands)[0]), 0.0)
     run.knowledge.world.update({("held",): False})
     run.handle(KnowledgeChanged(), 1.0)
-    run.handle(Ended(sent(commands)[0], SUCCEEDED), 1.0)
+    run.handle(Ended(ids_sent(commands)[0], SUCCEEDED), 1.0)
     assert run.result().goal
     assert run.knowledge.value(("delivered",)) is True
 
@@ -177,8 +172,8 @@ def test_a_toggle_that_the_sensors_show_early_is_not_taken_for_a_missing_effect(
     effects = (When(Holds(on), (Set(on, Constant(False)),)), When(Not(Holds(on)), (Set(on, Constant(True)),)))
     run, commands = acting(*effects, sensed={"on": 0.0})
     run.knowledge.world.update({on: True})
-    run.handle(Accepted(sent(commands)[0]), 0.5)
-    run.handle(Ended(sent(commands)[0], SUCCEEDED), 1.0)
+    run.handle(Accepted(ids_sent(commands)[0]), 0.5)
+    run.handle(Ended(ids_sent(commands)[0], SUCCEEDED), 1.0)
     assert run.result().goal
     assert run.result().calls[0].attempts == 1
 
@@ -189,14 +184,14 @@ def test_a_number_changed_at_the_start_is_what_it_was_after_a_failure(before: Va
     facts = {} if before is None else {("fuel",): before}
     run = Run(generate(PlanGraph((ActionCall(0, action),))), Layered(KnowledgeBase(facts)), id=RUN)
     commands = run.handle(Begin(), 0.0)
-    run.handle(Accepted(sent(commands)[0]), 0.0)
-    run.handle(Ended(sent(commands)[0], Outcome(OutcomeKind.ABORTED)), 1.0)
+    run.handle(Accepted(ids_sent(commands)[0]), 0.0)
+    run.handle(Ended(ids_sent(commands)[0], Outcome(OutcomeKind.ABORTED)), 1.0)
     assert run.knowledge.value(("fuel",)) == (UNKNOWN if before is None else before)
 
 
 def test_a_fact_that_is_unknown_is_not_already_true() -> None:
     _, commands = acting(Set(("p",), Constant(True)), facts={("p",): UNKNOWN}, sensed={"p": 0.0})
-    assert len(sent(commands)) == 1
+    assert len(ids_sent(commands)) == 1
 
 
 ANSWERS = st.lists(
@@ -209,9 +204,9 @@ ANSWERS = st.lists(
 def test_whatever_the_world_answers_the_run_ends_and_every_marking_follows_from_the_firings(
     graph: PlanGraph, answers: list[tuple[object, int, float]]
 ) -> None:
-    log = Log()
-    run, commands = begun(graph, Bindings({f"a{index}": Binding(accept=5.0, timeout=30.0, cancel=3.0) for index in range(4)}), log)
-    now, open_requests, wake = 0.0, sent(commands), _wake(commands, None)
+    log = FiringLog()
+    run, commands = begun(graph, Bindings({f"a{index}": Binding(accept=5.0, timeout=30.0, cancel=3.0) for index in range(4)}), observer=log)
+    now, open_requests, wake = 0.0, ids_sent(commands), _wake(commands, None)
     for kind, which, pause in answers:
         if run.over:
             break
@@ -227,7 +222,7 @@ def test_whatever_the_world_answers_the_run_ends_and_every_marking_follows_from_
             event = Ended(request, Outcome(kind))  # type: ignore[arg-type]
         now += pause
         commands = run.handle(event, now)
-        open_requests += sent(commands)
+        open_requests += ids_sent(commands)
         wake = _wake(commands, wake)
     for _ in range(1000):  # from now on nobody answers: limits alone must end it
         if run.over:
@@ -254,7 +249,7 @@ def test_what_guards_answer_does_not_depend_on_the_order_in_which_they_are_asked
     known = {("ok",): data.draw(st.booleans()), ("done", "a0"): data.draw(st.booleans())}
     knowledge = Layered(KnowledgeBase(known, sensed={"ok": 1.0, "done": 1.0, "seen": 2.0}))
     run = Run(generate(PlanGraph((ActionCall(0, action),))), knowledge, id=RUN)
-    for request in sent(run.handle(Begin(), 0.0)):
+    for request in ids_sent(run.handle(Begin(), 0.0)):
         outcome = data.draw(st.sampled_from([None, OutcomeKind.SUCCEEDED, OutcomeKind.ABORTED]))
         run.handle(Accepted(request) if outcome is None else Ended(request, Outcome(outcome)), 1.0)
     compiled = run.machine.compiled

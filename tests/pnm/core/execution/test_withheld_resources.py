@@ -14,7 +14,7 @@ from pnm.core.machine.generate import generate
 from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, PlanGraph, Recovery, Then
 from pnm.core.machine.requests import Accepted, Ended, Outcome, OutcomeKind, Reporter, Request
 from pnm.executor import Executor
-from tests.support.runs.claims import claim
+from tests.support.runs.commands import claim
 
 SUCCEEDED = Outcome(OutcomeKind.SUCCEEDED)
 

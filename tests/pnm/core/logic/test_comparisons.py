@@ -5,21 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pnm.core.logic.computed_values import Literal, Parameter
-from pnm.core.logic.conditions import (
-    TRUE,
-    All,
-    Any,
-    Compare,
-    Computed,
-    Condition,
-    Exists,
-    ForAll,
-    Holds,
-    Implies,
-    Not,
-    fluents,
-    ground,
-)
+from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents, ground
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.explain import failing, observed
 from pnm.core.logic.expressions import (
@@ -38,7 +24,7 @@ from pnm.core.logic.expressions import (
     same_value,
     value_of,
 )
-from tests.support.logic.conditions import Picture
+from tests.support.logic.conditions import GivenState
 
 U = UNKNOWN
 T, F = True, False
@@ -48,11 +34,11 @@ T, F = True, False
 
 
 def test_a_fact_nobody_recorded_is_false_and_a_number_is_unknown() -> None:
-    assert evaluate(Holds(("p",)), Picture()) is False
-    assert evaluate(Compare("=", ValueOf(("n",)), ValueOf(("n",))), Picture()) is UNKNOWN
+    assert evaluate(Holds(("p",)), GivenState()) is False
+    assert evaluate(Compare("=", ValueOf(("n",)), ValueOf(("n",))), GivenState()) is UNKNOWN
 
 
-NUMBERED = Picture({("n",): 3.0, ("zero",): 0.0, ("u",): UNKNOWN, ("where",): "a", ("nowhere",): UNDEFINED})
+NUMBERED = GivenState({("n",): 3.0, ("zero",): 0.0, ("u",): UNKNOWN, ("where",): "a", ("nowhere",): UNDEFINED})
 N, ZERO, UNSURE, WHERE, NOWHERE, ABSENT = (ValueOf((name,)) for name in ("n", "zero", "u", "where", "nowhere", "absent"))
 
 
@@ -80,13 +66,7 @@ def test_arithmetic(expression: Expression, expected: Value | Unknown) -> None:
 
 @pytest.mark.parametrize(
     ("operation", "below", "just_below", "equal", "just_above", "above"),
-    [
-        ("=", F, T, T, T, F),
-        ("<", T, F, F, F, F),
-        ("<=", T, T, T, T, F),
-        (">", F, F, F, F, T),
-        (">=", F, T, T, T, T),
-    ],
+    [("=", F, T, T, T, F), ("<", T, F, F, F, F), ("<=", T, T, T, T, F), (">", F, F, F, F, T), (">=", F, T, T, T, T)],
 )
 def test_numbers_are_equal_within_the_tolerance(
     operation: str, below: Truth, just_below: Truth, equal: Truth, just_above: Truth, above: Truth
@@ -143,7 +123,7 @@ def test_values_are_written_as_text_in_fluents_and_nowhere_else(value: object, t
 
 def test_a_quantified_variable_hides_the_one_outside() -> None:
     condition = All((Holds(("q", "?x")), Exists((Variable("?x"),), Holds(("r", "?x", "?y")))))
-    state = Picture({("q", "a"): True, ("r", "b", "b"): True})
+    state = GivenState({("q", "a"): True, ("r", "b", "b"): True})
     assert evaluate(condition, state, {"?x": "a", "?y": "b"}) is True
     assert str(ground(condition, {"?x": "a", "?y": "b"})) == "(and (q a) (exists (?x - object) (r ?x b)))"
 
@@ -199,7 +179,7 @@ def test_conditions_are_written_as_pddl(condition: Condition, text: str) -> None
 
 
 def test_what_was_expected_and_what_is_so() -> None:
-    state = Picture({("p",): True, ("q", "a"): UNKNOWN, ("n",): 3.0, ("f",): False})
+    state = GivenState({("p",): True, ("q", "a"): UNKNOWN, ("n",): 3.0, ("f",): False})
     wanted = All((Holds(("p",)), All((Holds(("q", "a")), Not(Holds(("f",))))), Compare(">", N, Constant(5.0)), Holds(("absent",))))
     assert " ".join(map(str, failing(wanted, state))) == "(q a) (> (n) 5) (absent)"
     assert observed(wanted, state) == "(absent) is false, (f) is false, (n) is 3.0 because it is 3, (p) is true, (q a) is unknown"

@@ -41,7 +41,7 @@ from pnm.core.logic.expressions import (
     Variable,
     choices,
 )
-from tests.support.logic.conditions import OBJECTS, Picture
+from tests.support.logic.conditions import OBJECTS, GivenState
 
 TERMS = st.sampled_from(("a", "b", "?x", "?y"))
 FACTS = st.one_of(st.just(("p",)), st.tuples(st.just("q"), TERMS), st.tuples(st.just("r"), TERMS, TERMS))
@@ -78,13 +78,13 @@ ALL_NUMBERS = [("n",), *(("m", one) for one in OBJECTS)]
 TRUTHS: st.SearchStrategy[Value | Unknown] = st.sampled_from((True, False, UNKNOWN))
 AMOUNTS: st.SearchStrategy[Value | Unknown] = st.sampled_from((0.0, 1.0, 2.0, UNKNOWN))
 PICTURES = st.builds(
-    lambda facts, numbers: Picture({**facts, **numbers}),
+    lambda facts, numbers: GivenState({**facts, **numbers}),
     st.fixed_dictionaries({}, optional=dict.fromkeys(ALL_FACTS, TRUTHS)),
     st.fixed_dictionaries({}, optional=dict.fromkeys(ALL_NUMBERS, AMOUNTS)),
 )
 U = UNKNOWN
 T, F = True, False
-STATE = Picture({("t",): True, ("f",): False, ("u",): UNKNOWN})
+STATE = GivenState({("t",): True, ("f",): False, ("u",): UNKNOWN})
 NAMED: dict[Truth, Condition] = {T: Holds(("t",)), F: Holds(("f",)), U: Holds(("u",))}
 
 
@@ -134,7 +134,7 @@ def test_unknown_is_no_truth_value_to_branch_on() -> None:
 
 
 @given(CONDITIONS, CONDITIONS, PICTURES, ENVIRONMENTS)
-def test_the_laws_of_logic_hold(one: Condition, other: Condition, state: Picture, env: Environment) -> None:
+def test_the_laws_of_logic_hold(one: Condition, other: Condition, state: GivenState, env: Environment) -> None:
     truth = partial(evaluate, state=state, env=env)
     assert truth(Not(All((one, other)))) is truth(Any((Not(one), Not(other))))
     assert truth(Not(Any((one, other)))) is truth(All((Not(one), Not(other))))
@@ -145,7 +145,7 @@ def test_the_laws_of_logic_hold(one: Condition, other: Condition, state: Picture
 
 
 @given(VARIABLES, CONDITIONS, PICTURES, ENVIRONMENTS)
-def test_quantifiers_are_written_out(variables: tuple[Variable, ...], body: Condition, state: Picture, env: Environment) -> None:
+def test_quantifiers_are_written_out(variables: tuple[Variable, ...], body: Condition, state: GivenState, env: Environment) -> None:
     instances = tuple(ground(body, inner) for inner in choices(variables, state, env))
     assert len(instances) == len(OBJECTS) ** len(variables)
     assert evaluate(ForAll(variables, body), state, env) is evaluate(All(instances), state)
@@ -157,24 +157,24 @@ def drawn(data: st.DataObject, fluent: Fluent) -> Value | Unknown:
 
 
 @given(CONDITIONS, PICTURES, ENVIRONMENTS, st.data())
-def test_what_is_known_stays_so_when_more_is_known(condition: Condition, state: Picture, env: Environment, data: st.DataObject) -> None:
+def test_what_is_known_stays_so_when_more_is_known(condition: Condition, state: GivenState, env: Environment, data: st.DataObject) -> None:
     unsure = [fluent for fluent in ALL_FACTS if state.value(fluent) is UNKNOWN]
     unsure += [fluent for fluent in ALL_NUMBERS if state.value(fluent) in (UNKNOWN, None)]
-    more = Picture({**state.facts, **{fluent: drawn(data, fluent) for fluent in unsure}})
+    more = GivenState({**state.facts, **{fluent: drawn(data, fluent) for fluent in unsure}})
     before = evaluate(condition, state, env)
     assert before is UNKNOWN or evaluate(condition, more, env) is before
 
 
 @given(CONDITIONS, PICTURES, ENVIRONMENTS, st.data())
-def test_no_other_fluent_matters(condition: Condition, state: Picture, env: Environment, data: st.DataObject) -> None:
+def test_no_other_fluent_matters(condition: Condition, state: GivenState, env: Environment, data: st.DataObject) -> None:
     involved = fluents(condition, state, env)
     other = {fluent: drawn(data, fluent) for fluent in (*ALL_FACTS, *ALL_NUMBERS) if fluent not in involved}
-    assert evaluate(condition, Picture({**state.facts, **other}), env) is evaluate(condition, state, env)
+    assert evaluate(condition, GivenState({**state.facts, **other}), env) is evaluate(condition, state, env)
     assert {fluent[0] for fluent in involved} <= names(condition)
 
 
 @given(CONDITIONS, PICTURES, ENVIRONMENTS)
-def test_grounding_first_gives_the_same(condition: Condition, state: Picture, env: Environment) -> None:
+def test_grounding_first_gives_the_same(condition: Condition, state: GivenState, env: Environment) -> None:
     grounded = ground(condition, env)
     assert evaluate(grounded, state) is evaluate(condition, state, env)
     assert fluents(grounded, state) == fluents(condition, state, env)
@@ -182,7 +182,7 @@ def test_grounding_first_gives_the_same(condition: Condition, state: Picture, en
 
 
 @given(CONDITIONS, PICTURES, ENVIRONMENTS)
-def test_failing_parts_are_why_a_condition_does_not_hold(condition: Condition, state: Picture, env: Environment) -> None:
+def test_failing_parts_are_why_a_condition_does_not_hold(condition: Condition, state: GivenState, env: Environment) -> None:
     grounded = ground(condition, env)
     assert (failing(grounded, state) == ()) is (evaluate(grounded, state) is True)
     assert set(failing(grounded, state)) <= set(conjuncts(grounded))

@@ -10,11 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pnm.core.logic.conditions import Any, Not
-from pnm.core.logic.trajectory import (
-    IMPOSSIBLE,
-    Constraint,
-    ConstraintProgress,
-)
+from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, ConstraintProgress
 from tests.support.logic.trajectories import (
     AFTER,
     BEFORE,
@@ -28,7 +24,7 @@ from tests.support.logic.trajectories import (
     always,
     progress,
     sometime,
-    state,
+    state_of,
     traces,
 )
 
@@ -50,7 +46,7 @@ def watched(constraint: Constraint, seen: Trace, until: float = 100.0, lag: floa
 
 def reports(text: str) -> Trace:
     """Read ``"0:p 3:- 3.5:pq"``: what is reported to be true, and when."""
-    return [(float(word.split(":")[0]), state("p" in word, "q" in word)) for word in text.split()]
+    return [(float(word.split(":")[0]), state_of("p" in word, "q" in word)) for word in text.split()]
 
 
 EITHER = always(Any((P, Q)))
@@ -91,11 +87,11 @@ def test_what_helps_counts_at_once_and_what_harms_if_it_lasts_for_the_lag(constr
 
 
 def test_a_watch_says_when_it_wants_to_look_again() -> None:
-    watch = ConstraintProgress((BY_3,)).seen(state(), 0.0, 1.0)
+    watch = ConstraintProgress((BY_3,)).seen(state_of(), 0.0, 1.0)
     assert watch.next_look(0.0, 1.0) == 3.0
-    watch = watch.seen(state(), 3.0, 1.0)
+    watch = watch.seen(state_of(), 3.0, 1.0)
     assert (watch.doubtful_since, watch.violated, watch.next_look(3.0, 1.0)) == (3.0, False, 4.0)
-    watch = watch.seen(state(), 4.0, 1.0)
+    watch = watch.seen(state_of(), 4.0, 1.0)
     assert (watch.violated, watch.next_look(4.0, 1.0)) == (True, inf)
 
 

@@ -30,13 +30,13 @@ def graph(edges: Iterable[tuple[str, str]], *rules: DerivationRule, nodes: int =
     return KnowledgeBase({("edge", *pair): True for pair in pairs}, objects={"node": names}, rules=Rules(rules))
 
 
-def chain(length: int) -> list[tuple[str, str]]:
+def chain_edges(length: int) -> list[tuple[str, str]]:
     return [(f"n{index}", f"n{index + 1}") for index in range(length - 1)]
 
 
 @pytest.mark.parametrize("rule", [ON, BACK])
 def test_the_end_of_a_long_chain_is_reached_and_again_after_every_change(rule: DerivationRule) -> None:
-    knowledge = graph(chain(300), rule)
+    knowledge = graph(chain_edges(300), rule)
     for index in range(100, 110):
         assert knowledge.value(("reach", "n0", "n299")) is True
         knowledge.update({("edge", f"n{index}", f"n{index + 1}"): False})
@@ -120,7 +120,7 @@ def test_variables_of_the_same_name_are_kept_apart() -> None:
 
 
 def test_why_a_derived_fact_is_as_it_is() -> None:
-    knowledge = graph(chain(5), ON, BLOCKED, FREE)
+    knowledge = graph(chain_edges(5), ON, BLOCKED, FREE)
     assert knowledge.because(("reach", "n0", "n2")) == "because of (edge n0 n1), (edge n1 n2)"
     assert knowledge.because(("edge", "n0", "n1")) == ""
     knowledge.update({("edge", "n2", "n3"): False})
@@ -135,7 +135,7 @@ def test_why_a_derived_fact_is_as_it_is() -> None:
 
 
 def test_of_many_reasons_some_are_named_and_the_others_counted() -> None:
-    knowledge = graph(chain(12), ON)
+    knowledge = graph(chain_edges(12), ON)
     assert knowledge.because(("reach", "n0", "n9")).endswith("(edge n3 n4) and 5 more")
 
 

@@ -23,7 +23,9 @@ TYPES = st.sampled_from((("object",), ("room",)))
 
 
 @st.composite
-def conditions(draw: st.DrawFn, scope: tuple[str, ...], plain: tuple[str, ...], negated: tuple[str, ...], depth: int) -> Condition:
+def stratified_conditions(
+    draw: st.DrawFn, scope: tuple[str, ...], plain: tuple[str, ...], negated: tuple[str, ...], depth: int
+) -> Condition:
     """A condition whose facts are of the names in `plain`, and under a negation of those in `negated`."""
     terms = st.sampled_from((*scope, "a", "b"))
     kind = draw(st.sampled_from(("holds", "holds", "compare", "not", "all", "any", "imply", "forall", "exists"))) if depth else "holds"
@@ -35,27 +37,29 @@ def conditions(draw: st.DrawFn, scope: tuple[str, ...], plain: tuple[str, ...], 
             return Compare("=", Constant(draw(terms)), Constant(draw(terms)))
         return Compare(draw(st.sampled_from(("<", "="))), ValueOf(("n", draw(terms))), Constant(1.0))
     if kind == "not":
-        return Not(draw(conditions(scope, negated, plain, depth - 1)))
+        return Not(draw(stratified_conditions(scope, negated, plain, depth - 1)))
     if kind == "imply":
-        return Implies(draw(conditions(scope, negated, plain, depth - 1)), draw(conditions(scope, plain, negated, depth - 1)))
+        return Implies(
+            draw(stratified_conditions(scope, negated, plain, depth - 1)), draw(stratified_conditions(scope, plain, negated, depth - 1))
+        )
     if kind in ("all", "any"):
-        several = tuple(draw(conditions(scope, plain, negated, depth - 1)) for _ in range(draw(st.integers(0, 3))))
+        several = tuple(draw(stratified_conditions(scope, plain, negated, depth - 1)) for _ in range(draw(st.integers(0, 3))))
         return All(several) if kind == "all" else Any(several)
     own = tuple(
         Variable(name, draw(TYPES)) for name in draw(st.lists(st.sampled_from(("?x", "?y", "?z")), min_size=1, max_size=2, unique=True))
     )
-    body = draw(conditions((*dict.fromkeys((*scope, *(one.name for one in own))),), plain, negated, depth - 1))
+    body = draw(stratified_conditions((*dict.fromkeys((*scope, *(one.name for one in own))),), plain, negated, depth - 1))
     return ForAll(own, body) if kind == "forall" else Exists(own, body)
 
 
 @st.composite
 def rules_of(draw: st.DrawFn, name: str, plain: tuple[str, ...], negated: tuple[str, ...]) -> DerivationRule:
     variables = tuple(Variable(one, draw(TYPES)) for one in ("?x", "?y")[: ARITY[name]])
-    return DerivationRule(name, variables, draw(conditions(tuple(one.name for one in variables), plain, negated, 3)))
+    return DerivationRule(name, variables, draw(stratified_conditions(tuple(one.name for one in variables), plain, negated, 3)))
 
 
 @st.composite
-def programs(draw: st.DrawFn) -> tuple[DerivationRule, ...]:
+def rule_sets(draw: st.DrawFn) -> tuple[DerivationRule, ...]:
     """Rules in two strata: recursion within each, negation only of what is below."""
     lower = [draw(rules_of(name, (*BASE, *LOWER), BASE)) for name in draw(st.lists(st.sampled_from(LOWER), max_size=4))]
     upper = [draw(rules_of(name, (*BASE, *LOWER, *UPPER), (*BASE, *LOWER))) for name in draw(st.lists(st.sampled_from(UPPER), max_size=3))]
@@ -76,7 +80,7 @@ def known(rules: tuple[DerivationRule, ...], facts: Facts) -> KnowledgeBase:
 
 
 @settings(max_examples=120, deadline=None)
-@given(programs(), FACTS, st.lists(FACTS, max_size=2), st.randoms(use_true_random=False))
+@given(rule_sets(), FACTS, st.lists(FACTS, max_size=2), st.randoms(use_true_random=False))
 def test_what_is_derived_is_the_least_fixpoint_whatever_was_asked_before(
     rules: tuple[DerivationRule, ...], facts: Facts, later: list[Facts], chooser: random.Random
 ) -> None:
@@ -91,7 +95,7 @@ def test_what_is_derived_is_the_least_fixpoint_whatever_was_asked_before(
 
 
 @settings(max_examples=80, deadline=None)
-@given(programs(), FACTS, st.data())
+@given(rule_sets(), FACTS, st.data())
 def test_a_derived_fact_rests_on_all_that_can_make_a_difference(
     rules: tuple[DerivationRule, ...], facts: Facts, data: st.DataObject
 ) -> None:
@@ -119,7 +123,7 @@ def test_a_derived_fact_rests_on_all_that_can_make_a_difference(
 
 
 @settings(max_examples=80, deadline=None)
-@given(programs(), FACTS, st.data())
+@given(rule_sets(), FACTS, st.data())
 def test_only_the_base_names_below_matter(rules: tuple[DerivationRule, ...], facts: Facts, data: st.DataObject) -> None:
     knowledge = known(rules, facts)
     derived = least(rules, STRATA, facts)
@@ -170,6 +174,6 @@ def test_rules_are_refused_unless_they_fall_into_strata(rules: tuple[DerivationR
 
 
 @settings(max_examples=100, deadline=None)
-@given(conditions(("?x", "?y"), BASE, BASE, 3), st.sampled_from(("?x", "?y", "?z")))
+@given(stratified_conditions(("?x", "?y"), BASE, BASE, 3), st.sampled_from(("?x", "?y", "?z")))
 def test_a_variable_is_free_if_an_object_can_take_its_place(condition: Condition, name: str) -> None:
     assert (name in free_variables(condition)) is (ground(condition, {name: "c"}) != condition)

@@ -31,17 +31,7 @@ from pnm.core.logic.effects import (
     written,
 )
 from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.expressions import (
-    UNKNOWN,
-    Constant,
-    Environment,
-    Fluent,
-    Unknown,
-    Value,
-    ValueOf,
-    Variable,
-    bind,
-)
+from pnm.core.logic.expressions import UNKNOWN, Constant, Environment, Fluent, Unknown, Value, ValueOf, Variable, bind
 from tests.support.logic.effects import (
     ALL_FACTS,
     ALL_NUMBERS,
@@ -52,9 +42,9 @@ from tests.support.logic.effects import (
     STATES,
     TRUTHS,
     add,
+    change_number,
     delete,
-    number,
-    state,
+    rooms_state,
 )
 
 # --- simultaneous ---
@@ -63,26 +53,26 @@ from tests.support.logic.effects import (
 @pytest.mark.parametrize("before", [True, False, UNKNOWN])
 @pytest.mark.parametrize("effects", list(permutations([add("p"), delete("p"), delete("q")])))
 def test_a_fact_both_deleted_and_added_is_added(effects: Effects, before: Value | Unknown) -> None:
-    assert changes(effects, state({("p",): before, ("q",): before})) == {("p",): True, ("q",): False}
+    assert changes(effects, rooms_state({("p",): before, ("q",): before})) == {("p",): True, ("q",): False}
 
 
 def test_two_numbers_swap() -> None:
     swap = (Set(("x",), ValueOf(("y",))), Set(("y",), ValueOf(("x",))))
-    assert changes(swap, state({("x",): 1.0, ("y",): 2.0})) == {("x",): 2.0, ("y",): 1.0}
+    assert changes(swap, rooms_state({("x",): 1.0, ("y",): 2.0})) == {("x",): 2.0, ("y",): 1.0}
 
 
 def test_conditions_are_asked_before_anything_changes() -> None:
     toggle = (When(Holds(("on",)), (delete("on"),)), When(Not(Holds(("on",))), (add("on"),)))
-    assert changes(toggle, state({("on",): True})) == {("on",): False}
-    assert changes(toggle, state()) == {("on",): True}
-    assert changes(toggle, state({("on",): UNKNOWN})) == {}
+    assert changes(toggle, rooms_state({("on",): True})) == {("on",): False}
+    assert changes(toggle, rooms_state()) == {("on",): True}
+    assert changes(toggle, rooms_state({("on",): UNKNOWN})) == {}
 
 
 def test_universal_effects_happen_for_every_object() -> None:
     room = Variable("?room", ("room",))
     clean = ForEach((room,), (When(Holds(("dirty", "?room")), (delete("dirty", "?room"), add("clean", "?room"))),))
-    assert changes((clean,), state({("dirty", "hall"): True})) == {("dirty", "hall"): False, ("clean", "hall"): True}
-    assert changes((ForEach((room,), (add("seen", "?by", "?room"),)),), state(), {"?by": "r1", "?room": "elsewhere"}) == {
+    assert changes((clean,), rooms_state({("dirty", "hall"): True})) == {("dirty", "hall"): False, ("clean", "hall"): True}
+    assert changes((ForEach((room,), (add("seen", "?by", "?room"),)),), rooms_state(), {"?by": "r1", "?room": "elsewhere"}) == {
         ("seen", "r1", "hall"): True,
         ("seen", "r1", "kitchen"): True,
     }
@@ -102,23 +92,23 @@ def test_universal_effects_happen_for_every_object() -> None:
     ],
 )
 def test_numeric_effects(operation: str, by: float | Unknown, after: float | Unknown) -> None:
-    effect = number(operation, "x", ValueOf(("by",)))
-    assert changes((effect,), state({("x",): 8.0, ("by",): by})) == {("x",): after}
+    effect = change_number(operation, "x", ValueOf(("by",)))
+    assert changes((effect,), rooms_state({("x",): 8.0, ("by",): by})) == {("x",): after}
 
 
 @pytest.mark.parametrize("before", [None, UNKNOWN, True, False, "hall"])
 def test_what_is_no_number_cannot_be_increased(before: Value | Unknown | None) -> None:
-    knowledge = state({} if before is None else {("x",): before})
-    assert changes((number("increase", "x", 1.0),), knowledge) == {("x",): UNKNOWN}
+    knowledge = rooms_state({} if before is None else {("x",): before})
+    assert changes((change_number("increase", "x", 1.0),), knowledge) == {("x",): UNKNOWN}
 
 
 def test_whole_numbers_are_numbers() -> None:
-    assert changes((number("increase", "x", 1.0),), state({("x",): 3})) == {("x",): 4.0}
+    assert changes((change_number("increase", "x", 1.0),), rooms_state({("x",): 3})) == {("x",): 4.0}
 
 
 def test_increases_accumulate() -> None:
-    both = (number("increase", "x", 1.0), number("decrease", "x", ValueOf(("x",))), number("increase", "x", 5.0))
-    assert changes(both, state({("x",): 3.0})) == {("x",): 6.0}
+    both = (change_number("increase", "x", 1.0), change_number("decrease", "x", ValueOf(("x",))), change_number("increase", "x", 5.0))
+    assert changes(both, rooms_state({("x",): 3.0})) == {("x",): 6.0}
 
 
 NESTED_FACTS = st.builds(Set, st.sampled_from((("p",), ("at", "?x"), ("at", "hall"))), st.builds(Constant, st.booleans()))
@@ -157,7 +147,7 @@ def literals(effect: Effect, before: KnowledgeBase, env: Environment) -> Iterato
 
 @given(st.lists(NESTED, max_size=5), st.lists(st.sampled_from(ROOMS)), st.randoms(use_true_random=False))
 def test_deletes_come_before_adds_and_increases_add_up_in_any_order(effects: list[Effect], lit: list[str], chooser: random.Random) -> None:
-    before = state({**{("at", room): True for room in lit}, ("n",): 10.0, ("m",): 20.0})
+    before = rooms_state({**{("at", room): True for room in lit}, ("n",): 10.0, ("m",): 20.0})
     happening = [one for effect in effects for one in literals(effect, before, {"?x": "hall"})]
     expected: Changes = {fluent: False for fluent, what, _ in happening if what == "delete"}
     expected.update({fluent: True for fluent, what, _ in happening if what == "add"})
@@ -192,11 +182,11 @@ def test_only_what_is_read_decides(effects: Effects, before: KnowledgeBase, data
 
 def test_what_is_read_are_conditions_right_hand_sides_and_numbers_that_are_moved() -> None:
     effects = (
-        number("increase", "n", ValueOf(("m",))),
-        number("assign", "k", 1.0),
+        change_number("increase", "n", ValueOf(("m",))),
+        change_number("assign", "k", 1.0),
         ForEach((Variable("?x"),), (When(Holds(("at", "?x")), (add("p"),)),)),
     )
-    assert read(effects, state()) == {("n",), ("m",), ("at", "hall"), ("at", "kitchen")}
+    assert read(effects, rooms_state()) == {("n",), ("m",), ("at", "hall"), ("at", "kitchen")}
 
 
 @given(st.lists(EFFECTS, max_size=4).map(tuple), STATES, st.sampled_from(ROOMS))
@@ -216,23 +206,23 @@ def test_what_happens_is_among_what_may_be_written(effects: Effects, before: Kno
 
 @given(st.lists(PLAIN, max_size=4).map(lambda effects: ground_effects(tuple(effects), {"?x": "hall"})), STATES)
 def test_plain_facts_do_not_depend_on_the_state(effects: Effects, before: KnowledgeBase) -> None:
-    assert facts(effects, before) == changes(effects, before) == facts(effects, state())
+    assert facts(effects, before) == changes(effects, before) == facts(effects, rooms_state())
 
 
 @pytest.mark.parametrize(
     "effects",
     [
-        (number("assign", "x", 1.0),),
-        (add("p"), number("increase", "x", 1.0)),
+        (change_number("assign", "x", 1.0),),
+        (add("p"), change_number("increase", "x", 1.0)),
         (When(TRUE, (add("p"),)),),
         (ForEach((Variable("?x"),), (When(Holds(("p",)), (add("at", "?x"),)),)),),
     ],
     ids=effects_text,
 )
 def test_numbers_and_conditions_are_no_plain_facts(effects: Effects) -> None:
-    assert facts(effects, state({("p",): True, ("x",): 1.0})) is None
+    assert facts(effects, rooms_state({("p",): True, ("x",): 1.0})) is None
 
 
 def test_plain_facts_of_every_object() -> None:
-    assert facts((ForEach((Variable("?x"),), (add("at", "?x"),)),), state()) == {("at", "hall"): True, ("at", "kitchen"): True}
-    assert facts((), state()) == {}
+    assert facts((ForEach((Variable("?x"),), (add("at", "?x"),)),), rooms_state()) == {("at", "hall"): True, ("at", "kitchen"): True}
+    assert facts((), rooms_state()) == {}

@@ -14,17 +14,7 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import All, Holds, Not
 from pnm.core.logic.evaluation import evaluate
 from pnm.core.logic.expressions import UNKNOWN, Variable
-from pnm.core.logic.trajectory import (
-    IMPOSSIBLE,
-    Constraint,
-    instances,
-    is_fulfilled,
-    moments,
-    names_in,
-    observed_of,
-    progressed,
-    shifted,
-)
+from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, moments, names_in, observed_of, progressed, shifted
 from tests.support.logic.trajectories import (
     AFTER,
     BEFORE,
@@ -38,14 +28,14 @@ from tests.support.logic.trajectories import (
     always,
     progress,
     sometime,
-    state,
+    state_of,
     traces,
 )
 
 
 def course(text: str, step: float = 1.0) -> Trace:
     """Read ``"- p pq q"``: which of p and q are true in each state, a second apart."""
-    return [(number * step, state("p" in word, "q" in word)) for number, word in enumerate(text.split())]
+    return [(number * step, state_of("p" in word, "q" in word)) for number, word in enumerate(text.split())]
 
 
 def keeps(trace: Trace, constraint: Constraint) -> bool:
@@ -125,11 +115,11 @@ def test_what_is_unknown_violates_nothing(constraint: Constraint, trace: Trace) 
 
 
 def test_what_is_unknown_fulfils_nothing() -> None:
-    nobody_knows = [(0.0, state(UNKNOWN, UNKNOWN))]
+    nobody_knows = [(0.0, state_of(UNKNOWN, UNKNOWN))]
     for constraint in (sometime(P), Constraint("within", (P,), (9.0,)), Constraint("at end", (P,))):
         assert not is_fulfilled(progress((constraint,), nobody_knows), nobody_knows[0][1])
     assert progress((Constraint("within", (P,), (0.0,)),), nobody_knows) == (IMPOSSIBLE,)
-    assert progress((Constraint("sometime-before", (P, Q)),), [*nobody_knows, (1.0, state(p=True))]) == (IMPOSSIBLE,)
+    assert progress((Constraint("sometime-before", (P, Q)),), [*nobody_knows, (1.0, state_of(p=True))]) == (IMPOSSIBLE,)
 
 
 NEVER_P = always(Not(P))
@@ -178,15 +168,15 @@ def test_what_is_left(constraint: Constraint, states: str, left: Rest) -> None:
 def test_a_deadline_that_nothing_happens_at_is_kept_all_the_same() -> None:
     deadline = Constraint("within", (P,), (1.5,))
     assert moments(deadline) == (1.5,)
-    assert progressed((deadline,), state(), 1.4) == (deadline,)
-    assert progressed((deadline,), state(), 1.5) == (IMPOSSIBLE,)
-    assert progressed((deadline,), state(p=True), 1.5) == ()
+    assert progressed((deadline,), state_of(), 1.4) == (deadline,)
+    assert progressed((deadline,), state_of(), 1.5) == (IMPOSSIBLE,)
+    assert progressed((deadline,), state_of(p=True), 1.5) == ()
 
 
 def test_of_several_deadlines_the_earliest_is_left() -> None:
     soon, late = (Constraint("within", (P,), (time,)) for time in (3.0, 5.0))
-    assert progressed((soon, late), state()) == progressed((late, soon), state()) == (soon,)
-    assert progressed((soon, Constraint("within", (Q,), (5.0,))), state()) == (soon, Constraint("within", (Q,), (5.0,)))
+    assert progressed((soon, late), state_of()) == progressed((late, soon), state_of()) == (soon,)
+    assert progressed((soon, Constraint("within", (Q,), (5.0,))), state_of()) == (soon, Constraint("within", (Q,), (5.0,)))
 
 
 def test_times_count_from_now_on_for_a_planner() -> None:
@@ -215,15 +205,15 @@ def test_constraints_are_told_as_pddl() -> None:
 
 
 def test_what_is_seen_in_place_of_a_constraint() -> None:
-    assert observed_of(always(All((Not(P), Q))), state(p=True, q=True)) == "(p) is true"
-    assert observed_of(NEVER_P, state(p=True)) == "(p) is true"
-    assert observed_of(BEFORE, state(p=True)) == "(p) is true; (q) is false"
+    assert observed_of(always(All((Not(P), Q))), state_of(p=True, q=True)) == "(p) is true"
+    assert observed_of(NEVER_P, state_of(p=True)) == "(p) is true"
+    assert observed_of(BEFORE, state_of(p=True)) == "(p) is true; (q) is false"
 
 
 def test_something_else_than_a_constraint_is_refused() -> None:
     for wrong in (Constraint("always", (P, Q)), Constraint("within", (P,)), Constraint("seldom", (P,))):
         with pytest.raises(ValueError, match="not a ground constraint"):
-            progressed((wrong,), state())
+            progressed((wrong,), state_of())
 
 
 _ACTIONS = "".join(

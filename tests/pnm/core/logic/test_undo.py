@@ -30,17 +30,7 @@ from pnm.core.logic.effects import (
     written,
 )
 from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.expressions import (
-    UNDEFINED,
-    UNKNOWN,
-    Constant,
-    Fluent,
-    Unknown,
-    Value,
-    ValueOf,
-    Variable,
-    value_of,
-)
+from pnm.core.logic.expressions import UNDEFINED, UNKNOWN, Constant, Fluent, Unknown, Value, ValueOf, Variable, value_of
 from tests.support.logic.effects import (
     ALL_FACTS,
     ALL_NUMBERS,
@@ -49,10 +39,10 @@ from tests.support.logic.effects import (
     STATES,
     TRUTHS,
     add,
+    change_number,
     delete,
     happening,
-    number,
-    state,
+    rooms_state,
 )
 
 ANY_EFFECTS = st.lists(EFFECTS, max_size=4).map(lambda effects: ground_effects(tuple(effects), {"?x": "hall"}))
@@ -100,7 +90,7 @@ def test_only_what_is_read_early_decides_at_the_start_and_only_what_is_read_at_t
 
 def test_effects_without_early_conditions_are_left_as_they_are() -> None:
     effects = (add("p"), When(Holds(("p",)), (add("q"),)), ForEach((Variable("?x"),), (When(Holds(("at", "?x")), (delete("p"),)),)))
-    assert decided(effects, state()) is effects
+    assert decided(effects, rooms_state()) is effects
     assert ground_effects((When(Holds(("at", "?x")), (add("q"),), True),), {"?x": "hall"}) == (
         When(Holds(("at", "hall")), (add("q"),), True),
     )
@@ -131,7 +121,7 @@ def test_undo_restores_the_state(effects: Effects, knowledge: KnowledgeBase) -> 
 
 def test_what_was_absent_is_a_false_fact_or_an_unknown_number() -> None:
     after: Changes = {("p",): True, ("q",): True, ("n",): 3.0, ("m",): 3.0, ("k",): UNKNOWN}
-    knowledge = state({("q",): UNKNOWN, ("m",): 0.0})
+    knowledge = rooms_state({("q",): UNKNOWN, ("m",): 0.0})
     assert values_before(after, knowledge) == {("p",): False, ("q",): UNKNOWN, ("n",): UNKNOWN, ("m",): 0.0, ("k",): UNKNOWN}
 
 
@@ -144,16 +134,16 @@ def test_undo_leaves_facts_alone_that_others_have_changed_since(effects: Effects
 
 
 def test_undo_takes_back_its_own_share_of_a_number() -> None:
-    knowledge = state({("load",): 10.0})
-    before, after = begin((number("increase", "load", 5.0),), knowledge)
-    knowledge.update(changes((number("increase", "load", 2.0),), knowledge))
+    knowledge = rooms_state({("load",): 10.0})
+    before, after = begin((change_number("increase", "load", 5.0),), knowledge)
+    knowledge.update(changes((change_number("increase", "load", 2.0),), knowledge))
     assert undo(before, after, knowledge) == {("load",): 12.0}
 
 
 @pytest.mark.parametrize("now", [UNKNOWN, "nobody", True])
 def test_undo_leaves_a_number_alone_that_has_become_something_else(now: Value | Unknown) -> None:
-    knowledge = state({("load",): 10.0})
-    before, after = begin((number("increase", "load", 5.0),), knowledge)
+    knowledge = rooms_state({("load",): 10.0})
+    before, after = begin((change_number("increase", "load", 5.0),), knowledge)
     knowledge.update({("load",): now})
     assert undo(before, after, knowledge) == {}
 
@@ -165,7 +155,7 @@ LOCATION: Fluent = ("location", "r1")
 
 
 def test_a_fluent_gets_an_object_by_name_by_variable_or_from_another_fluent() -> None:
-    knowledge = state({("target",): "kitchen"})
+    knowledge = rooms_state({("target",): "kitchen"})
     assert changes((Set(LOCATION, Constant("hall")),), knowledge) == {LOCATION: "hall"}
     assert changes((Set(LOCATION, Constant("?to")),), knowledge, {"?to": "hall"}) == {LOCATION: "hall"}
     assert changes((Set(LOCATION, ValueOf(("target",))),), knowledge) == {LOCATION: "kitchen"}
@@ -174,13 +164,13 @@ def test_a_fluent_gets_an_object_by_name_by_variable_or_from_another_fluent() ->
 
 
 def test_a_fluent_may_lose_its_object() -> None:
-    knowledge = state({LOCATION: "hall"})
+    knowledge = rooms_state({LOCATION: "hall"})
     assert changes((Set(LOCATION, Constant(UNDEFINED)),), knowledge) == {LOCATION: UNDEFINED}
-    assert changes((Set(LOCATION, ValueOf(("nobody-knows",))),), state({("nobody-knows",): UNKNOWN})) == {LOCATION: UNKNOWN}
+    assert changes((Set(LOCATION, ValueOf(("nobody-knows",))),), rooms_state({("nobody-knows",): UNKNOWN})) == {LOCATION: UNKNOWN}
 
 
 def test_objects_are_put_back() -> None:
-    knowledge = state({LOCATION: "hall"})
+    knowledge = rooms_state({LOCATION: "hall"})
     effects = (Set(LOCATION, Constant("kitchen")), Set(("location", "r2"), Constant("hall")))
     before, after = begin(effects, knowledge)
     assert before == {LOCATION: "hall", ("location", "r2"): UNDEFINED}
@@ -191,8 +181,8 @@ def test_objects_are_put_back() -> None:
 
 def test_a_constant_object_is_as_plain_as_a_fact() -> None:
     plain = (add("p"), Set(LOCATION, Constant("hall")), Set(("held",), Constant(UNDEFINED)))
-    assert facts(plain, state()) == {("p",): True, LOCATION: "hall", ("held",): UNDEFINED}
-    assert facts((Set(LOCATION, ValueOf(("target",))),), state({("target",): "hall"})) is None
+    assert facts(plain, rooms_state()) == {("p",): True, LOCATION: "hall", ("held",): UNDEFINED}
+    assert facts((Set(LOCATION, ValueOf(("target",))),), rooms_state({("target",): "hall"})) is None
 
 
 # --- text ---
@@ -203,7 +193,7 @@ def test_a_constant_object_is_as_plain_as_a_fact() -> None:
     [
         ((), "(and)"),
         ((add("at", "?x"),), "(at ?x)"),
-        ((delete("p"), number("increase", "n", 1.5)), "(and (not (p)) (increase (n) 1.5))"),
+        ((delete("p"), change_number("increase", "n", 1.5)), "(and (not (p)) (increase (n) 1.5))"),
         ((When(Holds(("p",)), (add("q"),)),), "(when (p) (q))"),
         ((ForEach((Variable("?x", ("room",)),), (add("at", "?x"), delete("p"))),), "(forall (?x - room) (and (at ?x) (not (p))))"),
     ],
@@ -213,5 +203,5 @@ def test_effects_are_written_as_pddl(effects: Effects, text: str) -> None:
 
 
 def test_names_written_look_into_every_effect() -> None:
-    nested = ForEach((Variable("?x"),), (When(Holds(("r",)), (add("q", "?x"),)), number("decrease", "n", 1.0)))
+    nested = ForEach((Variable("?x"),), (When(Holds(("r",)), (add("q", "?x"),)), change_number("decrease", "n", 1.0)))
     assert names_written((add("p"), nested)) == {"p", "q", "n"}

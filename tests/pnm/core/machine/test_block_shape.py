@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from pnm.core.logic.conditions import TRUE
 from pnm.core.machine.machine import After, Always, CancelAsked, ConditionFalse, ConditionTrue, Ending, Failing, Guard, PauseAsked
 from pnm.core.machine.verification.block_shape import shape_of
-from pnm.core.machine.verification.explore import Part, Step, Unsound, explore_part
+from pnm.core.machine.verification.explore import explore_part
+from pnm.core.machine.verification.part import Part, Step, Unsound
 
 GUARDS: tuple[Guard, ...] = (
     Always(),

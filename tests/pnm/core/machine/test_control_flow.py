@@ -14,21 +14,14 @@ from pnm.core.logic.conditions import Computed
 from pnm.core.machine.bindings import Binding, Bindings
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import OnFailure
-from pnm.core.machine.plan_graph import (
-    ActionCall,
-    Cause,
-    Choice,
-    Loop,
-    PlanGraph,
-    Recovery,
-    Then,
-)
+from pnm.core.machine.plan_graph import ActionCall, Cause, Choice, Loop, PlanGraph, Recovery, Then
 from pnm.core.machine.requests import Ended, Outcome, OutcomeKind
-from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, verify
-from tests.support.runs.control_flow import LARGE, SHAPES, call, flow, local, ne, on, plan, store
-from tests.support.runs.direct import RUN, drive, outcomes
+from tests.support.runs.control_flow import LARGE, SHAPES, call_with, flow, local, ne, on, store
+from tests.support.runs.direct import RUN, answering_with, drive
 from tests.support.runs.mutants import _less_output, check_proof_of_mutants
+from tests.support.runs.plan_graphs import plan_of_steps
 
 ONCE = Bindings({f"a{index}": Binding(retries=0) for index in range(10)})
 
@@ -51,17 +44,17 @@ def test_the_block_proof_accepts_no_machine_that_the_state_space_refutes(name: s
     check_proof_of_mutants(generate(SHAPES[name], ONCE))
 
 
-def counted(limit: int = 1000) -> PlanGraph:
+def counting_plan(limit: int = 1000) -> PlanGraph:
     """Count n up to 10."""
     more = Operation("add", (local("n"), Literal.of(1)))
-    return plan(Loop(2, ne("n", 10), flow(call(0), store(1, "n", more), orders=("0e<1s",)), limit))
+    return plan_of_steps(Loop(2, ne("n", 10), flow(call_with(0), store(1, "n", more), orders=("0e<1s",)), limit))
 
 
 # --- runs ---
 
 
 def test_a_loop_goes_round_as_long_as_its_condition_holds() -> None:
-    trace = drive(counted(), variables={"n": 5}, bindings=ONCE)
+    trace = drive(counting_plan(), variables={"n": 5}, bindings=ONCE)
     assert trace.result.goal
     assert trace.actions == ["a0"] * 5
     assert trace.run.knowledge.local.variable("n") == 10
@@ -70,7 +63,7 @@ def test_a_loop_goes_round_as_long_as_its_condition_holds() -> None:
 
 
 def test_a_loop_whose_condition_never_becomes_false_fails_by_name() -> None:
-    trace = drive(counted(3), variables={"n": 5}, bindings=ONCE)
+    trace = drive(counting_plan(3), variables={"n": 5}, bindings=ONCE)
     assert not trace.result.goal
     assert trace.actions == ["a0"] * 3
     (failure,) = trace.result.failures
@@ -84,24 +77,24 @@ def test_a_loop_counts_its_rounds_anew_each_time_it_is_reached() -> None:
     outer = flow(
         store(0, "n", Literal.of(0)), inner, store(2, "m", Operation("add", (local("m"), Literal.of(1)))), orders=("0e<4s", "4e<2s")
     )
-    trace = drive(plan(Loop(3, ne("m", 4), outer, 4)), variables={"m": 0})
+    trace = drive(plan_of_steps(Loop(3, ne("m", 4), outer, 4)), variables={"m": 0})
     assert trace.result.goal, trace.result.reason
 
 
 @pytest.mark.parametrize(("variables", "expected"), [({"n": 1}, ["a1"]), ({"n": 2}, ["a0"]), ({}, ["a0"])])
 def test_a_choice_takes_one_branch(variables: dict[str, object], expected: list[str]) -> None:
-    assert drive(plan(Choice(2, ne("n", 1), flow(call(0)), flow(call(1)))), variables=variables).actions == expected
+    assert drive(plan_of_steps(Choice(2, ne("n", 1), flow(call_with(0)), flow(call_with(1)))), variables=variables).actions == expected
 
 
 def test_a_condition_that_cannot_be_computed_is_not_true() -> None:
     late = Computed(Operation("gt", (local("n"), Literal.of(1))))
-    assert drive(plan(Choice(2, late, flow(call(0)), flow(call(1)))), variables={"n": "three"}).actions == ["a1"]
+    assert drive(plan_of_steps(Choice(2, late, flow(call_with(0)), flow(call_with(1)))), variables={"n": "three"}).actions == ["a1"]
 
 
 def test_a_chain_recovers_and_the_call_begins_anew_until_that_is_used_up() -> None:
-    recovering = plan(call(0, on(Cause.ABORTED, Then.RETRY, call(1), times=2)))
-    assert drive(recovering, outcomes(a0=["aborted", "aborted"]), bindings=ONCE).actions == ["a0", "a1", "a0", "a1", "a0"]
-    failed = drive(recovering, outcomes(a0=["aborted"] * 3), bindings=ONCE).result
+    recovering = plan_of_steps(call_with(0, on(Cause.ABORTED, Then.RETRY, call_with(1), times=2)))
+    assert drive(recovering, answering_with(a0=["aborted", "aborted"]), bindings=ONCE).actions == ["a0", "a1", "a0", "a1", "a0"]
+    failed = drive(recovering, answering_with(a0=["aborted"] * 3), bindings=ONCE).result
     assert [one.cause for one in failed.failures] == ["aborted"]
 
 
@@ -114,9 +107,9 @@ def test_a_chain_recovers_and_the_call_begins_anew_until_that_is_used_up() -> No
         (Then.REPLAN, False, "aborted"),
     ],
 )
-@pytest.mark.parametrize("chain", [(), (call(1),)])
+@pytest.mark.parametrize("chain", [(), (call_with(1),)])
 def test_how_a_recovery_goes_on(then: Then, goal: bool, outcome: str, chain: tuple[ActionCall, ...]) -> None:
-    trace = drive(plan(call(0, on(Cause.ABORTED, then, *chain))), outcomes(a0=["aborted"]), bindings=ONCE)
+    trace = drive(plan_of_steps(call_with(0, on(Cause.ABORTED, then, *chain))), answering_with(a0=["aborted"]), bindings=ONCE)
     assert trace.result.goal is goal
     assert trace.actions == ["a0", *(one.action.name for one in chain)]
     assert trace.result.calls[0].outcome == outcome
@@ -124,45 +117,52 @@ def test_how_a_recovery_goes_on(then: Then, goal: bool, outcome: str, chain: tup
 
 
 def test_a_chain_that_fails_fails_the_call() -> None:
-    trace = drive(plan(call(0, on(Cause.ABORTED, Then.RETRY, call(1)))), outcomes(a0=["aborted"], a1=["aborted"]), bindings=ONCE)
+    trace = drive(
+        plan_of_steps(call_with(0, on(Cause.ABORTED, Then.RETRY, call_with(1)))),
+        answering_with(a0=["aborted"], a1=["aborted"]),
+        bindings=ONCE,
+    )
     assert [str(one.call) for one in trace.result.failures] == ["a1()#1", "a0()#0"]
 
 
 def test_a_check_of_the_plan_s_own_comes_before_the_action() -> None:
-    lost = Recovery(frozenset({Cause.BEFORE}), Then.SKIP, flow(call(1)), 1, ne("n", 1))
-    assert drive(plan(call(0, lost)), variables={"n": 1}).actions == ["a0"]
-    assert drive(plan(call(0, lost)), variables={"n": 2}).actions == ["a1"]
+    lost = Recovery(frozenset({Cause.BEFORE}), Then.SKIP, flow(call_with(1)), 1, ne("n", 1))
+    assert drive(plan_of_steps(call_with(0, lost)), variables={"n": 1}).actions == ["a0"]
+    assert drive(plan_of_steps(call_with(0, lost)), variables={"n": 2}).actions == ["a1"]
 
 
 def test_restarting_the_plan_ends_what_is_beside_it_first_and_begins_once() -> None:
-    restarting = plan(
-        call(0, on(Cause.ABORTED, Then.RESTART_PLAN)), call(1, on(Cause.ABORTED, Then.RESTART_PLAN)), call(2), orders=("0e<2s", "1e<2s")
+    restarting = plan_of_steps(
+        call_with(0, on(Cause.ABORTED, Then.RESTART_PLAN)),
+        call_with(1, on(Cause.ABORTED, Then.RESTART_PLAN)),
+        call_with(2),
+        orders=("0e<2s", "1e<2s"),
     )
-    trace = drive(restarting, outcomes(a0=["aborted"], a1=["aborted"]), bindings=ONCE)
+    trace = drive(restarting, answering_with(a0=["aborted"], a1=["aborted"]), bindings=ONCE)
     assert trace.result.goal
     assert trace.actions == ["a0", "a1", "a0", "a1", "a2"]
-    trace = drive(restarting, outcomes(a0=["aborted"] * 2), bindings=ONCE)
+    trace = drive(restarting, answering_with(a0=["aborted"] * 2), bindings=ONCE)
     assert not trace.result.goal
     assert trace.actions == ["a0", "a1"] * 2
 
 
 def test_however_many_calls_may_restart_the_plan_the_proof_costs_the_same() -> None:
     def proof(number: int) -> int:
-        return verify(generate(plan(*(call(index, on(Cause.ABORTED, Then.RESTART_PLAN)) for index in range(number))))).states
+        return verify(generate(plan_of_steps(*(call_with(index, on(Cause.ABORTED, Then.RESTART_PLAN)) for index in range(number))))).states
 
     assert proof(10) == proof(3) == proof(2)
 
 
 def test_a_call_whose_wish_to_restart_is_treated_otherwise_is_found() -> None:
-    machine = generate(plan(*(call(index, on(Cause.ABORTED, Then.RESTART_PLAN)) for index in range(4))))
+    machine = generate(plan_of_steps(*(call_with(index, on(Cause.ABORTED, Then.RESTART_PLAN)) for index in range(4))))
     third = [*machine.restart_places][2]
     with pytest.raises(Unsound):
         verify(replace(machine, net=_less_output(machine.net, f"restart_too {third}", "restarting")))
 
 
 def test_a_call_that_others_would_undo_is_not_counted_as_failed_when_the_plan_begins_anew() -> None:
-    beside = plan(call(0, on(Cause.ABORTED, Then.RESTART_PLAN)), call(1, on(Cause.ABORTED, Then.RETRY)))
-    assert drive(beside, outcomes(a0=["aborted"], a1=["aborted"]), bindings=ONCE).result.goal
+    beside = plan_of_steps(call_with(0, on(Cause.ABORTED, Then.RESTART_PLAN)), call_with(1, on(Cause.ABORTED, Then.RETRY)))
+    assert drive(beside, answering_with(a0=["aborted"], a1=["aborted"]), bindings=ONCE).result.goal
 
 
 def test_a_resource_is_had_by_one_call_at_a_time() -> None:

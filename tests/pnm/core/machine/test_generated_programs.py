@@ -18,7 +18,7 @@ from pnm.core.machine.verification.verify import verify
 from pnm.core.net.net import Marking
 from tests.support.runs.direct import RUN, drive
 from tests.support.yaml.chaos import Chaos, in_use
-from tests.support.yaml.programs import DOMAIN, Json, as_yaml, programs, read
+from tests.support.yaml.programs import DOMAIN, Json, as_yaml, only_plan, programs
 
 
 def check_marking(machine: PetriNetMachine, marking: Marking, budgets: Mapping[tuple[str, str], int]) -> None:
@@ -46,7 +46,7 @@ def counters(machine: PetriNetMachine) -> dict[tuple[str, str], int]:
 
 
 def carry_out(text: str, seed: int) -> None:
-    plan = read(text)
+    plan = only_plan(text)
     machine = generate(plan.graph, plan.bindings, on_failure=plan.on_failure)
     verify(machine)
     world = KnowledgeBase(plan.facts, objects=plan.objects, rules=plan.rules)
@@ -185,7 +185,7 @@ class Interpreter:
 @settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(BLOCKS, st.integers(0, 3), st.integers(0, 3))
 def test_a_program_without_concurrency_does_what_it_says(steps: Json, x: int, y: int) -> None:
-    plan = read(f"{COUNTING}---\n{as_yaml({'initial_knowledge': {'x': x, 'y': y}, 'plan': steps})}")
+    plan = only_plan(f"{COUNTING}---\n{as_yaml({'initial_knowledge': {'x': x, 'y': y}, 'plan': steps})}")
     trace = drive(plan.graph, bindings=plan.bindings, variables=plan.variables)
     meant = Interpreter({"x": x, "y": y})
     assert trace.result.goal is meant.do(steps)

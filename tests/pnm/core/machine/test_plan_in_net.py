@@ -9,7 +9,7 @@ import pytest
 from pnm.core.machine.generate import generate
 from pnm.core.machine.machine import Always, PetriNetMachine
 from pnm.core.machine.plan_graph import ActionCall, GroundAction, Moment, Ordering, PlanEvent, PlanGraph
-from pnm.core.machine.verification.explore import Unsound
+from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import verify
 from pnm.core.net.net import PetriNet, Weights
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pnm.errors import InputError
 from pnm.language.plan import parse_plans
+from tests.support.files import input_error
 from tests.support.yaml.damage import WORDS, damaged
 from tests.support.yaml.examples import COUNTING, NESTED, ORIGINAL, PAPER_DOMAIN, PAPER_PLAN, PDDL, RECIPES, RECOVERING
 
@@ -34,13 +34,5 @@ def test_damaged_texts_are_read_or_refused_with_a_place(data: st.DataObject | No
 
 
 def check(text: str) -> None:
-    error = refused(text)
+    error = input_error(lambda: parse_plans(text, "F"))
     assert error is None or (error.position is not None and str(error).startswith("F:")), error
-
-
-def refused(text: str) -> InputError | None:
-    try:
-        parse_plans(text, "F")
-    except InputError as error:
-        return error
-    return None

@@ -15,42 +15,42 @@ from tests.support.files import refused
 BAD_INPUT = Path(__file__).with_name("refused")
 
 
-def one(text: str) -> Mapped:
+def only_document(text: str) -> Mapped:
     (found,), warnings = parse_documents(text, "F")
     assert not warnings
     return found
 
 
-def wrong(text: str) -> str:
+def refusal(text: str) -> str:
     with pytest.raises(InputError) as caught:
         parse_documents(text, "F")
     return str(caught.value)
 
 
 def test_merged_keys_give_way_to_own_ones_wherever_they_stand() -> None:
-    found = one("base: &base {a: 1, b: 2, c: 3}\nmore: &more {c: 4, d: 5}\nall:\n  a: 0\n  <<: [*base, *more]\n  b: 9\n")
+    found = only_document("base: &base {a: 1, b: 2, c: 3}\nmore: &more {c: 4, d: 5}\nall:\n  a: 0\n  <<: [*base, *more]\n  b: 9\n")
     assert found.plain("all") == {"a": 0, "b": 9, "c": 3, "d": 5}
 
 
 def test_merging_goes_through_merged_mappings() -> None:
-    found = one("x: &x {instances: [1]}\ny: &y {<<: *x, type: t}\nz: {<<: *y, type: u}\n")
+    found = only_document("x: &x {instances: [1]}\ny: &y {<<: *x, type: t}\nz: {<<: *y, type: u}\n")
     assert found.plain("z") == {"instances": [1], "type": "u"}
 
 
 def test_what_is_merged_is_told_where_it_stands() -> None:
-    found = one("base: &base\n  number: hello\nall:\n  mine:\n    <<: *base\n")
+    found = only_document("base: &base\n  number: hello\nall:\n  mine:\n    <<: *base\n")
     with pytest.raises(InputError, match=r"F:2:11: expected a number of at least 0 under 'number'"):
         found.mapping("all")["mine"].number("number", None)
 
 
 def test_a_merge_key_in_quotes_is_a_name() -> None:
-    assert one('"<<": 1').plain("<<") == 1
+    assert only_document('"<<": 1').plain("<<") == 1
 
 
 @pytest.mark.parametrize("value", ["3", "[a]", "text", "[{a: 1}, 2]"])
 def test_only_mappings_are_merged(value: str) -> None:
     with pytest.raises(InputError, match="expected a mapping"):
-        one(f"a:\n  <<: {value}\n").mapping("a")
+        only_document(f"a:\n  <<: {value}\n").mapping("a")
 
 
 def test_documents_keep_their_positions() -> None:
@@ -61,11 +61,11 @@ def test_documents_keep_their_positions() -> None:
 
 def test_empty_documents_do_not_count() -> None:
     assert len(parse_documents("---\n---\na: 1\n---\n# nothing\n", "F")[0]) == 1
-    assert wrong("---\n---\n") == "F:1:1: the file is empty; expected a mapping"
+    assert refusal("---\n---\n") == "F:1:1: the file is empty; expected a mapping"
 
 
 def test_every_document_is_a_mapping() -> None:
-    assert wrong("a: 1\n---\n- b\n") == "F:3:1: expected a mapping (key: value)"
+    assert refusal("a: 1\n---\n- b\n") == "F:3:1: expected a mapping (key: value)"
 
 
 def test_files_for_one_document_have_one(tmp_path: Path) -> None:
@@ -76,14 +76,14 @@ def test_files_for_one_document_have_one(tmp_path: Path) -> None:
 
 
 def test_anchors_do_not_reach_into_the_next_document() -> None:
-    assert wrong("a: &here 1\n---\nb: *here\n") == "F:3:4: not YAML: found undefined alias 'here'"
+    assert refusal("a: &here 1\n---\nb: *here\n") == "F:3:4: not YAML: found undefined alias 'here'"
 
 
 def test_kinds_of_actions_have_anchors_that_a_file_may_define_itself() -> None:
-    assert one("a: {<<: *ros_action}").plain("a") == {"type": "ros_action"}
-    assert one("a: {<<: *base_action}").plain("a") == {}
-    assert one("t: &ros_action {type: mine}\na: {<<: *ros_action}").plain("a") == {"type": "mine"}
-    assert wrong("a: {<<: *ros_actoin}") == "F:1:9: not YAML: found undefined alias 'ros_actoin'; did you mean 'ros_action'?"
+    assert only_document("a: {<<: *ros_action}").plain("a") == {"type": "ros_action"}
+    assert only_document("a: {<<: *base_action}").plain("a") == {}
+    assert only_document("t: &ros_action {type: mine}\na: {<<: *ros_action}").plain("a") == {"type": "mine"}
+    assert refusal("a: {<<: *ros_actoin}") == "F:1:9: not YAML: found undefined alias 'ros_actoin'; did you mean 'ros_action'?"
 
 
 def test_other_files_do_not_have_these_anchors() -> None:
@@ -130,8 +130,8 @@ def test_nothing_is_mended_in_what_can_be_read() -> None:
 
 
 def test_what_cannot_be_mended_is_told_as_it_stands() -> None:
-    assert wrong("...\na: [1\n") == "F:1:1: not YAML: expected the node content, but found '<document end>'"
-    assert wrong("a:\n  - b:\n   c: 1\n d: }\n").startswith("F:3:4: not YAML")
+    assert refusal("...\na: [1\n") == "F:1:1: not YAML: expected the node content, but found '<document end>'"
+    assert refusal("a:\n  - b:\n   c: 1\n d: }\n").startswith("F:3:4: not YAML")
 
 
 # --- evil files ----------------------------------------------------------------------------
@@ -150,16 +150,16 @@ EVIL = [
 
 @pytest.mark.parametrize(("text", "message"), EVIL)
 def test_evil_files_are_refused(text: str, message: str) -> None:
-    assert message in wrong(text)
+    assert message in refusal(text)
 
 
 def test_a_file_is_not_read_further_than_its_values_may_be_many(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pnm.files.yaml_loader.MAX_NODES", 10)
-    assert wrong("a: [" + "1, " * 20 + "}").endswith("not YAML: more than 10 values")
+    assert refusal("a: [" + "1, " * 20 + "}").endswith("not YAML: more than 10 values")
 
 
 def test_documents_are_counted() -> None:
-    assert wrong("---\na: 1\n" * (MAX_DOCUMENTS + 1)).endswith(f"not YAML: more than {MAX_DOCUMENTS} documents")
+    assert refusal("---\na: 1\n" * (MAX_DOCUMENTS + 1)).endswith(f"not YAML: more than {MAX_DOCUMENTS} documents")
     assert len(parse_documents("---\na: 1\n" * MAX_DOCUMENTS, "F")[0]) == MAX_DOCUMENTS
 
 

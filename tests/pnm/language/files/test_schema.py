@@ -33,7 +33,7 @@ CHECK = jsonschema.Draft7Validator(KNOWN)
 EXAMPLES = sorted(path for folder in ("domains", "problems") for path in (ROOT / folder).rglob("*.yaml") if "plans" in path.parts)
 
 
-def problems(text: str) -> list[str]:
+def violations(text: str) -> list[str]:
     """Return what the schema has against the documents of a text."""
     documents, _ = files.parse_documents(text, "F")
     plain = [{key: node.plain() for key, _, node in document.entries()} for document in documents]
@@ -44,12 +44,12 @@ def keys(part: dict[str, Any]) -> set[str]:
     return set(part["properties"])
 
 
-def everything(part: Any) -> Iterator[dict[str, Any]]:
+def mappings(part: Any) -> Iterator[dict[str, Any]]:
     """Yield every mapping in the schema."""
     if isinstance(part, dict):
         yield part
     for inner in part.values() if isinstance(part, dict) else part if isinstance(part, list) else ():
-        yield from everything(inner)
+        yield from mappings(inner)
 
 
 def test_it_is_a_schema() -> None:
@@ -94,7 +94,7 @@ def test_words_may_be_spelled_as_the_readers_allow() -> None:
     for word in (*words.LOGIC[:3], *words.SYNONYMS, "comparison", "holds", *words.QUERIES):
         for spelled in (word, word[0].upper() + word[1:]):
             argument = {"comparison": "[eq, [1, 2]]", "holds": "(a)"}.get(word, "{Query: v}" if "uery" not in word else "v")
-            assert not problems(f"goal: {{{spelled}: {argument}}}\nplan: []"), spelled
+            assert not violations(f"goal: {{{spelled}: {argument}}}\nplan: []"), spelled
 
 
 def test_whatever_else_a_reader_looks_for_by_name_is_a_key_of_the_schema_and_the_other_way_round() -> None:
@@ -106,7 +106,7 @@ def test_whatever_else_a_reader_looks_for_by_name_is_a_key_of_the_schema_and_the
         if isinstance(node, ast.Call) and (getattr(node.func, "attr", "") == "only" or getattr(node.func, "id", "") == "needed")
     ]
     looked_for = {one.value for call in called for one in ast.walk(call) if isinstance(one, ast.Constant) and isinstance(one.value, str)}
-    listed = {key for part in everything(KNOWN) if isinstance(part.get("properties"), dict) for key in part["properties"]}
+    listed = {key for part in mappings(KNOWN) if isinstance(part.get("properties"), dict) for key in part["properties"]}
     assert len(looked_for) > 20
     assert looked_for <= listed
     named = {*domain.DOMAIN_KEYS, *files.PLAN_KEYS, *files.RECIPE_KEYS, *actions.ACTION_KEYS, *domain.PROBLEM_KEYS, *steps.OPTIONS}
@@ -122,7 +122,7 @@ def test_whatever_else_a_reader_looks_for_by_name_is_a_key_of_the_schema_and_the
 
 
 def test_every_key_is_described_in_a_sentence() -> None:
-    for part in everything(KNOWN):
+    for part in mappings(KNOWN):
         if isinstance(part.get("properties"), dict):
             for key, value in part["properties"].items():
                 assert value["description"].endswith("."), key
@@ -135,7 +135,7 @@ def test_every_key_is_described_in_a_sentence() -> None:
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_the_examples_are_valid_and_name_the_schema(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
-    assert problems(text) == []
+    assert violations(text) == []
     modeline, _, _ = text.partition("\n")
     start, _, target = modeline.partition("$schema=")
     assert start == "# yaml-language-server: "
@@ -145,13 +145,13 @@ def test_the_examples_are_valid_and_name_the_schema(path: Path) -> None:
 @pytest.mark.parametrize("name", ["delivery", "mall_guide", "patrol"])
 def test_exported_domains_are_valid(name: str) -> None:
     found = exported(ROOT / "domains" / name / "domain.pddl", ROOT / "problems" / name / "p01.pddl", with_plan=True)
-    assert problems(found.text) == []
+    assert violations(found.text) == []
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(programs())
 def test_any_program_is_valid(text: str) -> None:
-    assert problems(text) == []
+    assert violations(text) == []
 
 
 WRONG = {
@@ -195,13 +195,13 @@ def test_what_is_wrong_is_refused_by_reader_and_schema(name: str, tmp_path: Path
     with pytest.raises(InputError) as caught:
         read_plans(path)
     assert caught.value.position
-    assert problems(WRONG[name])
+    assert violations(WRONG[name])
 
 
 def test_worlds_are_valid() -> None:
-    assert not problems("domain: d.yaml\nplans: [a.yaml, b.yaml]")
-    assert not problems("one: {domain: d.yaml, recipes: [a.yaml]}\ntwo: {domain: e.yaml, recipes: [b.yaml]}")
-    assert problems("one: {domain: d.yaml, recipes: [a.yaml], plan: []}")
+    assert not violations("domain: d.yaml\nplans: [a.yaml, b.yaml]")
+    assert not violations("one: {domain: d.yaml, recipes: [a.yaml]}\ntwo: {domain: e.yaml, recipes: [b.yaml]}")
+    assert violations("one: {domain: d.yaml, recipes: [a.yaml], plan: []}")
 
 
 def test_the_command_writes_it(tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def test_the_only_world_need_not_be_named(folder: Path) -> None:
     assert read_world(folder / "worlds.yaml").name == "only"
 
 
-def wrong(folder: Path, text: str, name: str | None = None) -> str:
+def why_no_world(folder: Path, text: str, name: str | None = None) -> str:
     (folder / "worlds.yaml").write_text(text)
     with pytest.raises(InputError) as caught:
         read_world(folder / "worlds.yaml", name)
@@ -66,34 +66,34 @@ def wrong(folder: Path, text: str, name: str | None = None) -> str:
 
 def test_what_is_wrong_with_a_world(folder: Path) -> None:
     two = FILES["worlds.yaml"]
-    assert wrong(folder, two) == "worlds.yaml:1:1: there are several worlds; expected the name of one: small, large"
-    assert wrong(folder, two, "smal") == "worlds.yaml:1:1: there is no world 'smal' here; did you mean 'small'?"
-    assert wrong(folder, "w: {domian: x}") == "worlds.yaml:1:5: unknown key 'domian'; did you mean 'domain'?"
-    assert wrong(folder, "domain: domains/one.yaml\nplans: []") == (
+    assert why_no_world(folder, two) == "worlds.yaml:1:1: there are several worlds; expected the name of one: small, large"
+    assert why_no_world(folder, two, "smal") == "worlds.yaml:1:1: there is no world 'smal' here; did you mean 'small'?"
+    assert why_no_world(folder, "w: {domian: x}") == "worlds.yaml:1:5: unknown key 'domian'; did you mean 'domain'?"
+    assert why_no_world(folder, "domain: domains/one.yaml\nplans: []") == (
         "worlds.yaml:1:1: the world 'worlds' has no plans; expected files under 'plans'"
     )
-    assert wrong(folder, "w: {domain: zz.yaml, recipes: [plans/count.yaml]}") == (
+    assert why_no_world(folder, "w: {domain: zz.yaml, recipes: [plans/count.yaml]}") == (
         "worlds.yaml:1:13: there is no file 'zz.yaml' beside this one"
     )
-    assert wrong(folder, "w: {domain: domains/one.yaml, recipes: [plans/cuont.yaml]}") == (
+    assert why_no_world(folder, "w: {domain: domains/one.yaml, recipes: [plans/cuont.yaml]}") == (
         "worlds.yaml:1:40: there is no file 'plans/cuont.yaml' beside this one; did you mean 'count.yaml'?"
     )
-    assert wrong(folder, "w: {recipes: [plans/count.yaml]}").startswith(
+    assert why_no_world(folder, "w: {recipes: [plans/count.yaml]}").startswith(
         "plans/count.yaml:1:72: there is no domain that would have an action 'a'"
     )
-    assert wrong(folder, "w: {domain: plans/count.yaml, recipes: [plans/count.yaml]}") == (
+    assert why_no_world(folder, "w: {domain: plans/count.yaml, recipes: [plans/count.yaml]}") == (
         "plans/count.yaml:1:1: there is no domain in the file; expected the key 'actions'"
     )
-    assert wrong(folder, "w: {domain: domains/one.yaml, recipes: [plans/count.yaml, plans/count.yaml]}") == (
+    assert why_no_world(folder, "w: {domain: domains/one.yaml, recipes: [plans/count.yaml, plans/count.yaml]}") == (
         "plans/count.yaml:1:8: there is a plan called 'count' already"
     )
-    assert wrong(folder, "a: 1\n---\nb: 2") == "worlds.yaml:3:1: a second document begins here; expected one"
-    assert wrong(folder, "- a") == "worlds.yaml:1:1: expected a mapping (key: value)"
+    assert why_no_world(folder, "a: 1\n---\nb: 2") == "worlds.yaml:3:1: a second document begins here; expected one"
+    assert why_no_world(folder, "- a") == "worlds.yaml:1:1: expected a mapping (key: value)"
 
 
 def test_plans_that_call_each_other_in_a_circle_are_refused(folder: Path) -> None:
     (folder / "plans/count.yaml").write_text("count: {plan: [second: ]}\n")
-    assert "the plan would never end: " in wrong(folder, FILES["worlds.yaml"], "large")
+    assert "the plan would never end: " in why_no_world(folder, FILES["worlds.yaml"], "large")
 
 
 def test_a_world_is_no_plan(folder: Path) -> None:

@@ -45,10 +45,7 @@ EFFECTS: list[tuple[str, WrittenEffects]] = [
         WrittenEffects((), All((Computed(Operation("eq", (TIME, VALUE))), Not(Computed(Operation("ne", (TIME, VALUE))))))),
     ),
     ("[(done), {LocalQuery: success}]", WrittenEffects((Set(("done",), Constant(True)),), Computed(q("success")))),
-    (
-        '{forall: {variables: "?x", condition: "(clean ?x)"}}',
-        WrittenEffects((), ForAll((Variable("?x"),), Holds(("clean", "?x")))),
-    ),
+    ('{forall: {variables: "?x", condition: "(clean ?x)"}}', WrittenEffects((), ForAll((Variable("?x"),), Holds(("clean", "?x"))))),
     ("{}", WrittenEffects()),
     ("[]", WrittenEffects()),
 ]

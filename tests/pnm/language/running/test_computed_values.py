@@ -27,7 +27,7 @@ from pnm.errors import InputError
 from pnm.knowledge.sources.router import Sources
 from pnm.knowledge.sources.source import Asker
 from pnm.language.plan import read_plans
-from pnm.language.runner import Performer, Program
+from pnm.language.runner import PlanRunner, Program
 from pnm.tasks import Code
 from tests.support.files import written
 from tests.support.yaml.run_plans import GUIDE
@@ -101,11 +101,11 @@ class Cancelled:
 def test_a_source_that_was_cancelled_by_somebody_else_is_a_failure(tmp_path: Path, operation: str) -> None:
     (plan,) = read_plans(written(tmp_path, f"actions: {{note: {{type: kb_action}}}}\nplan: [note: {{operation: {operation}}}]")).values()
     backend = simulated_backend(plan, plan.bindings)
-    performer = Performer({plan.name: Program.of(plan)}, backend, KnowledgeBase(), Sources([Cancelled()]))
+    runner = PlanRunner({plan.name: Program.of(plan)}, backend, KnowledgeBase(), Sources([Cancelled()]))
 
     async def performed() -> None:
-        await backend.open(performer.world)
-        result = await performer.execute(performer.perform(plan.name))
+        await backend.open(runner.world)
+        result = await runner.execute(runner.prepare_run(plan.name))
         assert "cannot be" in result.failures[0].observed
         await backend.close()
 

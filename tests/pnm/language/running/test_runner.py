@@ -20,7 +20,7 @@ from pnm.errors import InputError
 from pnm.knowledge.sources.memory import MemoryKnowledge
 from pnm.knowledge.sources.source import Asker
 from pnm.language.plan import chosen_plan, merge_bindings, read_plans
-from pnm.language.runner import Performer, Program, check_values
+from pnm.language.runner import PlanRunner, Program, check_values
 from tests.support.files import written
 from tests.support.yaml.run_plans import GUIDE
 
@@ -110,19 +110,19 @@ def test_names_of_plans_and_parameters_are_checked(tmp_path: Path) -> None:
 def test_two_runs_of_a_plan_go_on_side_by_side_with_their_own_knowledge(tmp_path: Path) -> None:
     plans = read_plans(written(tmp_path, GUIDE))
     backend = simulated_backend(plans["inner"], merge_bindings(plans.values()))
-    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase(), MemoryKnowledge())
+    runner = PlanRunner({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase(), MemoryKnowledge())
 
     async def both() -> None:
-        await backend.open(performer.world)
-        one, two = (performer.perform("inner", {"place": place}) for place in ("a", "b"))
-        running = asyncio.gather(performer.execute(one), performer.execute(two))
+        await backend.open(runner.world)
+        one, two = (runner.prepare_run("inner", {"place": place}) for place in ("a", "b"))
+        running = asyncio.gather(runner.execute(one), runner.execute(two))
         await asyncio.sleep(1)
         (request,) = one.executor.run.open_requests
-        knowledge, asker = performer.knowledge_of(request) or pytest.fail("nobody knows the request")
+        knowledge, asker = runner.knowledge_of(request) or pytest.fail("nobody knows the request")
         assert (knowledge, asker) == (one.executor.run.knowledge, Asker(one.executor.run.id, "inner"))
-        assert request.bytes[:4] == performer.prefix
+        assert request.bytes[:4] == runner.prefix
         await running
-        assert performer.knowledge_of(request) is None
+        assert runner.knowledge_of(request) is None
         assert (one.results, two.results) == ({"told": "a"}, {"told": "b"})
         assert asyncio.get_running_loop().time() == pytest.approx(5.0, abs=0.1)
         await backend.close()
@@ -133,20 +133,20 @@ def test_two_runs_of_a_plan_go_on_side_by_side_with_their_own_knowledge(tmp_path
 def test_cancelling_a_plan_cancels_the_plan_it_calls(tmp_path: Path) -> None:
     plans = read_plans(written(tmp_path, GUIDE))
     backend = simulated_backend(plans["outer"], merge_bindings(plans.values()))
-    performer = Performer({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase())
+    runner = PlanRunner({name: Program.of(plan) for name, plan in plans.items()}, backend, KnowledgeBase())
 
     async def stopped() -> None:
-        await backend.open(performer.world)
-        outer = performer.perform("outer", {"shop": "pharmacy"})
-        running = asyncio.ensure_future(performer.execute(outer))
+        await backend.open(runner.world)
+        outer = runner.prepare_run("outer", {"shop": "pharmacy"})
+        running = asyncio.ensure_future(runner.execute(outer))
         await asyncio.sleep(7)
-        assert [one.program.plan.name for one in performer.going_on] == ["outer", "inner"]
+        assert [one.program.plan.name for one in runner.going_on] == ["outer", "inner"]
         assert outer.running == ("inner(pharmacy): go(pharmacy)",)
         outer.executor.stop()
         result = await running
         assert not result.goal
         assert [one.outcome for one in result.calls if one.call.action.name == "inner"] == ["canceled"]
-        assert performer.going_on == []
+        assert runner.going_on == []
         assert asyncio.get_running_loop().time() == pytest.approx(7.0, abs=0.1)
         await backend.close()
 

@@ -119,7 +119,7 @@ def test_a_killed_server_is_lost_and_a_blocked_one_is_not(with_client, start, na
         since = monotonic()
         outcome = await sent.ended()
         assert (outcome.kind, outcome.message) == (OutcomeKind.LOST, f"/{killed} went away")
-        assert 2.0 < monotonic() - since < 60.0  # its lease lasts 20 s
+        assert monotonic() - since > 2.0, "its lease lasts 20 s"
         assert (await busy.ended()).kind is OutcomeKind.SUCCEEDED
 
     with_client(scenario, act=Binding(server=killed), busy=Binding(server=blocked))

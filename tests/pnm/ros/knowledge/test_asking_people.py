@@ -6,7 +6,7 @@ import json
 
 from tests.support.people import Person
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import run
+from tests.support.ros.child_process import run_bounded
 from tests.support.ros.fake_executor import fake_executor
 
 
@@ -27,4 +27,4 @@ def test_a_person_is_asked_while_others_go_on(ros, server):
             assert await one.said(server, "update", "person", "shop", "thanks", {"mood": 1}) == [None]
             assert await person.asked.get() == 'shop: thanks {"mood": 1}'
 
-    run(main())
+    run_bounded(main())

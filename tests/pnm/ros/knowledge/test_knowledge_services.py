@@ -18,7 +18,7 @@ from pnm.knowledge.sources.memory import MemoryKnowledge
 from pnm.ros.node.service_client import until_true
 from tests.support.people import Person
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import run
+from tests.support.ros.child_process import run_bounded
 from tests.support.ros.fake_executor import FakeExecutor, fake_executor
 
 OURS = "/pnm/ros/"
@@ -39,7 +39,7 @@ def test_local_and_global_and_both(ros, server):
             assert await one.said(server, "update", "all", "both", 0) == [None]
             assert [await one.said(server, "query", layer, "both") for layer in ("local", "global")] == [[0], [0]]
 
-    run(main())
+    run_bounded(main())
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_every_kind_of_server_may_ask(ros, names, begin, options):
             assert one.local.variables() == {f"v{number}": number for number in range(20)}
             assert await one.said(name, "query", "all", "v7") == [7]
 
-    run(main())
+    run_bounded(main())
 
 
 def test_the_example_of_the_documentation(ros, begin):
@@ -67,7 +67,7 @@ def test_the_example_of_the_documentation(ros, begin):
             assert (await one.send("guide", "lead")).kind is OutcomeKind.SUCCEEDED
             assert one.local.variables() == {"seen": ["bakery"]}
 
-    run(main())
+    run_bounded(main())
 
 
 def test_waiting_on_the_thread_that_spins_is_refused_at_once(ros, names, begin):
@@ -79,7 +79,7 @@ def test_waiting_on_the_thread_that_spins_is_refused_at_once(ros, names, begin):
             assert "in a coroutine, await the ..._async method" in await one.said(name, "query", "all", "a")
             assert "in a coroutine, await the ..._async method" in await one.said(name, "update", "all", "a", 1)
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_goal_of_somebody_else_is_carried_out_and_has_no_knowledge(ros, server):
@@ -89,7 +89,7 @@ def test_a_goal_of_somebody_else_is_carried_out_and_has_no_knowledge(ros, server
             assert outcome.kind is OutcomeKind.SUCCEEDED
             assert "the goal does not come from a plan executive" in outcome.message
 
-    run(main())
+    run_bounded(main())
 
 
 def test_an_executive_without_services_is_missed_by_name(ros, server):
@@ -100,7 +100,7 @@ def test_an_executive_without_services_is_missed_by_name(ros, server):
             assert said == f"there is no service {one.name}/{action}; the executive that has sent the goal is gone"
         await one.close()
 
-    run(main())
+    run_bounded(main())
 
 
 def test_an_executive_is_asked_again_until_it_has_answered_once_but_told_once(ros, server):
@@ -131,7 +131,7 @@ def test_an_executive_is_asked_again_until_it_has_answered_once_but_told_once(ro
         await ros.ask(lambda: [ros.node.destroy_service(service) for service in services])
         await one.close()
 
-    run(main())
+    run_bounded(main())
 
 
 def test_an_executive_that_is_killed_is_not_waited_for(names, begin):
@@ -155,7 +155,7 @@ def test_a_global_source_that_never_answers_is_said_to_the_server(ros, server):
         async with fake_executor(ros, [Never()]) as one:
             assert await one.said(server, "query", "all", "spam", None, 0.5) == "there was no answer within 0.5 s"
 
-    run(main())
+    run_bounded(main())
 
 
 def test_what_a_source_refuses_is_said_to_the_server_and_changes_nothing(ros, server):
@@ -168,7 +168,7 @@ def test_what_a_source_refuses_is_said_to_the_server_and_changes_nothing(ros, se
             assert await one.said(server, "update", "all", "spam", 1) == "the disk is full"
             assert one.local.variable("spam") is MISSING
 
-    run(main())
+    run_bounded(main())
 
 
 @pytest.mark.parametrize("kind", ["function", "coroutine", "simple"])
@@ -189,7 +189,7 @@ def test_cancelling_a_goal_that_asks_ends_it_and_withdraws_the_question(ros, nam
             assert await person.withdrawn.get() == "shop"
         assert OURS not in await asyncio.to_thread(server.stop)
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_simple_server_carries_out_one_goal_at_a_time_and_none_that_was_cancelled_before(ros, names, begin):
@@ -215,7 +215,7 @@ def test_a_simple_server_carries_out_one_goal_at_a_time_and_none_that_was_cancel
             person.answer("c", 3)
             assert (await third).message == "[3]"
 
-    run(main())
+    run_bounded(main())
 
 
 def test_two_executives_have_services_of_their_own(ros, server):
@@ -225,7 +225,7 @@ def test_two_executives_have_services_of_their_own(ros, server):
             await two.said(server, "update", "all", "spam", 2)
             assert (one.local.variables(), two.local.variables()) == ({"spam": 1}, {"spam": 2})
 
-    run(main())
+    run_bounded(main())
 
 
 @pytest.mark.parametrize("action", ["raise", "return"])
@@ -235,7 +235,7 @@ def test_a_callback_that_fails_aborts_its_goal_and_nothing_more(ros, server, act
             assert (await one.send(server, action)).kind is OutcomeKind.ABORTED
             assert await one.said(server, "query", "all", "spam") == []
 
-    run(main())
+    run_bounded(main())
 
 
 @pytest.mark.parametrize(
@@ -252,7 +252,7 @@ def test_a_server_that_asks_nonsense_is_told_so(ros, server, arguments, said):
         async with fake_executor(ros) as one:
             assert said in await one.said(server, *arguments)
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_server_that_ends_while_it_asks_leaves_no_traceback_of_ours(ros, names, begin):
@@ -268,4 +268,4 @@ def test_a_server_that_ends_while_it_asks_leaves_no_traceback_of_ours(ros, names
             assert OURS not in await asyncio.to_thread(server.stop)
             assert (await ended).kind in (OutcomeKind.LOST, OutcomeKind.UNAVAILABLE)
 
-    run(main())
+    run_bounded(main())

@@ -8,22 +8,19 @@ from uuid import UUID
 
 import pytest
 
-from pnm.core.logic.computed_values import MISSING, Layer, Question
+from pnm.core.logic.computed_values import MISSING, Layer
 from pnm.knowledge.sources import Asker, SourceChoice, SourceError, Surroundings, open_sources
 from pnm.ros.knowledge.knowledge_source import Ros2Knowledge
 from pnm.ros.knowledge.person_source import Ros2Person
 from pnm.ros.node.service_client import ServiceClient
+from tests.support.people import about
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import ChildProcess, run
+from tests.support.ros.child_process import ChildProcess, run_bounded
 
 ME = Asker(UUID(int=7), "tour")
 
 
-def about(name: str, layer: Layer = Layer.GLOBAL, meta: object = None) -> Question:
-    return Question(name, layer, json.dumps(meta))
-
-
-async def heard(process: ChildProcess) -> list[object]:
+async def next_line(process: ChildProcess) -> list[object]:
     """Return what it says next; at a first contact it may be asked the same several times."""
     before = process.said
     while process.said == before:
@@ -42,11 +39,11 @@ def test_knowledge_elsewhere(ros, names, begin):
         process = await asyncio.to_thread(begin, "remote_sources", "knowledge", name)
         knowledge = Ros2Knowledge(ros, name, limit=LIMIT)
         assert await knowledge.query(about("a", meta={"x": 1}), ME) is MISSING
-        assert await heard(process) == ["query", 1, "a", '{"x": 1}', ME.run.hex]
+        assert await next_line(process) == ["query", 1, "a", '{"x": 1}', ME.run.hex]
         await knowledge.update(about("a", Layer.ALL), {"b": [None, "ü"]}, ME)
-        assert await heard(process) == ["update", 1, "a", '{"b": [null, "\\u00fc"]}']
+        assert await next_line(process) == ["update", 1, "a", '{"b": [null, "\\u00fc"]}']
         assert await knowledge.query(about("a", Layer.ALL), ME) == {"b": [None, "ü"]}
-        assert await heard(process) == ["query", 1, "a", "", ME.run.hex]
+        assert await next_line(process) == ["query", 1, "a", "", ME.run.hex]
         with pytest.raises(SourceError, match=f"the knowledge behind {name} refuses: not for you"):
             await knowledge.query(about("no"), ME)
         with pytest.raises(SourceError, match="refuses: it does not say why"):
@@ -62,7 +59,7 @@ def test_knowledge_elsewhere(ros, names, begin):
         assert await asyncio.gather(*(knowledge.query(about(f"v{number}"), ME) for number in range(50))) == list(range(50))
         await knowledge.close()
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_service_is_asked_again_until_it_has_answered_once(ros, names, begin):
@@ -88,7 +85,7 @@ def test_a_service_is_asked_again_until_it_has_answered_once(ros, names, begin):
         await met.close()
         await knowledge.close()
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_service_that_is_missing_is_named_with_similar_ones(ros, names, begin):
@@ -106,7 +103,7 @@ def test_a_service_that_is_missing_is_named_with_similar_ones(ros, names, begin)
         await knowledge.close()
         await there.close()
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_service_that_does_not_answer_or_is_killed_is_not_waited_for(ros, names, begin):
@@ -116,7 +113,7 @@ def test_a_service_that_does_not_answer_or_is_killed_is_not_waited_for(ros, name
         process = await asyncio.to_thread(begin, "remote_sources", "knowledge", name)
         patient, knowledge = Ros2Knowledge(ros, name, limit=LIMIT), Ros2Knowledge(ros, name, limit=1.0)
         await patient.query(about("a"), ME)
-        await heard(process)
+        await next_line(process)
         with pytest.raises(SourceError, match=f"the service {name}/query did not answer within 1 s"):
             await knowledge.query(about("slow"), ME)
         await asyncio.to_thread(process.kill)
@@ -125,7 +122,7 @@ def test_a_service_that_does_not_answer_or_is_killed_is_not_waited_for(ros, name
         await patient.close()
         await knowledge.close()
 
-    run(main())
+    run_bounded(main())
 
 
 def test_knowledge_that_comes_late_is_waited_for(ros, names, begin):
@@ -138,7 +135,7 @@ def test_knowledge_that_comes_late_is_waited_for(ros, names, begin):
         assert await asking is MISSING
         await knowledge.close()
 
-    run(main())
+    run_bounded(main())
 
 
 # --- people --------------------------------------------------------------------------------
@@ -153,14 +150,14 @@ def test_answers_reach_who_asked_in_whatever_order_they_come(ros, names, begin):
         second = asyncio.ensure_future(person.query(about("USER"), Asker(UUID(int=8), "talk\x1b")))
         process = await asyncio.to_thread(begin, "remote_sources", "person", name, "reversed")  # hears of them although it comes later
         assert await asyncio.gather(first, second) == ["shop it is", "USER it is"]
-        said = [await heard(process) for _ in range(4)]
+        said = [await next_line(process) for _ in range(4)]
         assert ["ask", "shop", "Which shop?", "tour", '"Which shop?"', ""] in said
         assert ["ask", "USER", "What do you say?", "talk\N{REPLACEMENT CHARACTER}", "null", ""] in said
         assert [one[:2] for one in said].count(["withdraw", "shop"]) == 1, "others who show the question learn that it is answered"
         assert [one[:2] for one in said].count(["withdraw", "USER"]) == 1
         await person.close()
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_message(ros, names, begin):
@@ -170,12 +167,12 @@ def test_a_message(ros, names, begin):
         person = Ros2Person(ros, name)
         process = await asyncio.to_thread(begin, "remote_sources", "person", name, "never")
         await person.update(about("CONTROLLER", meta={"status": 1}), {"at": "hall"}, ME)
-        assert await heard(process) == ["tell", "CONTROLLER", '{"at": "hall"}', "tour", '{"status": 1}', '{"at": "hall"}']
+        assert await next_line(process) == ["tell", "CONTROLLER", '{"at": "hall"}', "tour", '{"status": 1}', '{"at": "hall"}']
         await person.close()
         with pytest.raises(SourceError, match="nobody can be asked or told anything any more"):
             await person.update(about("USER"), 1, ME)
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_question_that_nobody_answers_is_withdrawn(ros, names, begin):
@@ -186,12 +183,12 @@ def test_a_question_that_nobody_answers_is_withdrawn(ros, names, begin):
         with pytest.raises(SourceError, match=f"nobody has answered 'Which shop\\?' within 0.3 s; nobody listens on {name}/questions"):
             await person.query(about("shop", Layer.PERSON, "Which shop?"), ME)
         process = await asyncio.to_thread(begin, "remote_sources", "person", name, "never")
-        assert [(await heard(process))[:2] for _ in range(2)] == [["ask", "shop"], ["withdraw", "shop"]]
+        assert [(await next_line(process))[:2] for _ in range(2)] == [["ask", "shop"], ["withdraw", "shop"]]
         with pytest.raises(SourceError, match=r"nobody has answered 'What is shop\?' within 0\.3 s$"):
             await person.query(about("shop", Layer.PERSON), ME)
         await person.close()
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_question_that_is_cancelled_is_withdrawn_and_its_late_answer_ignored(ros, names, begin, caplog):
@@ -202,15 +199,15 @@ def test_a_question_that_is_cancelled_is_withdrawn_and_its_late_answer_ignored(r
         process = await asyncio.to_thread(begin, "remote_sources", "person", name, "late")
         person = Ros2Person(ros, name, limit=LIMIT)
         asking = asyncio.ensure_future(person.query(about("shop", Layer.PERSON), ME))
-        assert (await heard(process))[:2] == ["ask", "shop"]
+        assert (await next_line(process))[:2] == ["ask", "shop"]
         asking.cancel()
-        assert (await heard(process))[:2] == ["withdraw", "shop"]
+        assert (await next_line(process))[:2] == ["withdraw", "shop"]
         while "comes too late, or is for others" not in caplog.text:
             await ros.ask(lambda: None)
         assert asking.cancelled()
         await person.close()
 
-    run(main())
+    run_bounded(main())
 
 
 def test_answers_that_are_none_leave_the_question_open(ros, names, begin, caplog):
@@ -222,7 +219,7 @@ def test_answers_that_are_none_leave_the_question_open(ros, names, begin, caplog
         assert await person.query(about("shop", Layer.PERSON), ME) is MISSING, "the first that says something counts"
         await person.close()
 
-    run(main())
+    run_bounded(main())
     assert f"ignored an answer on {name}/answers: '[1' is not JSON" in caplog.text
 
 
@@ -235,7 +232,7 @@ def test_telling_nobody_is_an_error(ros, names, monkeypatch):
             await person.update(about("USER"), "Bye!", ME)
         await person.close()
 
-    run(main())
+    run_bounded(main())
 
 
 def test_closing_ends_open_questions(ros, names, begin):
@@ -245,13 +242,13 @@ def test_closing_ends_open_questions(ros, names, begin):
         process = await asyncio.to_thread(begin, "remote_sources", "person", name, "never")
         person = Ros2Person(ros, name, limit=LIMIT)
         asking = asyncio.ensure_future(person.query(about("shop", Layer.PERSON), ME))
-        await heard(process)
+        await next_line(process)
         await person.close()
         with pytest.raises(SourceError, match="the question was not answered before the end"):
             await asking
-        assert (await heard(process))[:2] == ["withdraw", "shop"]
+        assert (await next_line(process))[:2] == ["withdraw", "shop"]
 
-    run(main())
+    run_bounded(main())
 
 
 def test_both_by_name(ros, names):
@@ -267,4 +264,4 @@ def test_both_by_name(ros, names):
         await sources.close()
         assert "Ros2Person" in repr(open_sources([SourceChoice("memory"), SourceChoice("person")], Surroundings(ros)))
 
-    run(main())
+    run_bounded(main())

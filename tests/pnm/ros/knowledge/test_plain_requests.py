@@ -17,7 +17,7 @@ from pnm.ros.knowledge.knowledge_source import uuid_field
 from pnm.ros.node.service_client import ServiceClient
 from tests.support.people import Person
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import run
+from tests.support.ros.child_process import run_bounded
 from tests.support.ros.fake_executor import fake_executor
 
 # --- from the side of servers in other languages ---
@@ -54,7 +54,7 @@ def test_a_query_that_cannot_be_answered_is_refused(ros, fields, said):
             assert (answer.success, answer.found, answer.value, answer.message) == (True, False, "", "")
             await client.close()
 
-    run(main())
+    run_bounded(main())
 
 
 def test_who_repeats_a_question_to_a_person_gets_the_same_answer(ros):
@@ -92,7 +92,7 @@ def test_who_repeats_a_question_to_a_person_gets_the_same_answer(ros):
             assert {answer.message for answer in await asyncio.gather(*same)} == {"the goal is over, or the executive ends"}
             await client.close()
 
-    run(main())
+    run_bounded(main())
 
 
 @pytest.mark.parametrize("value", ["", "kitchen", "NaN"])
@@ -108,7 +108,7 @@ def test_an_update_with_what_is_no_json_is_refused(ros, value):
             assert one.local.variables() == {}
             await client.close()
 
-    run(main())
+    run_bounded(main())
 
 
 def test_closing_refuses_what_is_still_being_asked(ros):
@@ -125,7 +125,7 @@ def test_closing_refuses_what_is_still_being_asked(ros):
         assert person.withdrawn.get_nowait() == "spam"
         await client.close()
 
-    run(main())
+    run_bounded(main())
 
 
 def test_an_executive_whose_loop_has_ended_refuses(ros, names):
@@ -142,7 +142,7 @@ def test_an_executive_whose_loop_has_ended_refuses(ros, names):
         await services.close()
         await client.close()
 
-    run(main())
+    run_bounded(main())
 
 
 # --- ids ---

@@ -17,7 +17,7 @@ from pnm.errors import InputError
 from pnm.ros.node.messages import FieldError, fields, import_type, to_data, to_message
 
 
-def sent(message):
+def over_the_wire(message):
     """Return the message as the other side gets it."""
     return deserialize_message(serialize_message(message), type(message))
 
@@ -43,7 +43,7 @@ def sent(message):
 def test_defaults_go_through_plain_data_and_over_the_wire(kind):
     data = to_data(kind())
     assert json.loads(json.dumps(data)) == data
-    assert to_data(sent(to_message(kind, data))) == data
+    assert to_data(over_the_wire(to_message(kind, data))) == data
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_defaults_go_through_plain_data_and_over_the_wire(kind):
     ],
 )
 def test_values_arrive(kind, data):
-    arrived = to_data(sent(to_message(kind, data)))
+    arrived = to_data(over_the_wire(to_message(kind, data)))
     for name, value in data.items():
         if name != "basic_types_values":
             assert arrived[name] == value
@@ -77,7 +77,7 @@ def test_numpy_arrays_and_bytes_do_for_lists():
         "uint8_values": b"\x01\x02",
         "byte_values": b"\x03",
     }
-    message = sent(to_message(msg.UnboundedSequences, data))
+    message = over_the_wire(to_message(msg.UnboundedSequences, data))
     assert to_data(message)["float64_values"] == [1.5, 2.5]
     assert to_data(message)["int32_values"] == [3]
     assert to_data(message)["uint8_values"] == [1, 2]
@@ -85,10 +85,7 @@ def test_numpy_arrays_and_bytes_do_for_lists():
     assert to_message(msg.BasicTypes, {"int32_value": np.int64(5), "bool_value": np.bool_(True)}).int32_value == 5
 
 
-@pytest.mark.parametrize(
-    ("seconds", "sec", "nanosec"),
-    [(2, 2, 0), (1.5, 1, 500_000_000), (-0.25, -1, 750_000_000), (0.9999999999, 1, 0)],
-)
+@pytest.mark.parametrize(("seconds", "sec", "nanosec"), [(2, 2, 0), (1.5, 1, 500_000_000), (-0.25, -1, 750_000_000), (0.9999999999, 1, 0)])
 def test_seconds_do_for_a_time(seconds, sec, nanosec):
     message = to_message(msg.Builtins, {"time_value": seconds, "duration_value": {"sec": 3}})
     assert message.time_value == Time(sec=sec, nanosec=nanosec)
@@ -96,7 +93,7 @@ def test_seconds_do_for_a_time(seconds, sec, nanosec):
 
 
 def test_nan_and_infinity_are_floats():
-    message = sent(to_message(msg.BasicTypes, {"float64_value": math.nan, "float32_value": math.inf}))
+    message = over_the_wire(to_message(msg.BasicTypes, {"float64_value": math.nan, "float32_value": math.inf}))
     assert math.isnan(message.float64_value)
     assert message.float32_value == math.inf
 

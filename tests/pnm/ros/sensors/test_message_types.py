@@ -17,7 +17,7 @@ from pnm.ros.node.service_client import until_true
 from pnm.ros.sensors.fields import find_field, fitted, value_at
 from pnm.ros.sensors.sensors import Sensors
 from tests.support.pddl.sensed_world import DOMAIN, PROBLEM
-from tests.support.ros.child_process import run
+from tests.support.ros.child_process import run_bounded
 from tests.support.ros.listening import becomes, listening
 
 BASIC = "test_msgs/msg/BasicTypes"
@@ -27,10 +27,7 @@ BASIC = "test_msgs/msg/BasicTypes"
     ("facts", "said"),
     [
         ("{number: (battery r1), field: percentage}", "BasicTypes has no field 'percentage'; it has bool_value, byte_value"),
-        (
-            "{number: (battery r1), field: flaot64_value}",
-            "has no field 'flaot64_value'; did you mean 'float64_value'? it has bool_value",
-        ),
+        ("{number: (battery r1), field: flaot64_value}", "has no field 'flaot64_value'; did you mean 'float64_value'? it has bool_value"),
         ("{number: (battery r1), field: bool_value}", "bool_value is a boolean; expected a number, or a table"),
         ("{object: (location r1), field: int8_value}", "int8_value is a int8; expected a text, or a table"),
         ("{fact: (dark), field: int8_value}", "int8_value is a int8; expected a boolean, or 'when' and how it compares"),
@@ -51,15 +48,12 @@ def test_a_field_that_the_type_does_not_have_is_refused(ros, sensing, facts, sai
         assert said in str(caught.value)
         assert caught.value.position.line == 4
 
-    run(main())
+    run_bounded(main())
 
 
 def test_types_found_in_the_graph_are_checked_as_well(ros, names, sensing, sensors):
     topic, service = names(), names()
-    sensors(
-        {"topic": topic, "type": BASIC, "fields": {}},
-        {"service": service, "type": "test_msgs/srv/BasicTypes", "fields": {}},
-    )
+    sensors({"topic": topic, "type": BASIC, "fields": {}}, {"service": service, "type": "test_msgs/srv/BasicTypes", "fields": {}})
 
     async def main(text, said):
         await until_true(ros, lambda: ros.node.count_services(service))
@@ -67,10 +61,12 @@ def test_types_found_in_the_graph_are_checked_as_well(ros, names, sensing, senso
             async with listening(ros, sensing(text)):
                 pass
 
-    run(main(f"sensors: [{{topic: {topic}, facts: [{{fact: (dark), field: open}}]}}]", "BasicTypes has no field 'open'"))
-    run(main(f"sensors: [{{service: {service}, facts: [{{fact: (dark), field: open}}]}}]", "BasicTypes_Response has no field 'open'"))
+    run_bounded(main(f"sensors: [{{topic: {topic}, facts: [{{fact: (dark), field: open}}]}}]", "BasicTypes has no field 'open'"))
+    run_bounded(
+        main(f"sensors: [{{service: {service}, facts: [{{fact: (dark), field: open}}]}}]", "BasicTypes_Response has no field 'open'")
+    )
     refused = f"sensors: [{{service: {service}, request: {{level: 1}}, facts: [{{fact: (dark), field: bool_value}}]}}]"
-    run(main(refused, "a field that BasicTypes_Request does not have"))
+    run_bounded(main(refused, "a field that BasicTypes_Request does not have"))
 
 
 def test_what_cannot_be_listened_to_is_refused(ros, sensing):
@@ -87,7 +83,7 @@ def test_what_cannot_be_listened_to_is_refused(ros, sensing):
         with pytest.raises(InputError, match="facts of dark follow from rules"):
             Sensors(ros, sensing("sensors: [{topic: t, facts: [{fact: (dark)}]}]"), KnowledgeBase(rules=rules), 1.0)
 
-    run(main())
+    run_bounded(main())
 
 
 def test_publishers_of_another_type_are_ignored(ros, names, sensing, sensors, caplog):
@@ -101,7 +97,7 @@ def test_publishers_of_another_type_are_ignored(ros, names, sensing, sensors, ca
             await becomes(world, ("dark",), True)
             await until_true(ros, lambda: "is ignored where" in caplog.text)
 
-    run(main())
+    run_bounded(main())
     assert f"{name} is ignored where it has the type test_msgs/msg/Strings; expected {BASIC}" in caplog.text
 
 

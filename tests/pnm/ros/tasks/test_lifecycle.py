@@ -18,7 +18,7 @@ from pnm.ros.node.lifecycle import Lifecycle
 from pnm.ros.node.parameters import NodeParameter, declare
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import run
+from tests.support.ros.child_process import run_bounded
 from tests.support.ros.task_client import TaskClient
 
 NUMBERS = count()
@@ -105,7 +105,7 @@ def test_a_node_goes_through_its_states_and_ends():
             await asyncio.wait_for(one.lifecycle.finalized.wait(), LIMIT)
             assert one.work.done[-3:] == ["cleanup", "configure", "cleanup"]
 
-    run(main())
+    run_bounded(main())
 
 
 def test_transitions_are_known_by_their_numbers_too():
@@ -115,7 +115,7 @@ def test_transitions_are_known_by_their_numbers_too():
                 assert await one.ask_number(number)
                 assert await one.state() == state
 
-    run(main())
+    run_bounded(main())
 
 
 @pytest.mark.parametrize("label", ["activate", "deactivate", "cleanup", "on_configure_success", "transition_success", "spam", ""])
@@ -126,7 +126,7 @@ def test_what_cannot_be_done_in_a_state_is_refused(label, caplog):
             assert await one.state() == "unconfigured"
             assert one.work.done == []
 
-    run(main())
+    run_bounded(main())
     assert "cannot be made: the node is unconfigured; expected one of configure, shutdown" in caplog.text
 
 
@@ -141,7 +141,7 @@ def test_a_transition_that_fails_says_why_and_leaves_the_state(caplog):
             assert not await one.ask("activate")
             assert await one.state() == "inactive"
 
-    run(main())
+    run_bounded(main())
     assert "the transition configure has failed: problem.pddl:1:1: expected (define" in caplog.text
     assert "the transition activate has failed: not now" in caplog.text
 
@@ -156,7 +156,7 @@ def test_an_error_of_ours_cleans_up(caplog):
             assert one.work.done == ["configure", "activate", "cleanup"]
             assert await one.ask("configure")
 
-    run(main())
+    run_bounded(main())
     assert "a bug" in caplog.text
 
 
@@ -175,7 +175,7 @@ def test_one_transition_at_a_time_and_the_node_goes_on_answering():
             assert await asked
             assert await one.state() == "inactive"
 
-    run(main())
+    run_bounded(main())
 
 
 def test_closing_in_the_middle_of_a_transition_cleans_up():
@@ -188,7 +188,7 @@ def test_closing_in_the_middle_of_a_transition_cleans_up():
             assert not await asked
             assert one.work.done[-1] == "cleanup"
 
-    run(main())
+    run_bounded(main())
 
 
 def test_the_node_is_finalized_when_it_is_closed():
@@ -198,7 +198,7 @@ def test_the_node_is_finalized_when_it_is_closed():
             await one.lifecycle.close()
             assert await one.state() == "finalized"
 
-    run(main())
+    run_bounded(main())
 
 
 # --- parameters ------------------------------------------------------------------------------
@@ -231,7 +231,7 @@ def declared(given: dict[str, Any], *overrides: str) -> tuple[dict[str, Any], di
             for thread in (ros, other):
                 await asyncio.to_thread(thread.close)
 
-    return run(main())
+    return run_bounded(main())
 
 
 def test_what_ros_says_comes_before_options_and_these_before_defaults():

@@ -10,7 +10,7 @@ from planner_bridge.loading import load
 from pnm.ros.node.service_client import ServiceClient
 from tests.support.files import ROOT
 from tests.support.processes import LIMIT, Program
-from tests.support.ros.child_process import run
+from tests.support.ros.child_process import run_bounded
 from tests.support.ros.task_client import ABORTED, CANCELED, SERVICES, TaskClient, uuid_data
 
 ERRANDS = ROOT / "domains/delivery/plans/world.yaml"
@@ -60,7 +60,7 @@ def test_a_node_tells_and_is_told_what_is_so(ros, tmp_path):
 
     try:
         node.until(lambda: any(line.startswith("ready") for line in node.out))
-        run(main())
+        run_bounded(main())
     finally:
         node.close()
 
@@ -106,7 +106,7 @@ def test_a_node_with_plans_only_pauses_and_cancels_them_and_says_what_it_has_not
         goal = await client.send("/plans/round_trip", parameters="{robot: r1}")
         assert (await call("executor/cancel", task=uuid_data(goal.id)))["success"]
         status, result = await goal.result()
-        assert (status, result["reason"], result["message"]) == (CANCELED, "cancelled", "somebody has cancelled it")
+        assert (status, result["reason"], result["message"]) == (CANCELED, "cancelled", "cancelled on request")
         texts = (file.read_text(encoding="utf-8") for file in (DOMAIN, PROBLEM))
         assert (await call("problem/load", **dict(zip(("domain", "problem"), texts, strict=True))))["success"]
         assert (await call("knowledge/query", questions=["(at r1 store)"]))["values"] == ["true"]
@@ -115,6 +115,6 @@ def test_a_node_with_plans_only_pauses_and_cancels_them_and_says_what_it_has_not
 
     try:
         node.until(lambda: any(line.startswith("ready") for line in node.out))
-        run(main())
+        run_bounded(main())
     finally:
         node.close()

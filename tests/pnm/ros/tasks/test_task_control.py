@@ -7,7 +7,7 @@ from uuid import UUID
 import pytest
 
 from pnm.tasks import Code, TaskState
-from tests.support.ros.child_process import run
+from tests.support.ros.child_process import run_bounded
 from tests.support.ros.serving_node import serving_node
 from tests.support.ros.task_client import ABORTED, CANCELED, LIMIT, SUCCEEDED, uuid_data
 
@@ -30,7 +30,7 @@ def test_a_goal_is_cancelled_in_every_state(two, text, by):
             status, result = await goal.result()
             assert (status, result["code"], result["message"]) == (CANCELED, Code.CANCELLED, "cancelled")
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_goal_is_not_canceled_before_its_task_has_ended(two):
@@ -43,7 +43,7 @@ def test_a_goal_is_not_canceled_before_its_task_has_ended(two):
             one.tasks.end(goal.id, Code.CANCELLED)
             assert (await goal.result())[0] == CANCELED
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_goal_that_is_reached_while_it_is_cancelled_has_succeeded(two):
@@ -55,7 +55,7 @@ def test_a_goal_that_is_reached_while_it_is_cancelled_has_succeeded(two):
                 one.tasks.end(goal.id, code)
                 assert (await goal.result())[0] == status
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_search_for_a_plan_is_given_up(two):
@@ -67,7 +67,7 @@ def test_a_search_for_a_plan_is_given_up(two):
             status, result = await search.result()
             assert (status, result["code"], result["message"]) == (CANCELED, Code.CANCELLED, "the search was given up")
 
-    run(main())
+    run_bounded(main())
 
 
 def test_one_task_is_paused_and_goes_on(two):
@@ -80,7 +80,7 @@ def test_one_task_is_paused_and_goes_on(two):
             assert one.tasks.open[goal.id].state is TaskState.RUNNING
             assert one.tasks.open[other.id].state is TaskState.RUNNING
 
-    run(main())
+    run_bounded(main())
 
 
 def test_tasks_are_paused_while_the_node_is_inactive(two):
@@ -96,7 +96,7 @@ def test_tasks_are_paused_while_the_node_is_inactive(two):
             await one.node.activate()
             assert one.tasks.open[goal.id].state is TaskState.RUNNING
 
-    run(main())
+    run_bounded(main())
 
 
 def test_what_somebody_has_paused_does_not_go_on_because_the_node_does(two):
@@ -110,7 +110,7 @@ def test_what_somebody_has_paused_does_not_go_on_because_the_node_does(two):
             assert (await one.client.call("executor/resume", task=ALL))["success"]
             assert one.tasks.open[goal.id].state is TaskState.RUNNING
 
-    run(main())
+    run_bounded(main())
 
 
 def test_what_is_paused_by_itself_does_not_go_on_with_the_others(two):
@@ -132,4 +132,4 @@ def test_what_is_paused_by_itself_does_not_go_on_with_the_others(two):
             await one.node.activate()
             assert one.tasks.open[paused.id].state is TaskState.RUNNING
 
-    run(main())
+    run_bounded(main())

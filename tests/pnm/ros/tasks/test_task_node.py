@@ -7,7 +7,7 @@ from uuid import UUID, uuid4
 import pytest
 
 from pnm.tasks import Code
-from tests.support.ros.child_process import run
+from tests.support.ros.child_process import run_bounded
 from tests.support.ros.serving_node import serving_node
 from tests.support.ros.task_client import ABORTED, SUCCEEDED, TaskClient, uuid_data
 
@@ -21,7 +21,7 @@ def test_a_goal_while_the_node_is_inactive_is_rejected_and_a_later_one_is_not(tw
             await one.node.activate()
             assert (await one.ended("goal_reached"))[0] == SUCCEEDED
 
-    run(main())
+    run_bounded(main())
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def test_what_is_wrong_with_a_goal_is_in_its_result(two, action, goal, said):
             assert said in result["message"]
             assert not one.tasks.open
 
-    run(main())
+    run_bounded(main())
 
 
 def test_every_code_arrives_and_only_one_is_a_success(two):
@@ -60,7 +60,7 @@ def test_every_code_arrives_and_only_one_is_a_success(two):
                 assert status == (SUCCEEDED if code is Code.GOAL_REACHED else ABORTED), code
                 assert (result["code"], result["reason"], result["message"]) == (code, code.word, f"as it was told: {code.word}")
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_full_queue_says_so(two):
@@ -71,7 +71,7 @@ def test_a_full_queue_says_so(two):
             status, result = await one.ended("queued")
             assert (status, result["code"], result["message"]) == (ABORTED, Code.QUEUE_FULL, "2 tasks are waiting already")
 
-    run(main())
+    run_bounded(main())
 
 
 def test_an_id_is_that_of_one_task_only(two):
@@ -85,7 +85,7 @@ def test_an_id_is_that_of_one_task_only(two):
             one.tasks.end(first.id, Code.GOAL_REACHED)
             assert (await first.result())[0] == SUCCEEDED
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_failure_inside_is_a_result_too(two, caplog):
@@ -96,7 +96,7 @@ def test_a_failure_inside_is_a_result_too(two, caplog):
             assert (status, result["code"]) == (ABORTED, Code.ERROR)
             assert "TypeError" in result["message"]
 
-    run(main())
+    run_bounded(main())
     assert "a task cannot begin" in caplog.text
 
 
@@ -108,7 +108,7 @@ def test_requests_about_unknown_tasks_are_refused(two, service):
             answer = await one.client.call(f"executor/{service}", task=uuid_data(id))
             assert answer == {"success": False, "message": f"there is no task {id}"}
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_task_that_is_not_paused_is_not_resumed(two):
@@ -118,7 +118,7 @@ def test_a_task_that_is_not_paused_is_not_resumed(two):
             answer = await one.client.call("executor/resume", task=uuid_data(goal.id))
             assert answer == {"success": False, "message": f"the task {goal.id} is not paused"}
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_client_that_disappears_leaves_its_goal_behind(two):
@@ -132,7 +132,7 @@ def test_a_client_that_disappears_leaves_its_goal_behind(two):
             assert (await one.ended("goal_reached"))[0] == SUCCEEDED
             assert repr(one.node._servers) == "<TaskServers 0 goals>"
 
-    run(main())
+    run_bounded(main())
 
 
 def test_closing_cancels_everything_and_answers_everybody(two):
@@ -144,7 +144,7 @@ def test_closing_cancels_everything_and_answers_everybody(two):
                 status, result = await goal.result()
                 assert (status, result["code"]) == (ABORTED, Code.CANCELLED), "nobody has asked for it"
 
-    run(main())
+    run_bounded(main())
 
 
 def test_a_task_that_does_not_end_is_not_waited_for_without_end(two, caplog):
@@ -157,5 +157,5 @@ def test_a_task_that_does_not_end_is_not_waited_for_without_end(two, caplog):
             assert (status, result["code"]) == (ABORTED, Code.CANCELLED)
             assert "has not confirmed that it is cancelled" in result["message"]
 
-    run(main())
+    run_bounded(main())
     assert "has not ended; what it runs is left alone" in caplog.text

@@ -63,7 +63,7 @@ def verdict_on(scripts: Sequence[Script], robot: Sequence[Line], visitor: Sequen
     doings = list(_doings(robot, verdict))
     verdict.wrong += _clashes(doings)
     for one in scripts:
-        begin, end = _bounds(one["name"], visitor)
+        begin, end = _begin_and_end(one["name"], visitor)
         if begin is None or end is None:
             verdict.wrong.append(f"script {one['name']} was not run to its end")
             continue
@@ -96,7 +96,7 @@ def _clashes(doings: Iterable[Doing]) -> Iterator[str]:
                 yield f"{one.call} and {other.call} used the {resource} at the same time"
 
 
-def _bounds(name: str, visitor: Sequence[Line]) -> tuple[float | None, float | None]:
+def _begin_and_end(name: str, visitor: Sequence[Line]) -> tuple[float | None, float | None]:
     times = {line["event"]: line["time"] for line in visitor if line["event"] in ("script", "end") and line["about"] == name}
     return times.get("script"), times.get("end")
 

@@ -6,7 +6,6 @@ alarm     stores the local variable ``alarm``, and goes on until it is cancelled
 
 from __future__ import annotations
 
-import sys
 import threading
 from contextlib import suppress
 from typing import Any
@@ -18,10 +17,10 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from pnm.ros.action_server import KnowledgeError, PnmActionServer
-from tests.support.e2e.programs.plain_servers import say
+from tests.support.processes import say, say_event
 
 
-class Knowing(Node):  # type: ignore[misc]
+class KnowingServers(Node):  # type: ignore[misc]
     def __init__(self) -> None:
         super().__init__("knowing_workers")
         accept = CancelResponse.ACCEPT
@@ -30,36 +29,35 @@ class Knowing(Node):  # type: ignore[misc]
 
     def remember(self, goal: Any) -> Any:
         value = goal.request.value
-        say("start", "remember", value)
+        say_event("start", server="remember", value=value)
         self.server.update_kb(goal, PnmActionServer.UPDATE_LOCAL, "spam", value)
         self.server.update_kb(goal, PnmActionServer.UPDATE_GLOBAL, "eggs", value + 100)
         local = self.server.query_kb(goal, PnmActionServer.QUERY_ALL, "spam")
         shared = self.server.query_kb(goal, PnmActionServer.QUERY_GLOBAL, "eggs")
-        say("found", "remember", [local, shared])
+        say_event("found", server="remember", value=[local, shared])
         goal.succeed()
         return EstimateTime.Result(time=local)
 
     def alarm(self, goal: Any) -> Any:
-        say("start", "alarm", goal.request.value)
+        say_event("start", server="alarm", value=goal.request.value)
         with suppress(KnowledgeError):  # the goal may be cancelled before we hear that it is stored
             self.other.update_kb(goal, PnmActionServer.UPDATE_LOCAL, "alarm", True)
         pause = threading.Event()
         for _ in range(400):
             if goal.is_cancel_requested:
-                say("cancelled", "alarm", goal.request.value)
+                say_event("cancelled", server="alarm", value=goal.request.value)
                 goal.canceled()
                 return EstimateTime.Result()
             pause.wait(0.05)
-        say("end", "alarm", goal.request.value)
+        say_event("end", server="alarm", value=goal.request.value)
         goal.succeed()
         return EstimateTime.Result()
 
 
 def main() -> None:
     rclpy.init()
-    node = Knowing()
-    sys.stdout.write("ready\n")
-    sys.stdout.flush()
+    node = KnowingServers()
+    say("ready")
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(node)
 

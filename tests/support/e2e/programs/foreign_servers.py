@@ -6,8 +6,6 @@ printed as a JSON object: what the servers say of it is the truth.
 
 from __future__ import annotations
 
-import json
-import sys
 from contextlib import suppress
 from typing import Any
 
@@ -16,24 +14,18 @@ from rclpy.action import ActionServer
 from rclpy.executors import ExternalShutdownException
 from test_msgs.action import Fibonacci, NestedMessage
 
-
-def say(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()
+from tests.support.processes import say, say_json
+from tests.support.ros.server import fibonacci
 
 
 def count(handle: Any) -> Fibonacci.Result:
-    say(json.dumps({"server": "count", "order": handle.request.order}))
-    sequence = [0, 1]
-    while len(sequence) < handle.request.order:
-        sequence.append(sequence[-1] + sequence[-2])
-    handle.succeed()
-    return Fibonacci.Result(sequence=sequence[: handle.request.order])
+    say_json({"server": "count", "order": handle.request.order})
+    return fibonacci(handle)
 
 
 def measure(handle: Any) -> NestedMessage.Result:
     number = handle.request.nested_field.int32_value
-    say(json.dumps({"server": "measure", "number": number}))
+    say_json({"server": "measure", "number": number})
     result = NestedMessage.Result()
     result.nested_field.int32_value = 2 * number
     handle.succeed()

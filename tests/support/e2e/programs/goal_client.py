@@ -6,7 +6,6 @@ goal_client.py change LABEL...         asks the node /pnm for transitions, one a
 
 from __future__ import annotations
 
-import json
 import sys
 from typing import Any
 from uuid import uuid4
@@ -19,15 +18,10 @@ from rclpy.action.client import ClientGoalHandle
 from rclpy.qos import QoSProfile
 from unique_identifier_msgs.msg import UUID
 
-from tests.support.processes import LIMIT
+from tests.support.processes import LIMIT, say_event
 
 
-def say(event: str, **fields: Any) -> None:
-    sys.stdout.write(json.dumps({"event": event, **fields}) + "\n")
-    sys.stdout.flush()
-
-
-class Sender:
+class GoalSender:
     def __init__(self, node: Any) -> None:
         deep = QoSProfile(depth=1000)
         self.client = ActionClient(node, AchieveGoal, "achieve_goal", goal_service_qos_profile=deep, result_service_qos_profile=deep)
@@ -40,10 +34,10 @@ class Sender:
         sent.add_done_callback(lambda future: self.answered(number, future.result()))
 
     def hear(self, number: int, feedback: Any) -> None:
-        say("feedback", goal=number, state=feedback.status.state)
+        say_event("feedback", goal=number, state=feedback.status.state)
 
     def answered(self, number: int, handle: Any) -> None:
-        say("answered", goal=number, accepted=handle.accepted)
+        say_event("answered", goal=number, accepted=handle.accepted)
         if not handle.accepted:
             self.waiting -= 1
             return
@@ -51,7 +45,7 @@ class Sender:
         handle.get_result_async().add_done_callback(lambda future: self.ended(number, future.result()))
 
     def ended(self, number: int, answer: Any) -> None:
-        say("result", goal=number, status=answer.status, reason=answer.result.reason, message=answer.result.message)
+        say_event("result", goal=number, status=answer.status, reason=answer.result.reason, message=answer.result.message)
         self.waiting -= 1
 
 
@@ -67,7 +61,7 @@ def meet(node: Any, client: Any) -> None:
 
 
 def send(node: Any, *goals: str) -> None:
-    sender = Sender(node)
+    sender = GoalSender(node)
     assert sender.client.wait_for_server(LIMIT)
     meet(node, sender.client)
     for number, goal in enumerate(goals):
@@ -76,15 +70,15 @@ def send(node: Any, *goals: str) -> None:
         rclpy.spin_once(node)
 
 
-def change(node: Any, *labels: str) -> None:
+def change_state(node: Any, *labels: str) -> None:
     asked, ask = node.create_client(GetState, "/pnm/get_state"), node.create_client(ChangeState, "/pnm/change_state")
     assert asked.wait_for_service(LIMIT)
     assert ask.wait_for_service(LIMIT)
-    say("state", label=wait(node, asked.call_async(GetState.Request())).current_state.label)
+    say_event("state", label=wait(node, asked.call_async(GetState.Request())).current_state.label)
     for label in labels:
         request = ChangeState.Request()
         request.transition.label = label
-        say("changed", label=label, success=wait(node, ask.call_async(request)).success)
+        say_event("changed", label=label, success=wait(node, ask.call_async(request)).success)
 
 
 def wait(node: Any, future: Any) -> Any:
@@ -95,7 +89,7 @@ def wait(node: Any, future: Any) -> Any:
 def main(what: str, *arguments: str) -> None:
     rclpy.init()
     node = rclpy.create_node("goal_client")
-    {"send": send, "change": change}[what](node, *arguments)
+    {"send": send, "change": change_state}[what](node, *arguments)
 
 
 if __name__ == "__main__":

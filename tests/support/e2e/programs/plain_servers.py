@@ -4,7 +4,6 @@
     add_one       answers with one more than the value
     broken        aborts
     wait          waits; until it is cancelled if that takes longer than a minute
-    fragile       the same, and is called fragile/wait
     stubborn      the same, but cannot be cancelled
     four_waits    is called wait, too, and lets its goals go when four of them are there at the same time
 
@@ -13,7 +12,6 @@ Each says what it does: what servers say of goals is the truth.
 
 from __future__ import annotations
 
-import json
 import sys
 import threading
 from collections.abc import Callable
@@ -26,19 +24,13 @@ from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 
-_lock = threading.Lock()
+from tests.support.processes import say, say_event
 
 
-def say(event: str, server: str, value: Any) -> None:
-    with _lock:
-        sys.stdout.write(json.dumps({"event": event, "server": server, "value": value}) + "\n")
-        sys.stdout.flush()
-
-
-def answers(server: str, more: int) -> Callable[[Any], Any]:
+def answering(server: str, more: int) -> Callable[[Any], Any]:
     def execute(handle: Any) -> Any:
-        say("start", server, handle.request.value)
-        say("end", server, handle.request.value)
+        say_event("start", server=server, value=handle.request.value)
+        say_event("end", server=server, value=handle.request.value)
         handle.succeed()
         return EstimateTime.Result(time=handle.request.value + more)
 
@@ -46,7 +38,7 @@ def answers(server: str, more: int) -> Callable[[Any], Any]:
 
 
 def broken(handle: Any) -> Any:
-    say("start", "broken", handle.request.value)
+    say_event("start", server="broken", value=handle.request.value)
     handle.abort()
     return EstimateTime.Result(time=99)
 
@@ -59,15 +51,15 @@ class Waiting:
 
     def __call__(self, handle: Any) -> Any:
         time = handle.request.time
-        say("start", self.server, time)
+        say_event("start", server=self.server, value=time)
         pause = threading.Event()
         for _ in range(int(time / 0.05) if time <= 60 else 10**6):
             if handle.is_cancel_requested:
-                say("cancelled", self.server, time)
+                say_event("cancelled", server=self.server, value=time)
                 handle.canceled()
                 return Wait.Result()
             pause.wait(0.05)
-        say("end", self.server, time)
+        say_event("end", server=self.server, value=time)
         handle.succeed()
         return Wait.Result()
 
@@ -79,19 +71,18 @@ class FourWaits:
         self.all_there = threading.Barrier(4)
 
     def __call__(self, handle: Any) -> Any:
-        say("start", "wait", handle.request.time)
+        say_event("start", server="wait", value=handle.request.time)
         self.all_there.wait(60.0)
-        say("end", "wait", handle.request.time)
+        say_event("end", server="wait", value=handle.request.time)
         handle.succeed()
         return Wait.Result()
 
 
 KNOWN: dict[str, tuple[str, Any, Callable[[Any], Any]]] = {
-    "dummy_server": ("dummy_server", EstimateTime, answers("dummy_server", 0)),
-    "add_one": ("add_one", EstimateTime, answers("add_one", 1)),
+    "dummy_server": ("dummy_server", EstimateTime, answering("dummy_server", 0)),
+    "add_one": ("add_one", EstimateTime, answering("add_one", 1)),
     "broken": ("broken", EstimateTime, broken),
     "wait": ("wait", Wait, Waiting("wait")),
-    "fragile": ("fragile/wait", Wait, Waiting("fragile/wait")),
     "stubborn": ("stubborn", Wait, Waiting("stubborn")),
     "four_waits": ("wait", Wait, FourWaits()),
 }
@@ -114,8 +105,7 @@ def main(*names: str) -> None:
         ActionServer(node, kind, name, execute, callback_group=group, cancel_callback=refuse if name == "stubborn" else accept)
     executor = MultiThreadedExecutor(8)
     executor.add_node(node)
-    sys.stdout.write("ready\n")
-    sys.stdout.flush()
+    say("ready")
     with suppress(KeyboardInterrupt, ExternalShutdownException):
         executor.spin()
 

@@ -17,15 +17,10 @@ from action_msgs.srv import CancelGoal
 from pnm_interfaces.action import RunPlan
 from rclpy.action import ActionClient
 
-from tests.support.processes import LIMIT
+from tests.support.processes import LIMIT, say_event
 
 
-def say(event: str, goal: int, **fields: Any) -> None:
-    sys.stdout.write(json.dumps({"event": event, "goal": goal, **fields}) + "\n")
-    sys.stdout.flush()
-
-
-class Sender:
+class PlanSender:
     def __init__(self, node: Any, plan: str, cancel_on: str) -> None:
         self.client = ActionClient(node, RunPlan, plan)
         self.cancel_on = cancel_on
@@ -41,7 +36,7 @@ class Sender:
         sent.add_done_callback(lambda future: self.answered(number, future.result()))
 
     def answered(self, number: int, handle: Any) -> None:
-        say("answered", number, accepted=handle.accepted)
+        say_event("answered", goal=number, accepted=handle.accepted)
         if not handle.accepted:
             self.waiting -= 1
             return
@@ -51,7 +46,7 @@ class Sender:
 
     def hear(self, number: int, feedback: Any) -> None:
         running = list(feedback.running)
-        say("feedback", number, running=running, ended=feedback.ended, restarts=feedback.restarts)
+        say_event("feedback", goal=number, running=running, ended=feedback.ended, restarts=feedback.restarts)
         if self.cancel_on and any(f"{self.cancel_on}(" in call for call in running):
             self.doomed.add(number)
             self.cancel(number)
@@ -63,9 +58,9 @@ class Sender:
 
     def ended(self, number: int, answer: Any) -> None:
         told = answer.result
-        say(
+        say_event(
             "result",
-            number,
+            goal=number,
             status=answer.status,
             success=told.success,
             reason=told.reason,
@@ -87,7 +82,7 @@ def main(plan: str, cancel_on: str, *parameters: str) -> None:
     if plan == "--cancel-all":
         cancel_all(node, cancel_on)
         return
-    sender = Sender(node, plan, cancel_on)
+    sender = PlanSender(node, plan, cancel_on)
     assert sender.client.wait_for_server(LIMIT), f"there is no {plan}"
     for number, text in enumerate(parameters):
         sender.send(number, text)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from typing import Any
 
 import rclpy
 from pnm_interfaces.srv import GetProblem, LoadProblem, QueryFacts, SaveProblem, UpdateFacts
 
-from tests.support.processes import LIMIT
+from tests.support.processes import LIMIT, say_event
 
 
 def main() -> None:
@@ -25,7 +23,7 @@ def main() -> None:
             future = future if future.done() else client.call_async(kind.Request(**fields))
         answer = future.result()
         told = {name: getattr(answer, name) for name in answer.get_fields_and_field_types()}
-        sys.stdout.write(json.dumps({"event": event, **told}) + "\n")
+        say_event(event, **told)
 
     ask("query", QueryFacts, "knowledge/query", questions=["(takes_parcels hall)", "(takes_parcels yard)", "(speed r1)"])
     ask("wrong", UpdateFacts, "knowledge/update", add=["(takes_parcels yard)", "(takes_parcels hal)"])

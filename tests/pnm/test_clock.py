@@ -1,0 +1,46 @@
+"""The virtual clock: jumps to timers however late they are."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+
+import pytest
+
+from pnm.clock import VirtualTimeLoop
+from tests.support.processes import LIMIT
+
+
+def in_virtual_time(main):
+    """Run a coroutine under virtual time; one that hangs is cancelled."""
+
+    async def watched():
+        loop, task = asyncio.get_running_loop(), asyncio.current_task()
+        watch = threading.Timer(LIMIT, lambda: loop.call_soon_threadsafe(task.cancel))
+        watch.daemon = True
+        watch.start()
+        try:
+            return await main()
+        finally:
+            watch.cancel()
+
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        return runner.run(watched())
+
+
+@pytest.mark.parametrize("late", [0.1, 2.0**24 - 0.1, 2.0**24, 1.7e7, 3e9 + 0.3, 1e15, 1e17, 1e300])
+def test_no_time_is_too_late_for_a_timer(late):
+    async def main():
+        loop, moments = asyncio.get_running_loop(), []
+        await asyncio.sleep(late)
+        moments.append(loop.time())
+        for seconds in (0.0, 1e-9, 1.0):
+            due = loop.time() + seconds
+            fired = loop.create_future()
+            loop.call_at(due, fired.set_result, None)
+            await fired
+            assert loop.time() == pytest.approx(due, abs=1e-9)
+        await asyncio.wait((asyncio.create_task(asyncio.sleep(2.0)), asyncio.create_task(asyncio.sleep(1.0))))
+        return moments
+
+    assert in_virtual_time(main) == [late]
