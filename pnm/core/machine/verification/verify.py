@@ -121,6 +121,11 @@ def _proved(part: Part) -> _Proved:
     return proved
 
 
+def forget_proofs() -> None:
+    """Forget which shapes of blocks were found good."""
+    _FOUND_GOOD.clear()
+
+
 def explore(machine: PetriNetMachine) -> int:
     """Walk through every state of a small machine and return their number.
 
