@@ -6,6 +6,7 @@ The unit is one turn of a plain Python loop over integers, measured in the same 
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from uuid import UUID
 
