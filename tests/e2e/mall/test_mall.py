@@ -19,8 +19,11 @@ from tests.support.ros.domains import ros_domain
 PATIENT: Final = 4.0
 """Seconds for an answer: no machine is so busy that one that was given takes longer, which would be another course of events."""
 
-SCRIPTS: Final = (0, 3, 4, 5, 8, 9, 13, 14)
-"""Interruptions at every moment, every way of answering, and silence twice, which takes four seconds each; random runs take more."""
+SCRIPTS: Final = (0, 3, 4, 5, 8, 9, 14, 13)
+"""Interruptions at every moment, every way of answering, and silence, which takes four seconds, twice; random runs have more.
+
+The visitors take turns: what one of them has heard is forgotten when the other comes.
+"""
 
 
 @pytest.fixture

@@ -53,7 +53,7 @@ def test_rejected_goals_and_success_without_effect_are_retried_then_replanned(de
     assert finished.causes("inspect") == {"effects_missing"}
     assert max(finished.attempts("inspect")) == 3
     assert set(finished.outcomes("inspect")) == {"succeeded"}
-    assert finished.result["plans"] >= 3
+    assert finished.result["plans"] >= 2
 
 
 def test_a_fact_changed_behind_the_robots_back_is_found_while_the_action_runs(deploy):

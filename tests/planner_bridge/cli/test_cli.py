@@ -12,7 +12,7 @@ import pytest
 
 from pnm.core.machine.verification.part import Unsound
 from tests.support.files import ROOT
-from tests.support.processes import pnm, result
+from tests.support.processes import LIMIT, pnm, result
 
 DELIVERY = (str(ROOT / "domains/delivery/domain.pddl"), str(ROOT / "problems/delivery/p01.pddl"))
 FAULTS = str(ROOT / "problems/delivery/faults.yaml")
@@ -164,7 +164,7 @@ def test_nobody_has_to_read_to_the_end(command: list[str]) -> None:
         assert process.stderr
         process.stdout.close()
         assert process.stderr.read() == ""
-        assert process.wait(60) == (0 if command[0] in ("run", "demo") else 1)
+        assert process.wait(LIMIT) == (0 if command[0] in ("run", "demo") else 1)
 
 
 def test_unsound_is_an_error_with_a_trace() -> None:

@@ -69,11 +69,11 @@ def is_implied(graph: PlanGraph, wanted: Ordering) -> bool:
 # --- the definition: all orders of small graphs --------------------------------------------
 
 
-def literals(draw: Draw) -> All:
+def truth_values(draw: Draw) -> All:
     return All(tuple(Holds((name,)) if wanted else Not(Holds((name,))) for name, wanted in assignments(draw)))
 
 
-def effects(draw: Draw) -> Effects:
+def setting(draw: Draw) -> Effects:
     return tuple(Set((name,), Constant(value)) for name, value in assignments(draw))
 
 
@@ -86,10 +86,10 @@ def graphs_of_facts(draw: Draw) -> tuple[Problem, PlanGraph]:
     """Draw calls that need and change facts, with any orderings at all."""
     calls = []
     for index in range(draw(st.integers(1, 3))):
-        needs, writes, lasts = literals(draw), effects(draw), draw(st.booleans())
+        needs, writes, lasts = truth_values(draw), setting(draw), draw(st.booleans())
         action = GroundAction(f"a{index}", precondition=needs, end_effects=writes)
         if lasts:
-            within, ending, at_start = literals(draw), literals(draw), effects(draw)
+            within, ending, at_start = truth_values(draw), truth_values(draw), setting(draw)
             action = replace(action, invariant=within, end_condition=ending, start_effects=at_start, duration=1.0)
         calls.append(ActionCall(index, action))
     events = [PlanEvent(call.index, moment) for call in calls for moment in Moment]
@@ -98,7 +98,7 @@ def graphs_of_facts(draw: Draw) -> tuple[Problem, PlanGraph]:
     schemas = {call.action.name: schema_of(call.action) for call in calls}
     domain = Domain("d", predicates={name: Declaration(name) for name in FACTS}, actions=schemas)
     init = {(name,): True for name in draw(st.sets(st.sampled_from(FACTS)))}
-    problem = Problem("p", domain, init=init, goal=literals(draw))
+    problem = Problem("p", domain, init=init, goal=truth_values(draw))
     return problem, PlanGraph(tuple(calls), tuple(Ordering(*pair) for pair in chosen), problem.goal)
 
 

@@ -128,7 +128,7 @@ def test_the_script_that_calls_is_not_run_again(tmp_path: Path, root: Path) -> N
         "assert solve_with_portfolio(rooms(), planners=('kairos',)).plan is not None\n"
     )
     path = os.pathsep.join(filter(None, (str(root), os.environ.get("PYTHONPATH"))))
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60, env={**os.environ, "PYTHONPATH": path})
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=LIMIT, env={**os.environ, "PYTHONPATH": path})
     assert (done.stdout, done.stderr, done.returncode) == ("once\n", "", 0)
 
 

@@ -25,6 +25,7 @@ from tests.support.files import ROOT
 from tests.support.pddl.problems import fleet
 from tests.support.runs.simulated import LateBackend
 from tests.support.tasks.simulation import TaskSimulation, simulate_tasks
+from tests.support.yaml.run_plans import BLOCKED, PATROL
 
 NO_RETRY = Bindings({name: Binding(retries=0) for name in ("move", "pick", "drop")})
 SERVED = Settings(bindings=NO_RETRY, on_change=OnChange.EAGER, on_failure=OnFailure.CONTINUE_OTHERS)
@@ -127,32 +128,8 @@ def test_a_plan_that_is_sent_as_a_text_is_not_replanned_while_its_other_calls_ar
 
 # --- a hand-written plan whose recovery ends with `replan`, among other tasks --------------------
 
-ROOMS = """
-name: patrol
-types: [robot room - object]
-predicates:
-  - (at ?r - robot ?x - room)
-  - (way ?x ?y - room)
-actions:
-  move:
-    params: ?r - robot ?from ?to - room
-    duration: 3
-    preconditions: {at_start: ["(at ?r ?from)", "(way ?from ?to)"]}
-    effects: {at_start: [not: "(at ?r ?from)"], at_end: ["(at ?r ?to)"]}
-problem:
-  objects: r1 - robot a b c - room
-  init: [(at r1 a), (way a b), (way a c), (way c b)]
-results: [note]
-initial_knowledge: {note: 7}
-goal: (at r1 b)
-plan:
-  - move: {r: r1, from: a, to: b}
-    recoveries: {during: {aborted: [replan]}}
-"""
-BLOCKED = Faults((Fault("move(r1, a, b)", FaultKind.ABORT),))
 
-
-def served(folder: Path, scene_of: object, text: str = ROOMS) -> None:
+def served(folder: Path, scene_of: object, text: str = PATROL) -> None:
     """Simulate tasks of a node that has loaded the plan."""
     file = folder / "plan.yaml"
     file.write_text(text, encoding="utf-8")
@@ -206,5 +183,5 @@ def test_why_no_planner_finds_another_way_for_a_loaded_plan(tmp_path: Path, old:
         assert why in simulation.endings[task].message
         assert simulation.endings[task].cause == "aborted"
 
-    assert old in ROOMS
-    served(tmp_path, scenario, ROOMS.replace(old, new))
+    assert old in PATROL
+    served(tmp_path, scenario, PATROL.replace(old, new))

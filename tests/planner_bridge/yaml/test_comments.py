@@ -7,7 +7,7 @@ from planner_bridge.pddl.comments.table import Note
 from planner_bridge.pddl.read.attach_comments import comments
 from planner_bridge.yaml.reader import parse
 from planner_bridge.yaml.write_domain import write_domain as domain_as_yaml
-from tests.support.yaml.conversion import comments_in, told
+from tests.support.yaml.conversion import comments_in, notes
 
 COMMENTED = """; about the file
 (define (domain d) ; beside the name
@@ -106,7 +106,7 @@ def test_comments_inside_texts_are_no_comments() -> None:
     text = "(define (domain d) (:requirements :hierarchy) (:task t ; why\n :parameters ()) ; own\n)"
     domain = parse_domain(text)
     table = comments(text, "domain")
-    assert told(table) == ["; own"]
+    assert notes(table) == ["; own"]
     found = parse(domain_as_yaml(domain, table), "x.yaml")
     assert found.domain == domain
-    assert told(found.comments) == ["; own"]
+    assert notes(found.comments) == ["; own"]

@@ -29,7 +29,7 @@ from tests.support.files import ROOT, SHARED
 from tests.support.pddl import models as pddl
 from tests.support.pddl import random_problems as generated
 from tests.support.pddl.files import REFUSED
-from tests.support.yaml.conversion import comments_in, told
+from tests.support.yaml.conversion import comments_in, notes
 
 PAIRS = SHARED / "pddl"
 GOLDEN = ROOT / "tests" / "planner_bridge" / "yaml" / "golden" / "patrol.yaml"
@@ -47,7 +47,7 @@ def there_and_back(problem: Problem, table: Table) -> None:
     found = parse(text, "x.yaml")
     assert found.problem == problem
     assert found.domain == problem.domain
-    assert told(found.comments) == told(table)
+    assert notes(found.comments) == notes(table)
     assert problem_as_yaml(problem, found.comments) == text
     yaml.safe_load(text)
 
@@ -60,7 +60,7 @@ def test_pairs_come_back_with_all_of_their_comments(pair: tuple[Path, Path]) -> 
     texts = [path.read_text(encoding="utf-8") for path in pair]
     problem = parse_problem(texts[1], parse_domain(texts[0]))
     tables = comments(texts[0], "domain"), comments(texts[1], "problem")
-    assert [told(table) for table in tables] == [comments_in(text) for text in texts]
+    assert [notes(table) for table in tables] == [comments_in(text) for text in texts]
     there_and_back(problem, {**tables[0], **tables[1]})
 
 

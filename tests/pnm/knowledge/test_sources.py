@@ -91,25 +91,25 @@ def test_closing_closes_all_whatever_becomes_of_one(caplog: pytest.LogCaptureFix
 
 
 def test_a_question_that_is_withdrawn_is_cancelled() -> None:
-    seen: list[str] = []
-
-    class Slow(DelayedSource):
-        async def query(self, question: Question, asker: Asker, /) -> object:
-            try:
-                return await super().query(question, asker)
-            except asyncio.CancelledError:
-                seen.append(question.name)
-                raise
-
     async def main() -> None:
+        seen: list[str] = []
+
+        class Slow(DelayedSource):
+            async def query(self, question: Question, asker: Asker, /) -> object:
+                try:
+                    return await super().query(question, asker)
+                except asyncio.CancelledError:
+                    seen.append(question.name)
+                    raise
+
         asking = asyncio.ensure_future(Sources([], Slow(seconds=50)).query(about("a", Layer.PERSON), ME))
         await asyncio.sleep(1)
         asking.cancel()
         with pytest.raises(asyncio.CancelledError):
             await asking
+        assert seen == ["a"]
 
     run_questions(main())
-    assert seen == ["a"]
 
 
 # --- values ---

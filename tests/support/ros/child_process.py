@@ -6,7 +6,8 @@ import asyncio
 import select
 import subprocess
 import sys
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
+from functools import wraps
 from typing import Any
 
 from tests.support.files import ROOT
@@ -53,3 +54,13 @@ def run_bounded(main: Coroutine[Any, Any, Any], limit: float = LIMIT) -> Any:
         return await asyncio.wait_for(main, limit)
 
     return asyncio.run(bounded())
+
+
+def bounded(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
+    """Have a test that is a coroutine be run, for as long as a busy machine needs and no longer."""
+
+    @wraps(test)
+    def run(*arguments: Any, **fixtures: Any) -> None:
+        run_bounded(test(*arguments, **fixtures))
+
+    return run

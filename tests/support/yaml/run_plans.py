@@ -1,6 +1,8 @@
-"""A plan that calls others, for tests that carry it out."""
+"""Plans for tests that carry them out: one that calls another, and one whose recovery ends with `replan`."""
 
 from __future__ import annotations
+
+from pnm.actions.faults import Fault, FaultKind, Faults
 
 GUIDE = """
 actions:
@@ -21,3 +23,28 @@ inner:
     - go: {}
     - say: {operation: {LocalUpdate: [told, {LocalQuery: place}]}}
 """
+
+PATROL = """
+name: patrol
+types: [robot room - object]
+predicates:
+  - (at ?r - robot ?x - room)
+  - (way ?x ?y - room)
+actions:
+  move:
+    params: ?r - robot ?from ?to - room
+    duration: 3
+    preconditions: {at_start: ["(at ?r ?from)", "(way ?from ?to)"]}
+    effects: {at_start: [not: "(at ?r ?from)"], at_end: ["(at ?r ?to)"]}
+problem:
+  objects: r1 - robot a b c - room
+  init: [(at r1 a), (way a b), (way a c), (way c b)]
+results: [note]
+initial_knowledge: {note: 7}
+goal: (at r1 b)
+plan:
+  - move: {r: r1, from: a, to: b}
+    recoveries: {during: {aborted: [replan]}}
+"""
+BLOCKED = Faults((Fault("move(r1, a, b)", FaultKind.ABORT),))
+"""The only way of that plan."""

@@ -39,7 +39,7 @@ LIGHT = GroundAction("light", invariant=Holds(LIT), start_effects=adds(LIT), end
 CARRY = GroundAction("carry", invariant=Holds(HELD), end_effects=(*deletes(HELD), *adds(("there",))), duration=5.0)
 
 
-def begun(
+def passing(
     action: GroundAction, *facts: Fluent, sensed: tuple[str, ...] = ("open", "lit", "held"), rules: tuple[DerivationRule, ...] = ()
 ) -> Run:
     """A run whose one call was accepted at 1 s, and what is reported comes 1 s late at most."""
@@ -55,34 +55,34 @@ def cancels(commands: list[Command]) -> bool:
     return any(isinstance(command, Cancel) for command in commands)
 
 
-def causes(run: Run) -> list[str]:
+def failure_causes(run: Run) -> list[str]:
     return [failure.cause for failure in run.result().failures]
 
 
 def test_a_report_that_it_is_false_acts_at_once() -> None:
-    run = begun(PASS, OPEN)
+    run = passing(PASS, OPEN)
     assert cancels(report(run, OPEN, False, 2.0))
     run.handle(Ended(run.open_requests[0], CANCELED), 2.1)
-    assert causes(run) == ["invariant_false"]
+    assert failure_causes(run) == ["invariant_false"]
     assert run.result().failures[0].observed == "(open) is false"
 
 
 def test_a_call_that_succeeds_before_the_lag_has_passed_has_failed() -> None:
-    run = begun(PASS, OPEN)
+    run = passing(PASS, OPEN)
     request = run.open_requests[0]
     report(run, OPEN, False, 2.0)
     run.handle(Ended(request, SUCCEEDED), 2.2)
-    assert causes(run) == ["invariant_false"]
+    assert failure_causes(run) == ["invariant_false"]
 
 
 def test_what_was_reported_false_between_the_request_and_its_acceptance_acts_at_once() -> None:
     shut = replace(PASS, start_effects=adds(("moving",)))
-    run = begun(shut, OPEN)
+    run = passing(shut, OPEN)
     assert cancels(report(run, OPEN, False, 1.0))
 
 
 def test_a_fact_that_the_start_of_the_call_makes_true_may_be_reported_late() -> None:
-    run = begun(LIGHT)
+    run = passing(LIGHT)
     assert not cancels(report(run, ("other",), True, 1.5))
     assert not cancels(report(run, LIT, True, 1.9))
     assert not cancels(run.handle(Tick(), 2.0)), "it has been seen in time"
@@ -90,30 +90,30 @@ def test_a_fact_that_the_start_of_the_call_makes_true_may_be_reported_late() -> 
 
 
 def test_a_fact_that_the_start_should_make_true_and_is_never_reported_counts_as_false_after_the_lag() -> None:
-    run = begun(LIGHT)
+    run = passing(LIGHT)
     assert cancels(run.handle(Tick(), 1.0 + LAG))
 
 
 def test_what_the_end_of_the_call_changes_may_be_seen_before_the_end_is_reported() -> None:
-    run = begun(CARRY, HELD)
+    run = passing(CARRY, HELD)
     assert report(run, HELD, False, 3.0) == [Wake(3.0 + LAG)]
     run.handle(Ended(run.open_requests[0], SUCCEEDED), 3.5)
     assert run.result().goal
 
 
 def test_what_the_end_of_the_call_changes_counts_when_the_end_does_not_come() -> None:
-    run = begun(CARRY, HELD)
+    run = passing(CARRY, HELD)
     report(run, HELD, False, 3.0)
     assert cancels(run.handle(Tick(), 3.0 + LAG))
 
 
 def test_one_part_that_may_be_late_does_not_excuse_another() -> None:
     both = replace(LIGHT, invariant=All((Holds(LIT), Holds(OPEN))))
-    assert cancels(report(begun(both, OPEN), OPEN, False, 1.2))
+    assert cancels(report(passing(both, OPEN), OPEN, False, 1.2))
 
 
 def test_what_is_no_longer_reported_has_the_lag_to_be_reported_again() -> None:
-    run = begun(PASS, OPEN)
+    run = passing(PASS, OPEN)
     assert report(run, OPEN, UNKNOWN, 2.0) == [Wake(2.0 + LAG)]
     report(run, OPEN, True, 2.5)
     assert not cancels(run.handle(Tick(), 2.0 + LAG))
@@ -121,16 +121,16 @@ def test_what_is_no_longer_reported_has_the_lag_to_be_reported_again() -> None:
 
 @pytest.mark.parametrize("condition", [Any((Holds(OPEN), Holds(LIT))), Not(All((Not(Holds(OPEN)), Not(Holds(LIT)))))])
 def test_of_alternatives_one_is_enough(condition: Condition) -> None:
-    run = begun(replace(PASS, invariant=condition), OPEN, LIT)
+    run = passing(replace(PASS, invariant=condition), OPEN, LIT)
     assert not cancels(report(run, OPEN, False, 2.0))
     assert cancels(report(run, LIT, False, 2.5))
 
 
 def test_a_derived_fact_is_false_as_soon_as_a_report_makes_it_so() -> None:
     free = DerivationRule("free", (), Holds(OPEN))
-    assert cancels(report(begun(replace(PASS, invariant=Holds(("free",))), OPEN, rules=(free,)), OPEN, False, 2.0))
+    assert cancels(report(passing(replace(PASS, invariant=Holds(("free",))), OPEN, rules=(free,)), OPEN, False, 2.0))
     lit = DerivationRule("bright", (), Holds(LIT))
-    run = begun(replace(LIGHT, invariant=Holds(("bright",))), rules=(lit,))
+    run = passing(replace(LIGHT, invariant=Holds(("bright",))), rules=(lit,))
     assert not cancels(report(run, ("other",), True, 1.5)), "below it is what the start makes true"
 
 
@@ -157,7 +157,7 @@ def test_an_end_that_nothing_reports_is_believed_when_it_comes_even_if_it_should
     run, match, mend = in_the_cellar()
     assert run.handle(Ended(match, SUCCEEDED), 3.0) == [Cancel(mend), Wake(8.0)], "the match is out"
     run.handle(Ended(mend, SUCCEEDED), 5.2)
-    assert causes(run) == ["invariant_false"]
+    assert failure_causes(run) == ["invariant_false"]
     assert run.result().failures[0].observed == "(lit) is false"
 
 
@@ -189,5 +189,5 @@ def test_what_an_end_relies_on_must_have_been_so_when_it_came() -> None:
     close, mend = run.open_requests
     run.handle(Ended(close, SUCCEEDED), 3.0)
     run.handle(Ended(mend, SUCCEEDED), 5.0)
-    assert causes(run) == ["effects_missing"]
+    assert failure_causes(run) == ["effects_missing"]
     assert run.knowledge.value(("closed",)) is False, "what was believed is taken back"

@@ -18,89 +18,77 @@ from pnm.knowledge.sources.memory import MemoryKnowledge
 from pnm.ros.node.service_client import until_true
 from tests.support.people import Person
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import run_bounded
+from tests.support.ros.child_process import bounded, run_bounded
 from tests.support.ros.fake_executor import FakeExecutor, fake_executor
 
 OURS = "/pnm/ros/"
 """Stands in every traceback of what is tested; rclpy itself may fail with one while its context ends."""
 
 
-def test_local_and_global_and_both(ros, server):
-    async def main():
-        async with fake_executor(ros) as one:
-            assert await one.said(server, "query", "all", "spam") == []
-            assert await one.said(server, "update", "local", "spam", {"eggs": [1, 2.5, None, "ü"]}) == [None]
-            assert one.local.variable("spam") == {"eggs": [1, 2.5, None, "ü"]}
-            assert await one.said(server, "query", "local", "spam") == [{"eggs": [1, 2.5, None, "ü"]}]
-            assert await one.said(server, "query", "global", "spam") == []
-            assert await one.said(server, "update", "global", "spam", False) == [None]
-            assert await one.said(server, "query", "all", "spam") == [{"eggs": [1, 2.5, None, "ü"]}]
-            assert await one.said(server, "query", "global", "spam") == [False]
-            assert await one.said(server, "update", "all", "both", 0) == [None]
-            assert [await one.said(server, "query", layer, "both") for layer in ("local", "global")] == [[0], [0]]
-
-    run_bounded(main())
+@bounded
+async def test_local_and_global_and_both(ros, server):
+    async with fake_executor(ros) as one:
+        assert await one.said(server, "query", "all", "spam") == []
+        assert await one.said(server, "update", "local", "spam", {"eggs": [1, 2.5, None, "ü"]}) == [None]
+        assert one.local.variable("spam") == {"eggs": [1, 2.5, None, "ü"]}
+        assert await one.said(server, "query", "local", "spam") == [{"eggs": [1, 2.5, None, "ü"]}]
+        assert await one.said(server, "query", "global", "spam") == []
+        assert await one.said(server, "update", "global", "spam", False) == [None]
+        assert await one.said(server, "query", "all", "spam") == [{"eggs": [1, 2.5, None, "ü"]}]
+        assert await one.said(server, "query", "global", "spam") == [False]
+        assert await one.said(server, "update", "all", "both", 0) == [None]
+        assert [await one.said(server, "query", layer, "both") for layer in ("local", "global")] == [[0], [0]]
 
 
 @pytest.mark.parametrize(
     "options", [["--threads", "8"], ["--kind", "coroutine"], ["--kind", "coroutine", "--threads", "4"], ["--kind", "simple"]]
 )
-def test_every_kind_of_server_may_ask(ros, names, begin, options):
+@bounded
+async def test_every_kind_of_server_may_ask(ros, names, begin, options):
     name = names()
 
-    async def main():
-        await asyncio.to_thread(begin, "asking_server", name, *options)
-        async with fake_executor(ros) as one:
-            ended = [one.send(name, "update", "all", f"v{number}", number) for number in range(20)]
-            assert {outcome.message for outcome in await asyncio.gather(*ended)} == {"[null]"}
-            assert one.local.variables() == {f"v{number}": number for number in range(20)}
-            assert await one.said(name, "query", "all", "v7") == [7]
-
-    run_bounded(main())
+    await asyncio.to_thread(begin, "asking_server", name, *options)
+    async with fake_executor(ros) as one:
+        ended = [one.send(name, "update", "all", f"v{number}", number) for number in range(20)]
+        assert {outcome.message for outcome in await asyncio.gather(*ended)} == {"[null]"}
+        assert one.local.variables() == {f"v{number}": number for number in range(20)}
+        assert await one.said(name, "query", "all", "v7") == [7]
 
 
-def test_the_example_of_the_documentation(ros, begin):
-    async def main():
-        await asyncio.to_thread(begin, "example_server")
-        async with fake_executor(ros) as one:
-            await one.sources.update(Question("shop", Layer.GLOBAL, "null"), "bakery", Asker(one.run))
-            assert (await one.send("guide", "lead")).kind is OutcomeKind.SUCCEEDED
-            assert one.local.variables() == {"seen": ["bakery"]}
-
-    run_bounded(main())
+@bounded
+async def test_the_example_of_the_documentation(ros, begin):
+    await asyncio.to_thread(begin, "example_server")
+    async with fake_executor(ros) as one:
+        await one.sources.update(Question("shop", Layer.GLOBAL, "null"), "bakery", Asker(one.run))
+        assert (await one.send("guide", "lead")).kind is OutcomeKind.SUCCEEDED
+        assert one.local.variables() == {"seen": ["bakery"]}
 
 
-def test_waiting_on_the_thread_that_spins_is_refused_at_once(ros, names, begin):
+@bounded
+async def test_waiting_on_the_thread_that_spins_is_refused_at_once(ros, names, begin):
     name = names()
 
-    async def main():
-        await asyncio.to_thread(begin, "asking_server", name, "--kind", "wrong")
-        async with fake_executor(ros) as one:
-            assert "in a coroutine, await the ..._async method" in await one.said(name, "query", "all", "a")
-            assert "in a coroutine, await the ..._async method" in await one.said(name, "update", "all", "a", 1)
-
-    run_bounded(main())
+    await asyncio.to_thread(begin, "asking_server", name, "--kind", "wrong")
+    async with fake_executor(ros) as one:
+        assert "in a coroutine, await the ..._async method" in await one.said(name, "query", "all", "a")
+        assert "in a coroutine, await the ..._async method" in await one.said(name, "update", "all", "a", 1)
 
 
-def test_a_goal_of_somebody_else_is_carried_out_and_has_no_knowledge(ros, server):
-    async def main():
-        async with fake_executor(ros) as one:
-            outcome = await one.send(server, "query", "all", "spam", id=uuid4())
-            assert outcome.kind is OutcomeKind.SUCCEEDED
-            assert "the goal does not come from a plan executive" in outcome.message
-
-    run_bounded(main())
+@bounded
+async def test_a_goal_of_somebody_else_is_carried_out_and_has_no_knowledge(ros, server):
+    async with fake_executor(ros) as one:
+        outcome = await one.send(server, "query", "all", "spam", id=uuid4())
+        assert outcome.kind is OutcomeKind.SUCCEEDED
+        assert "the goal does not come from a plan executive" in outcome.message
 
 
-def test_an_executive_without_services_is_missed_by_name(ros, server):
-    async def main():
-        one = FakeExecutor(ros, Sources())
-        for action, rest in (("query", []), ("update", [1])):
-            said = await one.said(server, action, "all", "spam", *rest, None, 0.5)
-            assert said == f"there is no service {one.name}/{action}; the executive that has sent the goal is gone"
-        await one.close()
-
-    run_bounded(main())
+@bounded
+async def test_an_executive_without_services_is_missed_by_name(ros, server):
+    one = FakeExecutor(ros, Sources())
+    for action, rest in (("query", []), ("update", [1])):
+        said = await one.said(server, action, "all", "spam", *rest, None, 0.5)
+        assert said == f"there is no service {one.name}/{action}; the executive that has sent the goal is gone"
+    await one.close()
 
 
 def test_an_executive_is_asked_again_until_it_has_answered_once_but_told_once(ros, server):
@@ -146,96 +134,84 @@ def test_an_executive_that_is_killed_is_not_waited_for(names, begin):
     assert OURS not in server.stop()
 
 
-def test_a_global_source_that_never_answers_is_said_to_the_server(ros, server):
+@bounded
+async def test_a_global_source_that_never_answers_is_said_to_the_server(ros, server):
     class Never(MemoryKnowledge):
         async def query(self, question, asker, /):
             return await asyncio.get_running_loop().create_future()
 
-    async def main():
-        async with fake_executor(ros, [Never()]) as one:
-            assert await one.said(server, "query", "all", "spam", None, 0.5) == "there was no answer within 0.5 s"
-
-    run_bounded(main())
+    async with fake_executor(ros, [Never()]) as one:
+        assert await one.said(server, "query", "all", "spam", None, 0.5) == "there was no answer within 0.5 s"
 
 
-def test_what_a_source_refuses_is_said_to_the_server_and_changes_nothing(ros, server):
+@bounded
+async def test_what_a_source_refuses_is_said_to_the_server_and_changes_nothing(ros, server):
     class Full(MemoryKnowledge):
         async def update(self, question, value, asker, /):
             raise SourceError("the disk\nis full")
 
-    async def main():
-        async with fake_executor(ros, [Full()]) as one:
-            assert await one.said(server, "update", "all", "spam", 1) == "the disk is full"
-            assert one.local.variable("spam") is MISSING
-
-    run_bounded(main())
+    async with fake_executor(ros, [Full()]) as one:
+        assert await one.said(server, "update", "all", "spam", 1) == "the disk is full"
+        assert one.local.variable("spam") is MISSING
 
 
 @pytest.mark.parametrize("kind", ["function", "coroutine", "simple"])
-def test_cancelling_a_goal_that_asks_ends_it_and_withdraws_the_question(ros, names, begin, kind):
+@bounded
+async def test_cancelling_a_goal_that_asks_ends_it_and_withdraws_the_question(ros, names, begin, kind):
     name = names()
 
-    async def main():
-        server = await asyncio.to_thread(begin, "asking_server", name, "--kind", kind)
-        person = Person()
-        async with fake_executor(ros, person=person) as one:
-            await one.meet(name)
-            goal = one.new_id()
-            ended = one.send(name, "query", "person", "shop", None, 300.0, id=goal)
-            await person.asked.get()
-            one.client(name).cancel(goal)
-            outcome = await ended
-            assert (outcome.kind, outcome.message) == (OutcomeKind.CANCELED, '"the goal is being cancelled"')
-            assert await person.withdrawn.get() == "shop"
-        assert OURS not in await asyncio.to_thread(server.stop)
-
-    run_bounded(main())
+    server = await asyncio.to_thread(begin, "asking_server", name, "--kind", kind)
+    person = Person()
+    async with fake_executor(ros, person=person) as one:
+        await one.meet(name)
+        goal = one.new_id()
+        ended = one.send(name, "query", "person", "shop", None, 300.0, id=goal)
+        await person.asked.get()
+        one.client(name).cancel(goal)
+        outcome = await ended
+        assert (outcome.kind, outcome.message) == (OutcomeKind.CANCELED, '"the goal is being cancelled"')
+        assert await person.withdrawn.get() == "shop"
+    assert OURS not in await asyncio.to_thread(server.stop)
 
 
-def test_a_simple_server_carries_out_one_goal_at_a_time_and_none_that_was_cancelled_before(ros, names, begin):
+@bounded
+async def test_a_simple_server_carries_out_one_goal_at_a_time_and_none_that_was_cancelled_before(ros, names, begin):
     name = names()
 
-    async def main():
-        await asyncio.to_thread(begin, "asking_server", name, "--kind", "simple")
-        person = Person()
-        async with fake_executor(ros, person=person) as one:
-            await one.meet(name)
-            first = one.send(name, "query", "person", "a", None, LIMIT)
-            await person.asked.get()
-            goal = one.new_id()
-            second = one.send(name, "query", "person", "b", None, LIMIT, id=goal)
-            third = one.send(name, "query", "person", "c", None, LIMIT)
-            client = one.client(name)
-            client.cancel(goal)
-            await until_true(ros, lambda: client._goals[goal][0].cancel_answered)
-            person.answer("a", 1)
-            assert (await first).message == "[1]"
-            assert (await second).kind is OutcomeKind.CANCELED
-            assert await person.asked.get() == "c"
-            person.answer("c", 3)
-            assert (await third).message == "[3]"
-
-    run_bounded(main())
+    await asyncio.to_thread(begin, "asking_server", name, "--kind", "simple")
+    person = Person()
+    async with fake_executor(ros, person=person) as one:
+        await one.meet(name)
+        first = one.send(name, "query", "person", "a", None, LIMIT)
+        await person.asked.get()
+        goal = one.new_id()
+        second = one.send(name, "query", "person", "b", None, LIMIT, id=goal)
+        third = one.send(name, "query", "person", "c", None, LIMIT)
+        client = one.client(name)
+        client.cancel(goal)
+        await until_true(ros, lambda: client._goals[goal][0].cancel_answered)
+        person.answer("a", 1)
+        assert (await first).message == "[1]"
+        assert (await second).kind is OutcomeKind.CANCELED
+        assert await person.asked.get() == "c"
+        person.answer("c", 3)
+        assert (await third).message == "[3]"
 
 
-def test_two_executives_have_services_of_their_own(ros, server):
-    async def main():
-        async with fake_executor(ros) as one, fake_executor(ros) as two:
-            await one.said(server, "update", "all", "spam", 1)
-            await two.said(server, "update", "all", "spam", 2)
-            assert (one.local.variables(), two.local.variables()) == ({"spam": 1}, {"spam": 2})
-
-    run_bounded(main())
+@bounded
+async def test_two_executives_have_services_of_their_own(ros, server):
+    async with fake_executor(ros) as one, fake_executor(ros) as two:
+        await one.said(server, "update", "all", "spam", 1)
+        await two.said(server, "update", "all", "spam", 2)
+        assert (one.local.variables(), two.local.variables()) == ({"spam": 1}, {"spam": 2})
 
 
 @pytest.mark.parametrize("action", ["raise", "return"])
-def test_a_callback_that_fails_aborts_its_goal_and_nothing_more(ros, server, action):
-    async def main():
-        async with fake_executor(ros) as one:
-            assert (await one.send(server, action)).kind is OutcomeKind.ABORTED
-            assert await one.said(server, "query", "all", "spam") == []
-
-    run_bounded(main())
+@bounded
+async def test_a_callback_that_fails_aborts_its_goal_and_nothing_more(ros, server, action):
+    async with fake_executor(ros) as one:
+        assert (await one.send(server, action)).kind is OutcomeKind.ABORTED
+        assert await one.said(server, "query", "all", "spam") == []
 
 
 @pytest.mark.parametrize(
@@ -247,25 +223,21 @@ def test_a_callback_that_fails_aborts_its_goal_and_nothing_more(ros, server, act
         (("query", "local", "spam", [float("inf")]), "JSON cannot say [inf]"),
     ],
 )
-def test_a_server_that_asks_nonsense_is_told_so(ros, server, arguments, said):
-    async def main():
-        async with fake_executor(ros) as one:
-            assert said in await one.said(server, *arguments)
-
-    run_bounded(main())
+@bounded
+async def test_a_server_that_asks_nonsense_is_told_so(ros, server, arguments, said):
+    async with fake_executor(ros) as one:
+        assert said in await one.said(server, *arguments)
 
 
-def test_a_server_that_ends_while_it_asks_leaves_no_traceback_of_ours(ros, names, begin):
+@bounded
+async def test_a_server_that_ends_while_it_asks_leaves_no_traceback_of_ours(ros, names, begin):
     name = names()
 
-    async def main():
-        server = await asyncio.to_thread(begin, "asking_server", name)
-        person = Person()
-        async with fake_executor(ros, person=person) as one:
-            await one.meet(name)
-            ended = one.send(name, "query", "person", "a", None, LIMIT)
-            await person.asked.get()
-            assert OURS not in await asyncio.to_thread(server.stop)
-            assert (await ended).kind in (OutcomeKind.LOST, OutcomeKind.UNAVAILABLE)
-
-    run_bounded(main())
+    server = await asyncio.to_thread(begin, "asking_server", name)
+    person = Person()
+    async with fake_executor(ros, person=person) as one:
+        await one.meet(name)
+        ended = one.send(name, "query", "person", "a", None, LIMIT)
+        await person.asked.get()
+        assert OURS not in await asyncio.to_thread(server.stop)
+        assert (await ended).kind in (OutcomeKind.LOST, OutcomeKind.UNAVAILABLE)

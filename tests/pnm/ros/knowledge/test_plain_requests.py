@@ -17,7 +17,7 @@ from pnm.ros.knowledge.knowledge_source import uuid_field
 from pnm.ros.node.service_client import ServiceClient
 from tests.support.people import Person
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import run_bounded
+from tests.support.ros.child_process import bounded, run_bounded
 from tests.support.ros.fake_executor import fake_executor
 
 # --- from the side of servers in other languages ---
@@ -36,25 +36,23 @@ from tests.support.ros.fake_executor import fake_executor
     ],
     ids=lambda value: str(value)[:40],
 )
-def test_a_query_that_cannot_be_answered_is_refused(ros, fields, said):
+@bounded
+async def test_a_query_that_cannot_be_answered_is_refused(ros, fields, said):
     class Buggy(MemoryKnowledge):
         async def query(self, question, asker, /):
             raise KeyError(question.name)
 
-    async def main():
-        async with fake_executor(ros, [Buggy()]) as one:
-            one.local.store({"odd": float("nan")})
-            goal = one.new_id()
-            one.goals[goal] = None
-            client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{one.name}/query")
-            answer = await client.call({"goal_id": uuid_field(goal), "layer": 0, "name": "spam", **fields}, LIMIT)
-            assert (answer.success, answer.found, answer.value) == (False, False, "")
-            assert said in answer.message
-            answer = await client.call({"goal_id": uuid_field(goal), "layer": 0, "name": "spam"}, LIMIT)
-            assert (answer.success, answer.found, answer.value, answer.message) == (True, False, "", "")
-            await client.close()
-
-    run_bounded(main())
+    async with fake_executor(ros, [Buggy()]) as one:
+        one.local.store({"odd": float("nan")})
+        goal = one.new_id()
+        one.goals[goal] = None
+        client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{one.name}/query")
+        answer = await client.call({"goal_id": uuid_field(goal), "layer": 0, "name": "spam", **fields}, LIMIT)
+        assert (answer.success, answer.found, answer.value) == (False, False, "")
+        assert said in answer.message
+        answer = await client.call({"goal_id": uuid_field(goal), "layer": 0, "name": "spam"}, LIMIT)
+        assert (answer.success, answer.found, answer.value, answer.message) == (True, False, "", "")
+        await client.close()
 
 
 def test_who_repeats_a_question_to_a_person_gets_the_same_answer(ros):
@@ -96,53 +94,47 @@ def test_who_repeats_a_question_to_a_person_gets_the_same_answer(ros):
 
 
 @pytest.mark.parametrize("value", ["", "kitchen", "NaN"])
-def test_an_update_with_what_is_no_json_is_refused(ros, value):
-    async def main():
-        async with fake_executor(ros) as one:
-            goal = one.new_id()
-            one.goals[goal] = None
-            client = ServiceClient(ros, "pnm_interfaces/srv/UpdateKnowledge", f"{one.name}/update")
-            answer = await client.call({"goal_id": uuid_field(goal), "layer": 2, "name": "spam", "value": value}, LIMIT)
-            assert not answer.success
-            assert "is not JSON" in answer.message
-            assert one.local.variables() == {}
-            await client.close()
-
-    run_bounded(main())
-
-
-def test_closing_refuses_what_is_still_being_asked(ros):
-    async def main():
-        person = Person()
-        async with fake_executor(ros, person=person) as one:
-            goal = one.new_id()
-            one.goals[goal] = None
-            client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{one.name}/query")
-            asking = asyncio.ensure_future(client.call({"goal_id": uuid_field(goal), "layer": 3, "name": "spam"}, LIMIT))
-            await person.asked.get()
-        answer = await asking
-        assert (answer.success, answer.message) == (False, "the goal is over, or the executive ends")
-        assert person.withdrawn.get_nowait() == "spam"
+@bounded
+async def test_an_update_with_what_is_no_json_is_refused(ros, value):
+    async with fake_executor(ros) as one:
+        goal = one.new_id()
+        one.goals[goal] = None
+        client = ServiceClient(ros, "pnm_interfaces/srv/UpdateKnowledge", f"{one.name}/update")
+        answer = await client.call({"goal_id": uuid_field(goal), "layer": 2, "name": "spam", "value": value}, LIMIT)
+        assert not answer.success
+        assert "is not JSON" in answer.message
+        assert one.local.variables() == {}
         await client.close()
 
-    run_bounded(main())
+
+@bounded
+async def test_closing_refuses_what_is_still_being_asked(ros):
+    person = Person()
+    async with fake_executor(ros, person=person) as one:
+        goal = one.new_id()
+        one.goals[goal] = None
+        client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{one.name}/query")
+        asking = asyncio.ensure_future(client.call({"goal_id": uuid_field(goal), "layer": 3, "name": "spam"}, LIMIT))
+        await person.asked.get()
+    answer = await asking
+    assert (answer.success, answer.message) == (False, "the goal is over, or the executive ends")
+    assert person.withdrawn.get_nowait() == "spam"
+    await client.close()
 
 
-def test_an_executive_whose_loop_has_ended_refuses(ros, names):
+@bounded
+async def test_an_executive_whose_loop_has_ended_refuses(ros, names):
     loop = asyncio.new_event_loop()
     loop.close()
     name = names()
 
-    async def main():
-        services = KnowledgeServices(ros, loop, name, lambda goal: None, Sources())
-        await services.open()
-        client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{name}/query")
-        answer = await client.call({"name": "spam"}, LIMIT)
-        assert (answer.success, answer.message) == (False, "the executive has ended")
-        await services.close()
-        await client.close()
-
-    run_bounded(main())
+    services = KnowledgeServices(ros, loop, name, lambda goal: None, Sources())
+    await services.open()
+    client = ServiceClient(ros, "pnm_interfaces/srv/QueryKnowledge", f"{name}/query")
+    answer = await client.call({"name": "spam"}, LIMIT)
+    assert (answer.success, answer.message) == (False, "the executive has ended")
+    await services.close()
+    await client.close()
 
 
 # --- ids ---

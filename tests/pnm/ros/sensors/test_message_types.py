@@ -17,7 +17,7 @@ from pnm.ros.node.service_client import until_true
 from pnm.ros.sensors.fields import find_field, fitted, value_at
 from pnm.ros.sensors.sensors import Sensors
 from tests.support.pddl.sensed_world import DOMAIN, PROBLEM
-from tests.support.ros.child_process import run_bounded
+from tests.support.ros.child_process import bounded, run_bounded
 from tests.support.ros.listening import becomes, listening
 
 BASIC = "test_msgs/msg/BasicTypes"
@@ -39,16 +39,14 @@ BASIC = "test_msgs/msg/BasicTypes"
     ],
     ids=lambda value: value[:50],
 )
-def test_a_field_that_the_type_does_not_have_is_refused(ros, sensing, facts, said):
+@bounded
+async def test_a_field_that_the_type_does_not_have_is_refused(ros, sensing, facts, said):
     file = sensing(f"sensors:\n  - topic: nobody\n    type: {BASIC}\n    facts: [{facts}]")
 
-    async def main():
-        with pytest.raises(InputError) as caught:
-            Sensors(ros, file, KnowledgeBase(objects=PROBLEM.objects_by_type), 1.0)
-        assert said in str(caught.value)
-        assert caught.value.position.line == 4
-
-    run_bounded(main())
+    with pytest.raises(InputError) as caught:
+        Sensors(ros, file, KnowledgeBase(objects=PROBLEM.objects_by_type), 1.0)
+    assert said in str(caught.value)
+    assert caught.value.position.line == 4
 
 
 def test_types_found_in_the_graph_are_checked_as_well(ros, names, sensing, sensors):
@@ -69,35 +67,31 @@ def test_types_found_in_the_graph_are_checked_as_well(ros, names, sensing, senso
     run_bounded(main(refused, "a field that BasicTypes_Request does not have"))
 
 
-def test_what_cannot_be_listened_to_is_refused(ros, sensing):
-    async def main():
-        for text, said in {
-            "topic: t, type: spam_msgs/msg/Eggs, facts: [{fact: (dark)}]": "1:11: the ROS type spam_msgs/msg/Eggs is not installed",
-            "topic: 1t, facts: [{fact: (dark)}]": "1:11: not a name for a topic: '1t'",
-            "service: 1t, facts: [{fact: (dark)}]": "1:11: not a name for a service: '1t'",
-        }.items():
-            with pytest.raises(InputError, match=said):
-                async with listening(ros, sensing(f"sensors: [{{{text}}}]")):
-                    pass
-        rules = Rules(tuple(replace(rule, name="dark", variables=()) for rule in DOMAIN.rules))
-        with pytest.raises(InputError, match="facts of dark follow from rules"):
-            Sensors(ros, sensing("sensors: [{topic: t, facts: [{fact: (dark)}]}]"), KnowledgeBase(rules=rules), 1.0)
-
-    run_bounded(main())
+@bounded
+async def test_what_cannot_be_listened_to_is_refused(ros, sensing):
+    for text, said in {
+        "topic: t, type: spam_msgs/msg/Eggs, facts: [{fact: (dark)}]": "1:11: the ROS type spam_msgs/msg/Eggs is not installed",
+        "topic: 1t, facts: [{fact: (dark)}]": "1:11: not a name for a topic: '1t'",
+        "service: 1t, facts: [{fact: (dark)}]": "1:11: not a name for a service: '1t'",
+    }.items():
+        with pytest.raises(InputError, match=said):
+            async with listening(ros, sensing(f"sensors: [{{{text}}}]")):
+                pass
+    rules = Rules(tuple(replace(rule, name="dark", variables=()) for rule in DOMAIN.rules))
+    with pytest.raises(InputError, match="facts of dark follow from rules"):
+        Sensors(ros, sensing("sensors: [{topic: t, facts: [{fact: (dark)}]}]"), KnowledgeBase(rules=rules), 1.0)
 
 
-def test_publishers_of_another_type_are_ignored(ros, names, sensing, sensors, caplog):
+@bounded
+async def test_publishers_of_another_type_are_ignored(ros, names, sensing, sensors, caplog):
     name = names()
     sensors({"topic": name, "type": "test_msgs/msg/Strings", "fields": {"string_value": "hall"}})
     sensors({"topic": name, "type": BASIC, "fields": {"bool_value": True}})
     file = sensing(f"sensors: [{{topic: {name}, type: {BASIC}, facts: [{{fact: (dark), field: bool_value}}]}}]")
 
-    async def main():
-        async with listening(ros, file) as world:
-            await becomes(world, ("dark",), True)
-            await until_true(ros, lambda: "is ignored where" in caplog.text)
-
-    run_bounded(main())
+    async with listening(ros, file) as world:
+        await becomes(world, ("dark",), True)
+        await until_true(ros, lambda: "is ignored where" in caplog.text)
     assert f"{name} is ignored where it has the type test_msgs/msg/Strings; expected {BASIC}" in caplog.text
 
 

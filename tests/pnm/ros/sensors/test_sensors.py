@@ -14,13 +14,14 @@ from pnm.core.logic.expressions import UNKNOWN
 from pnm.errors import InputError
 from pnm.ros.node.messages import import_type
 from pnm.ros.node.service_client import until_true
-from tests.support.ros.child_process import run_bounded
+from tests.support.ros.child_process import bounded, run_bounded
 from tests.support.ros.listening import becomes, listening
 
 BASIC = "test_msgs/msg/BasicTypes"
 
 
-def test_publishers_of_every_kind_are_heard(ros, names, sensing, sensors):
+@bounded
+async def test_publishers_of_every_kind_are_heard(ros, names, sensing, sensors):
     robots = {"r1": (True, True), "r_2": (False, False), "a1": (True, False)}
     name = names()
     told = [
@@ -34,16 +35,14 @@ def test_publishers_of_every_kind_are_heard(ros, names, sensing, sensors):
           - {{topic: "{name}/{{r}}", for: {{r: robot}}, facts: [{{number: "(battery ?r)", field: float64_value}}], lag: 3}}
           - {{topic: {name}_lamp, facts: [{{fact: (dark), field: basic_types_value.bool_value}}]}}""")
 
-    async def main():
-        async with listening(ros, file) as world:
-            for fluent, value in {("battery", "r1"): 0.0, ("battery", "r-2"): 1.0, ("battery", "a1"): 2.0, ("dark",): True}.items():
-                await becomes(world, fluent, value)
-            assert (world.lag(["battery"]), world.lag(["dark"]), world.is_sensed(("at", "r1", "hall"))) == (3.0, 1.0, False)
-
-    run_bounded(main())
+    async with listening(ros, file) as world:
+        for fluent, value in {("battery", "r1"): 0.0, ("battery", "r-2"): 1.0, ("battery", "a1"): 2.0, ("dark",): True}.items():
+            await becomes(world, fluent, value)
+        assert (world.lag(["battery"]), world.lag(["dark"]), world.is_sensed(("at", "r1", "hall"))) == (3.0, 1.0, False)
 
 
-def test_of_a_publisher_that_is_killed_nothing_is_known_any_more(ros, names, sensing, sensors, caplog):
+@bounded
+async def test_of_a_publisher_that_is_killed_nothing_is_known_any_more(ros, names, sensing, sensors, caplog):
     name = names()
     published = {"topic": name, "type": "test_msgs/msg/Strings", "fields": {"string_value": "A1"}}
     file = sensing(f"""
@@ -53,27 +52,25 @@ def test_of_a_publisher_that_is_killed_nothing_is_known_any_more(ros, names, sen
             facts: [{{fact: "(at r1 ?value)", field: string_value, table: {{A1: kitchen}}}}]
             variables: [{{name: zone, field: string_value}}]""")
 
-    async def main():
-        async with listening(ros, file) as world:
-            killed = await asyncio.to_thread(sensors, published)
-            await becomes(world, ("at", "r1", "kitchen"), True)
-            assert world.value(("at", "r1", "hall")) is False
-            assert world.variables() == {"zone": "A1"}
-            world.update({("at", "r1", "hall"): True, ("at", "r-2", "hall"): True})
-            await becomes(world, ("at", "r1", "hall"), False)
-            assert world.value(("at", "r-2", "hall")) is True, "others may speak of others"
-            await asyncio.to_thread(killed.kill)
-            await becomes(world, ("at", "r1", "kitchen"), UNKNOWN)
-            assert world.value(("at", "r1", "hall")) is UNKNOWN
-            assert world.variables() == {}
-            await asyncio.to_thread(sensors, published)
-            await becomes(world, ("at", "r1", "kitchen"), True)
-
-    run_bounded(main())
+    async with listening(ros, file) as world:
+        killed = await asyncio.to_thread(sensors, published)
+        await becomes(world, ("at", "r1", "kitchen"), True)
+        assert world.value(("at", "r1", "hall")) is False
+        assert world.variables() == {"zone": "A1"}
+        world.update({("at", "r1", "hall"): True, ("at", "r-2", "hall"): True})
+        await becomes(world, ("at", "r1", "hall"), False)
+        assert world.value(("at", "r-2", "hall")) is True, "others may speak of others"
+        await asyncio.to_thread(killed.kill)
+        await becomes(world, ("at", "r1", "kitchen"), UNKNOWN)
+        assert world.value(("at", "r1", "hall")) is UNKNOWN
+        assert world.variables() == {}
+        await asyncio.to_thread(sensors, published)
+        await becomes(world, ("at", "r1", "kitchen"), True)
     assert f"nothing was heard on {name} for 1 s; what it reports is unknown" in caplog.text
 
 
-def test_what_cannot_be_read_is_unknown_with_one_warning(ros, names, sensing, sensors, caplog):
+@bounded
+async def test_what_cannot_be_read_is_unknown_with_one_warning(ros, names, sensing, sensors, caplog):
     name = names()
     sensors({"topic": name, "type": "test_msgs/msg/UnboundedSequences", "fields": {"float64_values": [1.0, math.nan]}})
     file = sensing(f"""
@@ -84,32 +81,27 @@ def test_what_cannot_be_read_is_unknown_with_one_warning(ros, names, sensing, se
               - {{number: (battery r-2), field: "float64_values[0]"}}
               - {{number: (battery a1), field: "float64_values[2]"}}""")
 
-    async def main():
-        async with listening(ros, file) as world:
-            for value in (1.0, 2.0, 3.0):
-                world.update({("battery", "r1"): value})
-                await becomes(world, ("battery", "r1"), UNKNOWN)
-            assert world.facts() == {("battery", "r1"): UNKNOWN, ("battery", "r-2"): 1.0, ("battery", "a1"): UNKNOWN}
-
-    run_bounded(main())
+    async with listening(ros, file) as world:
+        for value in (1.0, 2.0, 3.0):
+            world.update({("battery", "r1"): value})
+            await becomes(world, ("battery", "r1"), UNKNOWN)
+        assert world.facts() == {("battery", "r1"): UNKNOWN, ("battery", "r-2"): 1.0, ("battery", "a1"): UNKNOWN}
     assert caplog.text.count(f"{name}: float64_values[-1] is not a number (NaN); (battery r1) is unknown") == 1
     assert caplog.text.count(f"{name}: there is no float64_values[2]: the list has 2 items; (battery a1) is unknown") == 1
 
 
-def test_a_topic_that_we_already_use_with_another_type_is_refused(ros, names, sensing, sensors):
+@bounded
+async def test_a_topic_that_we_already_use_with_another_type_is_refused(ros, names, sensing, sensors):
     name = names()
     sensors({"topic": name, "type": BASIC, "fields": {"bool_value": True}})
     text = f"sensors: [{{topic: {name}, facts: [{{fact: (dark), field: bool_value}}]}}]"
 
-    async def main():
-        own = await ros.ask(lambda: ros.node.create_subscription(import_type("test_msgs/msg/Empty"), name, print, 1))
-        await until_true(ros, lambda: ros.node.count_publishers(name))
-        with pytest.raises(InputError, match=f"1:11: {name} cannot be listened to: "):
-            async with listening(ros, sensing(text)):
-                pass
-        await ros.ask(lambda: ros.node.destroy_subscription(own))
-
-    run_bounded(main())
+    own = await ros.ask(lambda: ros.node.create_subscription(import_type("test_msgs/msg/Empty"), name, print, 1))
+    await until_true(ros, lambda: ros.node.count_publishers(name))
+    with pytest.raises(InputError, match=f"1:11: {name} cannot be listened to: "):
+        async with listening(ros, sensing(text)):
+            pass
+    await ros.ask(lambda: ros.node.destroy_subscription(own))
 
 
 def test_services_are_polled_and_unknown_when_they_do_not_answer(ros, names, sensing, sensors, caplog):
@@ -144,12 +136,10 @@ def test_services_are_polled_and_unknown_when_they_do_not_answer(ros, names, sen
     assert all(one != other for one, other in pairwise(warnings)), "the same is not said again and again"
 
 
-def test_nobody_is_waited_for_who_is_not_there(ros, sensing, caplog):
-    async def main():
-        async with listening(ros, sensing("sensors: [{topic: nobody, facts: [{fact: (dark), field: x}]}]")) as world:
-            assert world.facts() == {}
-        gc.collect()
-
-    run_bounded(main())
+@bounded
+async def test_nobody_is_waited_for_who_is_not_there(ros, sensing, caplog):
+    async with listening(ros, sensing("sensors: [{topic: nobody, facts: [{fact: (dark), field: x}]}]")) as world:
+        assert world.facts() == {}
+    gc.collect()
     assert "nothing has been heard on nobody yet" in caplog.text
     assert "never retrieved" not in caplog.text

@@ -18,7 +18,7 @@ from pnm.ros.node.lifecycle import Lifecycle
 from pnm.ros.node.parameters import NodeParameter, declare
 from pnm.ros.node.ros_thread import RosThread
 from tests.support.processes import LIMIT
-from tests.support.ros.child_process import run_bounded
+from tests.support.ros.child_process import bounded, run_bounded
 from tests.support.ros.task_client import TaskClient
 
 NUMBERS = count()
@@ -92,113 +92,97 @@ async def managed_node() -> AsyncIterator[ManagedNode]:
             assert await asyncio.to_thread(thread.close)
 
 
-def test_a_node_goes_through_its_states_and_ends():
-    async def main():
-        async with managed_node() as one:
-            states = [await one.state()]
-            for label in ("configure", "activate", "deactivate", "activate", "deactivate", "cleanup", "configure", "shutdown"):
-                assert await one.ask(label), label
-                states.append(await one.state())
-            assert states == [
-                "unconfigured", "inactive", "active", "inactive", "active", "inactive", "unconfigured", "inactive", "finalized",
-            ]  # fmt: skip
-            await asyncio.wait_for(one.lifecycle.finalized.wait(), LIMIT)
-            assert one.work.done[-3:] == ["cleanup", "configure", "cleanup"]
-
-    run_bounded(main())
+@bounded
+async def test_a_node_goes_through_its_states_and_ends():
+    async with managed_node() as one:
+        states = [await one.state()]
+        for label in ("configure", "activate", "deactivate", "activate", "deactivate", "cleanup", "configure", "shutdown"):
+            assert await one.ask(label), label
+            states.append(await one.state())
+        assert states == [
+            "unconfigured", "inactive", "active", "inactive", "active", "inactive", "unconfigured", "inactive", "finalized",
+        ]  # fmt: skip
+        await asyncio.wait_for(one.lifecycle.finalized.wait(), LIMIT)
+        assert one.work.done[-3:] == ["cleanup", "configure", "cleanup"]
 
 
-def test_transitions_are_known_by_their_numbers_too():
-    async def main():
-        async with managed_node() as one:
-            for number, state in ((1, "inactive"), (3, "active"), (7, "finalized")):
-                assert await one.ask_number(number)
-                assert await one.state() == state
-
-    run_bounded(main())
+@bounded
+async def test_transitions_are_known_by_their_numbers_too():
+    async with managed_node() as one:
+        for number, state in ((1, "inactive"), (3, "active"), (7, "finalized")):
+            assert await one.ask_number(number)
+            assert await one.state() == state
 
 
 @pytest.mark.parametrize("label", ["activate", "deactivate", "cleanup", "on_configure_success", "transition_success", "spam", ""])
-def test_what_cannot_be_done_in_a_state_is_refused(label, caplog):
-    async def main():
-        async with managed_node() as one:
-            assert not await one.ask(label)
-            assert await one.state() == "unconfigured"
-            assert one.work.done == []
-
-    run_bounded(main())
+@bounded
+async def test_what_cannot_be_done_in_a_state_is_refused(label, caplog):
+    async with managed_node() as one:
+        assert not await one.ask(label)
+        assert await one.state() == "unconfigured"
+        assert one.work.done == []
     assert "cannot be made: the node is unconfigured; expected one of configure, shutdown" in caplog.text
 
 
-def test_a_transition_that_fails_says_why_and_leaves_the_state(caplog):
-    async def main():
-        async with managed_node() as one:
-            one.work.wrong["configure"] = InputError("problem.pddl:1:1: expected (define")
-            assert not await one.ask("configure")
-            assert await one.state() == "unconfigured"
-            assert await one.ask("configure")
-            one.work.wrong["activate"] = RosError("not now")
-            assert not await one.ask("activate")
-            assert await one.state() == "inactive"
-
-    run_bounded(main())
+@bounded
+async def test_a_transition_that_fails_says_why_and_leaves_the_state(caplog):
+    async with managed_node() as one:
+        one.work.wrong["configure"] = InputError("problem.pddl:1:1: expected (define")
+        assert not await one.ask("configure")
+        assert await one.state() == "unconfigured"
+        assert await one.ask("configure")
+        one.work.wrong["activate"] = RosError("not now")
+        assert not await one.ask("activate")
+        assert await one.state() == "inactive"
     assert "the transition configure has failed: problem.pddl:1:1: expected (define" in caplog.text
     assert "the transition activate has failed: not now" in caplog.text
 
 
-def test_an_error_of_ours_cleans_up(caplog):
-    async def main():
-        async with managed_node() as one:
-            assert await one.ask("configure")
-            one.work.wrong["activate"] = ZeroDivisionError("a bug")
-            assert not await one.ask("activate")
-            assert await one.state() == "unconfigured"
-            assert one.work.done == ["configure", "activate", "cleanup"]
-            assert await one.ask("configure")
-
-    run_bounded(main())
+@bounded
+async def test_an_error_of_ours_cleans_up(caplog):
+    async with managed_node() as one:
+        assert await one.ask("configure")
+        one.work.wrong["activate"] = ZeroDivisionError("a bug")
+        assert not await one.ask("activate")
+        assert await one.state() == "unconfigured"
+        assert one.work.done == ["configure", "activate", "cleanup"]
+        assert await one.ask("configure")
     assert "a bug" in caplog.text
 
 
-def test_one_transition_at_a_time_and_the_node_goes_on_answering():
-    async def main():
-        async with managed_node() as one:
-            go_on = one.work.slow["configure"] = asyncio.Event()
-            asked = asyncio.ensure_future(one.ask("configure"))
-            await one.work.begun.wait()
-            assert await one.state() == "configuring"
-            for label in ("configure", "shutdown", "transition_success"):
-                assert not await one.ask(label)
-            with pytest.raises(RosError, match="the node is configuring; wait until that is over"):
-                await one.lifecycle.change("activate")
-            go_on.set()
-            assert await asked
-            assert await one.state() == "inactive"
-
-    run_bounded(main())
+@bounded
+async def test_one_transition_at_a_time_and_the_node_goes_on_answering():
+    async with managed_node() as one:
+        go_on = one.work.slow["configure"] = asyncio.Event()
+        asked = asyncio.ensure_future(one.ask("configure"))
+        await one.work.begun.wait()
+        assert await one.state() == "configuring"
+        for label in ("configure", "shutdown", "transition_success"):
+            assert not await one.ask(label)
+        with pytest.raises(RosError, match="the node is configuring; wait until that is over"):
+            await one.lifecycle.change("activate")
+        go_on.set()
+        assert await asked
+        assert await one.state() == "inactive"
 
 
-def test_closing_in_the_middle_of_a_transition_cleans_up():
-    async def main():
-        async with managed_node() as one:
-            one.work.slow["configure"] = asyncio.Event()
-            asked = asyncio.ensure_future(one.ask("configure"))
-            await one.work.begun.wait()
-            await one.lifecycle.close()
-            assert not await asked
-            assert one.work.done[-1] == "cleanup"
-
-    run_bounded(main())
+@bounded
+async def test_closing_in_the_middle_of_a_transition_cleans_up():
+    async with managed_node() as one:
+        one.work.slow["configure"] = asyncio.Event()
+        asked = asyncio.ensure_future(one.ask("configure"))
+        await one.work.begun.wait()
+        await one.lifecycle.close()
+        assert not await asked
+        assert one.work.done[-1] == "cleanup"
 
 
-def test_the_node_is_finalized_when_it_is_closed():
-    async def main():
-        async with managed_node() as one:
-            assert await one.ask("configure")
-            await one.lifecycle.close()
-            assert await one.state() == "finalized"
-
-    run_bounded(main())
+@bounded
+async def test_the_node_is_finalized_when_it_is_closed():
+    async with managed_node() as one:
+        assert await one.ask("configure")
+        await one.lifecycle.close()
+        assert await one.state() == "finalized"
 
 
 # --- parameters ------------------------------------------------------------------------------

@@ -7,21 +7,19 @@ from uuid import UUID, uuid4
 import pytest
 
 from pnm.tasks import Code
-from tests.support.ros.child_process import run_bounded
+from tests.support.ros.child_process import bounded
 from tests.support.ros.serving_node import serving_node
 from tests.support.ros.task_client import ABORTED, SUCCEEDED, TaskClient, uuid_data
 
 
-def test_a_goal_while_the_node_is_inactive_is_rejected_and_a_later_one_is_not(two):
-    async def main():
-        async with serving_node(two, is_active=False) as one:
-            for action in ("achieve_goal", "execute_plan", "plan"):
-                assert not await (await one.client.send(action)).accepted
-            assert not one.tasks.wanted
-            await one.node.activate()
-            assert (await one.ended("goal_reached"))[0] == SUCCEEDED
-
-    run_bounded(main())
+@bounded
+async def test_a_goal_while_the_node_is_inactive_is_rejected_and_a_later_one_is_not(two):
+    async with serving_node(two, is_active=False) as one:
+        for action in ("achieve_goal", "execute_plan", "plan"):
+            assert not await (await one.client.send(action)).accepted
+        assert not one.tasks.wanted
+        await one.node.activate()
+        assert (await one.ended("goal_reached"))[0] == SUCCEEDED
 
 
 @pytest.mark.parametrize(
@@ -40,122 +38,102 @@ def test_a_goal_while_the_node_is_inactive_is_rejected_and_a_later_one_is_not(tw
         ("plan", {"goal": "running", "timeout": -3.0}, "timeout is -3; expected a number of seconds"),
     ],
 )
-def test_what_is_wrong_with_a_goal_is_in_its_result(two, action, goal, said):
-    async def main():
-        async with serving_node(two) as one:
-            status, result = await (await one.client.send(action, **goal)).result()
-            assert (status, result["code"], result["reason"]) == (ABORTED, Code.INVALID_GOAL, "invalid_goal")
-            assert said in result["message"]
-            assert not one.tasks.open
-
-    run_bounded(main())
+@bounded
+async def test_what_is_wrong_with_a_goal_is_in_its_result(two, action, goal, said):
+    async with serving_node(two) as one:
+        status, result = await (await one.client.send(action, **goal)).result()
+        assert (status, result["code"], result["reason"]) == (ABORTED, Code.INVALID_GOAL, "invalid_goal")
+        assert said in result["message"]
+        assert not one.tasks.open
 
 
-def test_every_code_arrives_and_only_one_is_a_success(two):
-    async def main():
-        async with serving_node(two) as one:
-            goals = {code: await one.goal(code.word) for code in Code}
-            for code, goal in goals.items():
-                status, result = await goal.result()
-                assert status == (SUCCEEDED if code is Code.GOAL_REACHED else ABORTED), code
-                assert (result["code"], result["reason"], result["message"]) == (code, code.word, f"as it was told: {code.word}")
-
-    run_bounded(main())
+@bounded
+async def test_every_code_arrives_and_only_one_is_a_success(two):
+    async with serving_node(two) as one:
+        goals = {code: await one.goal(code.word) for code in Code}
+        for code, goal in goals.items():
+            status, result = await goal.result()
+            assert status == (SUCCEEDED if code is Code.GOAL_REACHED else ABORTED), code
+            assert (result["code"], result["reason"], result["message"]) == (code, code.word, f"as it was told: {code.word}")
 
 
-def test_a_full_queue_says_so(two):
-    async def main():
-        async with serving_node(two, max_queue=2) as one:
-            for _ in range(2):
-                await one.goal("queued")
-            status, result = await one.ended("queued")
-            assert (status, result["code"], result["message"]) == (ABORTED, Code.QUEUE_FULL, "2 tasks are waiting already")
-
-    run_bounded(main())
+@bounded
+async def test_a_full_queue_says_so(two):
+    async with serving_node(two, max_queue=2) as one:
+        for _ in range(2):
+            await one.goal("queued")
+        status, result = await one.ended("queued")
+        assert (status, result["code"], result["message"]) == (ABORTED, Code.QUEUE_FULL, "2 tasks are waiting already")
 
 
-def test_an_id_is_that_of_one_task_only(two):
-    async def main():
-        async with serving_node(two) as one:
-            first = await one.goal("running")
-            for action, id, fields in (("execute_plan", first.id, {"plan": "running"}), ("achieve_goal", UUID(int=0), {"goal": "running"})):
-                status, result = await (await one.client.send(action, id, **fields)).result()
-                assert (status, result["code"]) == (ABORTED, Code.INVALID_GOAL)
-                assert "is that of another task, or of none" in result["message"]
-            one.tasks.end(first.id, Code.GOAL_REACHED)
-            assert (await first.result())[0] == SUCCEEDED
-
-    run_bounded(main())
+@bounded
+async def test_an_id_is_that_of_one_task_only(two):
+    async with serving_node(two) as one:
+        first = await one.goal("running")
+        for action, id, fields in (("execute_plan", first.id, {"plan": "running"}), ("achieve_goal", UUID(int=0), {"goal": "running"})):
+            status, result = await (await one.client.send(action, id, **fields)).result()
+            assert (status, result["code"]) == (ABORTED, Code.INVALID_GOAL)
+            assert "is that of another task, or of none" in result["message"]
+        one.tasks.end(first.id, Code.GOAL_REACHED)
+        assert (await first.result())[0] == SUCCEEDED
 
 
-def test_a_failure_inside_is_a_result_too(two, caplog):
-    async def main():
-        async with serving_node(two) as one:
-            one.tasks.begin = None  # type: ignore[method-assign,assignment]
-            status, result = await one.ended("running")
-            assert (status, result["code"]) == (ABORTED, Code.ERROR)
-            assert "TypeError" in result["message"]
-
-    run_bounded(main())
+@bounded
+async def test_a_failure_inside_is_a_result_too(two, caplog):
+    async with serving_node(two) as one:
+        one.tasks.begin = None  # type: ignore[method-assign,assignment]
+        status, result = await one.ended("running")
+        assert (status, result["code"]) == (ABORTED, Code.ERROR)
+        assert "TypeError" in result["message"]
     assert "a task cannot begin" in caplog.text
 
 
 @pytest.mark.parametrize("service", ["pause", "resume", "cancel"])
-def test_requests_about_unknown_tasks_are_refused(two, service):
-    async def main():
-        async with serving_node(two) as one:
-            id = uuid4()
-            answer = await one.client.call(f"executor/{service}", task=uuid_data(id))
-            assert answer == {"success": False, "message": f"there is no task {id}"}
-
-    run_bounded(main())
+@bounded
+async def test_requests_about_unknown_tasks_are_refused(two, service):
+    async with serving_node(two) as one:
+        id = uuid4()
+        answer = await one.client.call(f"executor/{service}", task=uuid_data(id))
+        assert answer == {"success": False, "message": f"there is no task {id}"}
 
 
-def test_a_task_that_is_not_paused_is_not_resumed(two):
-    async def main():
-        async with serving_node(two) as one:
-            goal = await one.goal("running")
-            answer = await one.client.call("executor/resume", task=uuid_data(goal.id))
-            assert answer == {"success": False, "message": f"the task {goal.id} is not paused"}
-
-    run_bounded(main())
+@bounded
+async def test_a_task_that_is_not_paused_is_not_resumed(two):
+    async with serving_node(two) as one:
+        goal = await one.goal("running")
+        answer = await one.client.call("executor/resume", task=uuid_data(goal.id))
+        assert answer == {"success": False, "message": f"the task {goal.id} is not paused"}
 
 
-def test_a_client_that_disappears_leaves_its_goal_behind(two):
-    async def main():
-        async with serving_node(two) as one:
-            goal = await one.goal("running")
-            await one.client.close()
-            one.client = TaskClient(two[1])
-            assert goal.id in one.tasks.open
-            one.tasks.end(goal.id, Code.GOAL_REACHED)
-            assert (await one.ended("goal_reached"))[0] == SUCCEEDED
-            assert repr(one.node._servers) == "<TaskServers 0 goals>"
-
-    run_bounded(main())
+@bounded
+async def test_a_client_that_disappears_leaves_its_goal_behind(two):
+    async with serving_node(two) as one:
+        goal = await one.goal("running")
+        await one.client.close()
+        one.client = TaskClient(two[1])
+        assert goal.id in one.tasks.open
+        one.tasks.end(goal.id, Code.GOAL_REACHED)
+        assert (await one.ended("goal_reached"))[0] == SUCCEEDED
+        assert repr(one.node._servers) == "<TaskServers 0 goals>"
 
 
-def test_closing_cancels_everything_and_answers_everybody(two):
-    async def main():
-        async with serving_node(two) as one:
-            goals = [await one.goal(text) for text in ("running", "queued")] + [await one.client.send("plan", goal="planning")]
-            await one.node.close(5.0)
-            for goal in goals:
-                status, result = await goal.result()
-                assert (status, result["code"]) == (ABORTED, Code.CANCELLED), "nobody has asked for it"
-
-    run_bounded(main())
-
-
-def test_a_task_that_does_not_end_is_not_waited_for_without_end(two, caplog):
-    async def main():
-        async with serving_node(two) as one:
-            goal = await one.goal("stubborn")
-            await one.node.close(0.1)
-            one.tasks.open.clear()
+@bounded
+async def test_closing_cancels_everything_and_answers_everybody(two):
+    async with serving_node(two) as one:
+        goals = [await one.goal(text) for text in ("running", "queued")] + [await one.client.send("plan", goal="planning")]
+        await one.node.close(5.0)
+        for goal in goals:
             status, result = await goal.result()
-            assert (status, result["code"]) == (ABORTED, Code.CANCELLED)
-            assert "has not confirmed that it is cancelled" in result["message"]
+            assert (status, result["code"]) == (ABORTED, Code.CANCELLED), "nobody has asked for it"
 
-    run_bounded(main())
+
+@bounded
+async def test_a_task_that_does_not_end_is_not_waited_for_without_end(two, caplog):
+    async with serving_node(two) as one:
+        goal = await one.goal("stubborn")
+        await one.node.close(0.1)
+        one.tasks.open.clear()
+        status, result = await goal.result()
+        assert (status, result["code"]) == (ABORTED, Code.CANCELLED)
+        assert "has not confirmed that it is cancelled" in result["message"]
     assert "has not ended; what it runs is left alone" in caplog.text
