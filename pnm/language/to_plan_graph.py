@@ -17,6 +17,7 @@ from pnm.core.logic.conditions import TRUE, Condition
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.machine.plan_graph import (
     ActionCall,
+    Cause,
     Choice,
     Flow,
     Junction,
@@ -213,11 +214,13 @@ class PlanGraphBuilder:
         self._positions[number] = step.place.position
         if written:
             self._recovering.add(number)
+        handled = frozenset[Cause]().union(*(recovery.causes for recovery in written))
+        usual = (recovery for recovery in usual_recoveries(step.action) if handled.isdisjoint(recovery.causes))
         inner = _Region(outer_values(step.action, own), region.depth + 1, recovering)
         return ActionCall(
             number,
             action,
-            recoveries=(*(self._recovery(recovery, own, inner) for recovery in written), *usual_recoveries(step.action)),
+            recoveries=(*(self._recovery(recovery, own, inner) for recovery in written), *usual),
             release=step.release,
             deadline=step.deadline,
             timeout=step.timeout,

@@ -19,7 +19,6 @@ from pnm.core.execution.call_results import CallResults, Explanation
 from pnm.core.execution.effect_checks import is_assumed
 from pnm.core.execution.events import (
     Answered,
-    Ask,
     Begin,
     Command,
     Event,
@@ -38,12 +37,21 @@ from pnm.core.execution.guards import NEVER, Guards
 from pnm.core.execution.handover import UnderWay, check_adoption
 from pnm.core.execution.questions import Questions
 from pnm.core.execution.resources import Resources, RunClaims
-from pnm.core.execution.run_state import MachineIndex, RunState, Timers
+from pnm.core.execution.run_state import MachineIndex, RunState, Timers, admits
 from pnm.core.execution.run_view import RunView
 from pnm.core.knowledge_base import Layered
 from pnm.core.logic.computed_values import Question, Unanswered
 from pnm.core.machine.bindings import Bindings
-from pnm.core.machine.machine import Accepts, CallOutcome, EffectsMissing, Ends, PetriNetMachine, Rule, TransitionAction, Withheld
+from pnm.core.machine.machine import (
+    After,
+    CallOutcome,
+    Due,
+    EffectsMissing,
+    PetriNetMachine,
+    Rule,
+    TransitionAction,
+    Withheld,
+)
 from pnm.core.machine.plan_graph import GroundAction, PlanGraph
 from pnm.core.machine.requests import BEFORE_ACCEPTANCE, Accepted, Ended, OutcomeKind, Report
 from pnm.core.net.firing_engine import Engine
@@ -160,6 +168,8 @@ class Run(RunView):
             case Stop():
                 if state.stop is None or event.cancel:  # a stop may become stricter, but never milder
                     state.stop = event
+                if event.cancel:  # nothing is asked any more, so that no answer holds up the end
+                    self._commands += self._questions.close("the run was stopped")
                 self._agenda.extend(self._undecided)
             case Pause(at_once):
                 state.pause = Pause(at_once or state.suspends)  # likewise a pause at once stays one when another pause is asked for
@@ -218,7 +228,7 @@ class Run(RunView):
         """Fire the transition of the call that the report opens, if there is one."""
         missing, rules = self._engine.missing, self._index.rules
         for transition in self._index.reported[call]:  # at most one fires: the request of a call is waited for at one place at a time
-            if not missing[transition] and _admits(rules[transition], report):
+            if not missing[transition] and admits(rules[transition], report):
                 self._fire(transition, None)
                 return True
         return False
@@ -245,12 +255,14 @@ class Run(RunView):
         """Fire the first open transition that takes from the place; if there is none, note when to ask again."""
         if not self._engine.tokens[place]:
             return  # the token has gone since the place was put on the agenda
-        again, waiting, takes, now = NEVER, False, self._index.takes, self._state.now
+        again, waiting, asking, takes, now = NEVER, False, False, self._index.takes, self._state.now
         for transition, _ in self._engine.compiled.consumers[place]:
             # a transition that lacks nothing but resources is asked all the same: its call has to stand in line for them
             if not self._engine.is_enabled(transition) and not (transition in takes and self._guards.lacks_resources(transition)):
                 continue
             rule = self._index.rules[transition]
+            if asking and not isinstance(rule.guard, After | Due):
+                continue
             try:
                 if (transition in takes or self._state.pause) and self._is_put_off(transition, place):
                     waiting = True
@@ -260,12 +272,12 @@ class Run(RunView):
                 if opens <= now and rule.call is not None:
                     self._calls.compute_intention(rule.action, rule.call, self._guards.context(rule.call, place))
             except Unanswered as needed:
-                # an earlier rule goes first as soon as its question is answered, so no later one may fire meanwhile;
-                # and nothing is claimed during that time, for answers of people may take long
+                # an earlier rule goes first as soon as its question is answered, so no later one may fire meanwhile but timers, which
+                # no question stops; and nothing is claimed during that time, for answers of people may take long
                 self._ask(place, rule.call, needed.question)
                 self._leave_line(place)
-                waiting = True
-                break
+                waiting = asking = True
+                continue
             if opens <= now:
                 self._fire(transition, place)
                 return
@@ -278,16 +290,12 @@ class Run(RunView):
             self._timers.set(place, again)
 
     def _ask(self, place: int, call: int | None, question: Question) -> None:
-        subject = _subject(self.machine.plan, call)
-        if self._questions.is_asked(place, question):
-            return
-        # The run before may have asked the same person the same: that answer, or the open question, is used instead.
-        if self._questions.take_up(place, subject, question):
+        needed = self._questions.need(place, _subject(self.machine.plan, call), question, self._state.now, self._calls.identity)
+        self._commands += needed.commands
+        if needed.until is None:  # it is answered, if only with nothing
             self._agenda.append(place)
-            return
-        identity = self._calls.identity(f"question {self._questions.count + 1}")
-        self._questions.ask(identity, place, subject, question)
-        self._commands.append(Ask(identity, question))
+        else:
+            self._timers.set(place, needed.until)
 
     # --- resources ----------------------------------------------------------------------------
 
@@ -387,9 +395,3 @@ class Run(RunView):
 def _subject(plan: PlanGraph, call: int | None) -> str:
     """Return for whose sake a question is asked: the action as the plan has it."""
     return "" if call is None or call >= len(plan.calls) else str(plan.calls[call].action)
-
-
-def _admits(rule: Rule, report: Report) -> bool:
-    if isinstance(report, Accepted):
-        return isinstance(rule.guard, Accepts)
-    return isinstance(rule.guard, Ends) and report.outcome.kind in rule.guard.kinds

@@ -27,6 +27,7 @@ from pnm.core.machine.machine import (
     Rule,
     TransitionAction,
 )
+from pnm.core.machine.requests import Accepted, Report
 from pnm.core.net.firing_engine import Engine
 
 _KNOWING: Final = (ConditionTrue, ConditionFalse, InvariantFalse, AlreadyTrue, DataMissing, EffectsSeen, EffectsMissing)
@@ -170,3 +171,10 @@ class RunState:
     def idle(self) -> bool:
         """Whether no call is under way."""
         return not any(self.engine.tokens[place] for place in self.index.alive)
+
+
+def admits(rule: Rule, report: Report) -> bool:
+    """Return whether the report opens the guard of the rule, which belongs to its call."""
+    if isinstance(report, Accepted):
+        return isinstance(rule.guard, Accepts)
+    return isinstance(rule.guard, Ends) and report.outcome.kind in rule.guard.kinds

@@ -28,8 +28,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from math import isfinite
 
-from pnm.core.logic.conditions import TRUE, All, Condition, conjunction, conjuncts, names
-from pnm.core.logic.effects import names_written
+from pnm.core.logic.computed_values import may_ask
+from pnm.core.logic.conditions import TRUE, All, Condition, conjunction, conjuncts, data_in, names
+from pnm.core.logic.effects import When, every_effect, names_written
 from pnm.core.logic.rules import Rules
 from pnm.core.machine.bindings import Binding
 from pnm.core.machine.machine import (
@@ -126,8 +127,7 @@ class CallBlock(Block[ActionCall]):
 
     def place(self, name: str) -> str:
         """Make a place of this block."""
-        # While other events are awaited the robot is at rest; its resources are free for others then.
-        if name in _ALIVE or (name == "finished" and not self.awaited):
+        if self.name(name) in self._alive:
             self.builder.alive_places.add(self.name(name))
         if name in ("returned", "ended", "finished"):
             self.builder.settling_places[self.name(name)] = self.step.index
@@ -139,8 +139,18 @@ class CallBlock(Block[ActionCall]):
 
     @cached_property
     def _alive(self) -> frozenset[str]:
-        """Places of a call that is under way; what waits for others before its effects are looked for is not."""
-        return frozenset(map(self.name, _ALIVE if self.awaited else (*_ALIVE, "finished")))
+        """Places of a call that is under way; what waits for others or for answers before its effects are looked for is not."""
+        # The robot is at rest then, and its resources are free for others: nothing is asked while resources are held.
+        return frozenset(map(self.name, _ALIVE if self.awaited or self._asks_at_its_end else (*_ALIVE, "finished")))
+
+    @property
+    def _asks_at_its_end(self) -> bool:
+        """Whether a check after success, or an effect, may have to ask what the run does not know."""
+        action = self.step.action
+        own = [recovery.when for recovery in self.step.recoveries if Cause.AFTER in recovery.causes]
+        effects = (effect.condition for effect in every_effect(action.end_effects) if isinstance(effect, When))
+        is_open = bool(own) and any(argument.startswith("?") for argument in action.arguments)
+        return is_open or any(may_ask(data) for part in (*own, *effects, action.end_condition, action.expected) for data in data_in(part))
 
     @cached_property
     def _resources(self) -> tuple[str, ...]:

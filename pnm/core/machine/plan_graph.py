@@ -109,6 +109,10 @@ class Then(Enum):
     RESTART_PLAN = "restart_plan"
     """Everything else is brought to an end, then the plan begins anew."""
 
+    def is_last(self, *, chain: bool) -> bool:
+        """Return whether no other recovery for its cause can come after one that ends so, with or without a chain."""
+        return self in (Then.SKIP, Then.FAIL, Then.REPLAN) or (self is Then.CONTINUE and not chain)
+
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
@@ -138,7 +142,7 @@ class ActionCall:
     lasting: frozenset[Fluent] = frozenset()
     """Fluents written at the start that are still the action's own doing when it ends."""
     recoveries: tuple[Recovery, ...] = ()
-    """The first for a cause counts; without any, the call is tried again as often as it may be."""
+    """Those for a cause are used in their order; without any, the call is tried again as often as it may be."""
     timeout: float | None = None
     """In place of the binding's."""
     retries: int | None = None

@@ -9,7 +9,7 @@ still holds, the loop has failed.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Generic, TypeVar
 
@@ -27,6 +27,8 @@ class Block(Generic[AnyStep]):
     builder: Builder
     step: AnyStep
     context: Context
+    chains: dict[int, Region] = field(default_factory=dict)
+    """The chains of its recoveries, by number."""
 
     @cached_property
     def title(self) -> str:
