@@ -63,7 +63,10 @@ def weight(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
 
 
 def transition_lost(machine: PetriNetMachine, random: Random) -> PetriNetMachine:
-    gone = random.choice(machine.net.transitions)
+    return without_transition(machine, random.choice(machine.net.transitions))
+
+
+def without_transition(machine: PetriNetMachine, gone: str) -> PetriNetMachine:
     keep = [name for name in machine.net.transitions if name != gone]
     net = PetriNet(machine.net.places, {one: machine.net.inputs[one] for one in keep}, {one: machine.net.outputs[one] for one in keep})
     return replace(machine, net=net, rules={one: machine.rules[one] for one in keep})

@@ -59,3 +59,24 @@ def check_steps(part: Part) -> None:
                 raise Unsound(f"{step.name} takes from {place}, which stays as it is")
             if place in part.resources and weight > part.initial.get(place, 0):
                 raise Unsound(f"{step.name} takes {weight} of {place}, and there is {part.initial.get(place, 0)}")
+
+
+def check_causes(machine: PetriNetMachine, entered: Iterable[str], transitions: Iterable[str]) -> None:
+    """Check that a step does not fail without a cause that a rule has found.
+
+    Args:
+        machine: that the step is part of.
+        entered: places that are marked when the step is entered.
+        transitions: those of the step.
+
+    Raises:
+        Unsound: a failure place may be marked although no cause was found since.
+    """
+    net, reached = machine.net, set(entered)
+    without = [name for name in transitions if machine.rules[name].cause is None]
+    while new := [name for name in without if not reached.isdisjoint(net.inputs[name])]:
+        for name in new:
+            if not net.outputs[name].keys().isdisjoint(machine.failure_places):
+                raise Unsound(f"{name} marks a failure, and no rule has found its cause")
+            reached |= net.outputs[name].keys() - machine.record_places
+        without = [name for name in without if name not in new]

@@ -39,7 +39,7 @@ from pnm.core.machine.verification.block_shape import shape_of
 from pnm.core.machine.verification.decompose import Anatomy, Event, step_of
 from pnm.core.machine.verification.explore import explore_part
 from pnm.core.machine.verification.part import Part, Unsound
-from pnm.core.machine.verification.place_roles import check_roles
+from pnm.core.machine.verification.place_roles import check_causes, check_roles
 from pnm.core.machine.verification.plan_in_net import check_events, check_flows
 
 
@@ -89,6 +89,7 @@ def verify(machine: PetriNetMachine) -> Proof:
         if owner is not None and not block.part.ends:
             raise Unsound(f"nothing waits for the end of step {owner}")
         check_events(machine, block, anatomy.transitions[owner])
+        check_causes(machine, block.first, anatomy.transitions[owner])
         anatomy.note_waits(block, waits)
         proved.add(_proved(block.part))
     try:

@@ -14,6 +14,7 @@ from pnm.core.machine.plan_graph import ActionCall, Cause, Flow, GroundAction, P
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import explore, forget_proofs, verify
 from pnm.core.net.net import PetriNet
+from tests.support.mutation.edits import without_transition
 
 CAUSES = (
     *(Cause.ABORTED, Cause.CANCELED, Cause.REJECTED, Cause.UNAVAILABLE, Cause.TIMED_OUT, Cause.LOST),
@@ -32,12 +33,6 @@ def states(machine: PetriNetMachine) -> int:
     return verify(machine).states
 
 
-def without(machine: PetriNetMachine, gone: str) -> PetriNetMachine:
-    names = [name for name in machine.net.transitions if name != gone]
-    net = PetriNet(machine.net.places, {one: machine.net.inputs[one] for one in names}, {one: machine.net.outputs[one] for one in names})
-    return replace(machine, net=net, rules={name: machine.rules[name] for name in names})
-
-
 def test_every_recovery_costs_the_proof_about_the_same() -> None:
     found = [states(recovering(count)) for count in range(1, len(CAUSES) + 1)]
     steps = [after - before for before, after in pairwise(found)]
@@ -52,7 +47,7 @@ def test_how_often_makes_no_difference() -> None:
 @pytest.mark.parametrize("times", [1, 2, 3])
 @pytest.mark.parametrize("gone", ["a()#0 give_up 0", "a()#0 recover 0"])
 def test_a_counter_that_runs_out_needs_another_way(times: int, gone: str) -> None:
-    broken = without(recovering(1, times), gone)
+    broken = without_transition(recovering(1, times), gone)
     with pytest.raises(Unsound):
         explore(broken)
     with pytest.raises(Unsound):
