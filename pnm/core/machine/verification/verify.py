@@ -13,7 +13,10 @@ what it holds taken as one step that comes to an end; at every place some exit o
 time for any answer; every place between blocks has one writing and one reading block, neighbours
 or a step and what holds it; and what neighbours wait for has no cycle. By induction along that
 order, and from the innermost steps outwards, each block gets its inputs once and gives its outputs
-once whenever it is entered.
+once whenever it is entered. Counters are explored as all, some or none left, and their moves end because they have one direction.
+
+The net is that of the plan: its regions are the flows, every ordering is a place that its two events keep in order, delays and
+releases are waited for, and a step fails only after some rule has found the cause.
 
 A block takes all of its resources at once, while it has none, gives them back whatever happens, and
 waits neither for other blocks nor for what it holds as long as it has them. So a call that has resources

@@ -97,3 +97,11 @@ def test_a_time_that_is_not_waited_for_is_missed(delay: float) -> None:
     rule = machine.rules["a1()#1 join"]
     with pytest.raises(Unsound, match="does not wait for the times"):
         verify(replace(machine, rules={**machine.rules, "a1()#1 join": rule._replace(guard=Always())}))
+
+
+def test_a_failure_without_a_cause_is_refused() -> None:
+    machine = generate(plan())
+    join = {"a1()#1 join": {**machine.net.outputs["a1()#1 join"], "a1()#1 failed": 1}}
+    net = PetriNet(machine.net.places, machine.net.inputs, {**machine.net.outputs, **join})
+    with pytest.raises(Unsound, match="no rule has found its cause"):
+        verify(replace(machine, net=net))
