@@ -20,8 +20,8 @@ from contextlib import closing
 from pathlib import Path
 
 from tests.support.e2e.mall.deployment import Mall
-from tests.support.mutation.gate import run_gate
 from tests.support.ros.domains import ros_domain
+from tests.support.runs.mutation.gate import run_gate
 from tests.support.tasks.random_scenarios import run_scenario
 
 KINDS = ("scenarios", "mutants", "visitors")

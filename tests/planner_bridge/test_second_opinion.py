@@ -11,12 +11,12 @@ from planner_bridge.ordering.plan_to_graph import plan_graph
 from planner_bridge.planning.solve import solve
 from pnm.core.machine.generate import generate
 from tests.support.files import ROOT, SHARED
-from tests.support.mutation.edits import without_transition
-from tests.support.mutation.machines import random_machine
+from tests.support.runs.mutation.edits import without_transition
+from tests.support.runs.mutation.machines import random_machine
 
 pytest.importorskip("z3", reason="needs z3-solver, which the extra `test` brings")
 
-from tests.support.mutation.state_equation import QUESTIONS, StateEquation
+from tests.support.runs.mutation.state_equation import QUESTIONS, StateEquation
 
 FOLDERS = (SHARED / "pddl" / "robots", SHARED / "pddl" / "ipc")
 UNSOLVED = {"blocks_observe", "rosplan_test_invalid", "rosplan_test_no_solution", "simple_2", "simple_3", "childsnack-sat14_s"}

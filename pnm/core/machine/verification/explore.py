@@ -189,15 +189,8 @@ class _Explorer:
         if any(self._lacks_resources(step, state) for step in steps):
             return ""
         enabled = [step for step in steps if self._is_enabled(step, state)]
-        return min((max((self._unsure(case, state) for case in cases), key=len) for cases in in_each_case(enabled)), key=len)
-
-    def _unsure(self, steps: Sequence[Step], state: _State) -> str:
-        """Return for which answer of the world none of the enabled steps at a place opens; empty if one does, or the world is not asked."""
-        guards = [step.guard for step in steps]
-        asking = [guard for guard in guards if not isinstance(guard, Inside) and _asks_the_world(guard)]
-        if not asking or any(_is_open(guard, *self._moods(state)) for guard in guards):
-            return ""
-        return missing_exit(asking)
+        moods = self._moods(state)
+        return min((max((lacking_exit(case, moods) for case in cases), key=len) for cases in in_each_case(enabled)), key=len)
 
     def is_stuck(self, state: _State, possible: Sequence[int]) -> bool:
         """Return whether, in some case of the counters, none of the possible steps is: nothing happens without something from outside."""
@@ -314,6 +307,13 @@ def _is_open(guard: Guard | Inside, failing: bool, ending: bool, cancel: bool) -
             return cancel
         case _:
             return None
+
+
+def lacking_exit(steps: Sequence[Step], moods: tuple[bool, bool, bool]) -> str:
+    """Return for which answer of the world none of the enabled steps at a place opens; empty if one does, or the world is not asked."""
+    guards = [step.guard for step in steps]
+    asking = [guard for guard in guards if not isinstance(guard, Inside) and _asks_the_world(guard)]
+    return missing_exit(asking) if asking and not any(_is_open(guard, *moods) for guard in guards) else ""
 
 
 def _asks_the_world(guard: Guard | Inside) -> bool:

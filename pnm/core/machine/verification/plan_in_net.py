@@ -66,13 +66,13 @@ def check_events(machine: PetriNetMachine, block: Block, transitions: Collection
         ):
             raise Unsound(f"{name} marks what waits for the end of step {block.owner}, and goes on")
     if block.early:
-        sending = _leading_to_a_request(machine, transitions)
+        sending = leading_to_a_request(machine, transitions)
         for name in transitions:
             if block.early & net.outputs[name].keys() and rules[name].action not in _BEGINNINGS and sending & net.outputs[name].keys():
                 raise Unsound(f"{name} marks what waits for the start of step {block.owner}, whose request is still to be sent")
 
 
-def _leading_to_a_request(machine: PetriNetMachine, transitions: Collection[str]) -> set[str]:
+def leading_to_a_request(machine: PetriNetMachine, transitions: Collection[str]) -> set[str]:
     """Return the places from which these transitions may lead to a request that is sent."""
     leading: set[str] = set()
     left = [*transitions]

@@ -9,9 +9,9 @@ from random import Random
 from pnm.core.machine.machine import PetriNetMachine
 from pnm.core.machine.verification.part import Unsound
 from pnm.core.machine.verification.verify import verify
-from tests.support.mutation.edits import mutant
-from tests.support.mutation.machines import random_machine
-from tests.support.mutation.oracle import fault_of
+from tests.support.runs.mutation.edits import mutant
+from tests.support.runs.mutation.machines import random_machine
+from tests.support.runs.mutation.oracle import fault_of
 
 
 @dataclass

@@ -5,9 +5,9 @@ The rest is run by `python -m tests.random_runs mutants`.
 
 from __future__ import annotations
 
-from tests.support.mutation.gate import run_gate
-from tests.support.mutation.machines import random_machine
-from tests.support.mutation.oracle import fault_of
+from tests.support.runs.mutation.gate import run_gate
+from tests.support.runs.mutation.machines import random_machine
+from tests.support.runs.mutation.oracle import fault_of
 
 
 def test_nothing_that_is_accepted_goes_wrong() -> None:
@@ -18,7 +18,7 @@ def test_nothing_that_is_accepted_goes_wrong() -> None:
 
 
 def test_the_oracle_sees_what_goes_wrong(monkeypatch) -> None:
-    monkeypatch.setattr("tests.support.mutation.gate.is_proved", lambda machine: True)
+    monkeypatch.setattr("tests.support.runs.mutation.gate.is_proved", lambda machine: True)
     assert len(run_gate(range(12)).false_accepts) > 12
 
 
