@@ -97,9 +97,8 @@ class ConsoleObserver(TaskObserver):
         if outcome.kind is OutcomeKind.SUCCEEDED:
             self._lines.print(now, "[green]done[/]  ", str(call.action.operation or call.action))
         else:
-            self._lines.print(
-                now, "[red]ended[/] ", f"{call.action}: {outcome.kind.value}{f': {outcome.message}' if outcome.message else ''}"
-            )
+            message = f": {outcome.message}" if outcome.message else ""
+            self._lines.print(now, "[red]ended[/] ", f"{call.action}: {outcome.kind.value}{message}")
 
     def failed(self, failure: Failure, now: float) -> None:
         """Print that a failure place is marked."""

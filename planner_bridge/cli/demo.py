@@ -36,16 +36,14 @@ def show(console: Console) -> int:
 
     console.print("Two robots and a goal, written in PDDL. A planner finds the plan; the plan becomes a Petri Net Machine.", soft_wrap=True)
     for fault in faults.faults:
-        console.print(
-            f"The robots are simulated, and something will go wrong: {fault.what} fails, {fault.message}.", highlight=False, soft_wrap=True
-        )
+        text = f"The robots are simulated, and something will go wrong: {fault.what} fails, {fault.message}."
+        console.print(text, highlight=False, soft_wrap=True)
     console.print(f"[bold]goal[/]     {' '.join(map(str, conjuncts(problem.goal)))}", highlight=False, soft_wrap=True)
     result = run_async(achieve_at(backend, problem, settings, ConsoleObserver(console)), virtual=True)
     print_result(console, result)
     console.print("In the simulated world, which nobody but the simulation sees:", soft_wrap=True)
     for part in conjuncts(problem.goal):
         console.print(f"         {part} is {'[green]true[/]' if world.holds(part) else '[red]false[/]'}", highlight=False)
-    console.print(
-        "Next: pnm run DOMAIN PROBLEM with your own files, or pnm net DOMAIN PROBLEM --format dot to see a machine.", soft_wrap=True
-    )
+    advice = "pnm run DOMAIN PROBLEM with your own files, or pnm net DOMAIN PROBLEM --format dot to see a machine"
+    console.print(f"Next: {advice}.", soft_wrap=True)
     return 0 if result.goal_reached and world.holds(problem.goal) else 1

@@ -58,39 +58,35 @@ def show(console: Console) -> int:
     if missing:
         console.print(f"This demo needs ROS 2 and our interfaces: {' && '.join(missing)}", highlight=False, soft_wrap=True, markup=False)
         return 1
-    return asyncio.run(_show(console))
+    return asyncio.run(_play(console))
 
 
-async def _show(console: Console) -> int:
+async def _play(console: Console) -> int:
     console.print("A robot in a mall, over ROS 2. Every request is a task of its own; all share the robot's voice and arm.", soft_wrap=True)
     story = Story(console)
     try:
         async with asyncio.timeout(LIMIT), AsyncExitStack() as stack:
-            await _play(story, stack)
+            folder = stack.enter_context(tempfile.TemporaryDirectory())
+            script = Path(folder) / "script.json"
+            script.write_text(json.dumps(SCRIPT), encoding="utf-8")
+            domain, problem = examples() / "domains" / "mall", examples() / "problems" / "mall" / "p01.pddl"
+            robot = await _start(stack, str(domain / "robot.py"), SPEED)
+            world = ("--world", str(domain / "plans" / "world.yaml"))
+            node = await _start(stack, "-m", "planner_bridge", "serve", str(domain / "domain.pddl"), str(problem), *world)
+            await asyncio.gather(_ready(robot, "the robot"), _ready(node, "the node"))
+            visitor = await _start(stack, str(domain / "visitor.py"), str(script))
+            quiet = asyncio.ensure_future(_drain(node))  # a full pipe would block it
+            stack.callback(quiet.cancel)
+            doing = asyncio.ensure_future(_each(robot, story.done))
+            stack.callback(doing.cancel)
+            await _each(visitor, story.seen)
+            if await visitor.wait():
+                raise ChildProcessError("the visitor has found nobody")
     except (TimeoutError, ChildProcessError) as error:
         console.print(f"[bold red]failed[/]   {escape(str(error) or f'it is not over after {LIMIT:g} s')}", highlight=False, soft_wrap=True)
         return 1
     story.sum_up()
-    return 0 if story.is_fine else 1
-
-
-async def _play(story: Story, stack: AsyncExitStack) -> None:
-    folder = stack.enter_context(tempfile.TemporaryDirectory())
-    script = Path(folder) / "script.json"
-    script.write_text(json.dumps(SCRIPT), encoding="utf-8")
-    domain, problem = examples() / "domains" / "mall", examples() / "problems" / "mall" / "p01.pddl"
-    robot = await _start(stack, str(domain / "robot.py"), SPEED)
-    world = ("--world", str(domain / "plans" / "world.yaml"))
-    node = await _start(stack, "-m", "planner_bridge", "serve", str(domain / "domain.pddl"), str(problem), *world)
-    await asyncio.gather(_ready(robot, "the robot"), _ready(node, "the node"))
-    visitor = await _start(stack, str(domain / "visitor.py"), str(script))
-    quiet = asyncio.ensure_future(_drain(node))  # a full pipe would block it
-    stack.callback(quiet.cancel)
-    doing = asyncio.ensure_future(_each(robot, story.done))
-    stack.callback(doing.cancel)
-    await _each(visitor, story.seen)
-    if await visitor.wait():
-        raise ChildProcessError("the visitor has found nobody")
+    return 0 if story.reached == story.requests > 0 and not story.clashes else 1
 
 
 async def _start(stack: AsyncExitStack, *arguments: str) -> Process:
@@ -165,9 +161,8 @@ class Story:
             case "request":
                 self.requests += 1
                 shop = line["about"].startswith("shop")
-                self._print(
-                    line, "[bold magenta]ann  [/]", f'"Where is {line["about"]}?"' if shop else f'"Let us talk about {line["about"]}!"'
-                )
+                said = f"Where is {line['about']}?" if shop else f"Let us talk about {line['about']}!"
+                self._print(line, "[bold magenta]ann  [/]", f'"{said}"')
             case "accepted":
                 self.names[line["task"]] = line["about"]
             case "answer":
@@ -175,18 +170,13 @@ class Story:
                 self._print(line, "[bold magenta]ann  [/]", f'"{line["value"].rpartition(" ")[0]}"  (about {line["about"]})')
             case "result":
                 self.reached += line["reason"] == "goal_reached"
-            case "state":
-                self._state(line)
-
-    def _state(self, line: Mapping[str, Any]) -> None:
-        task, state = line["task"], line["state"]
-        if state not in _STATES or self.states.get(task) == state:
-            return
-        resumed = self.states.get(task) == "PAUSED" and state == "RUNNING"
-        self.states[task] = state
-        self.paused += state == "PAUSED"
-        word = "resumed" if resumed else state.lower()
-        self._print(line, "[bold]task [/]", f"[{_STATES[state]}]{self.names.get(task, line['about'])}: {word}[/]", line["reason"])
+            case "state" if line["state"] in _STATES and self.states.get(line["task"]) != line["state"]:
+                task, state = line["task"], line["state"]
+                resumed = self.states.get(task) == "PAUSED" and state == "RUNNING"
+                self.states[task] = state
+                self.paused += state == "PAUSED"
+                word = "resumed" if resumed else state.lower()
+                self._print(line, "[bold]task [/]", f"[{_STATES[state]}]{self.names.get(task, line['about'])}: {word}[/]", line["reason"])
 
     def _print(self, line: Mapping[str, Any], who: str, text: str, more: str = "") -> None:
         if self.began is None:
@@ -194,11 +184,6 @@ class Story:
         text = text if text.startswith("[") else escape(text)
         text += f", {escape(more)}" if more else ""
         self.console.print(f"  {line['time'] - self.began:6.2f} s  {who}  {text}", highlight=False, soft_wrap=True)
-
-    @property
-    def is_fine(self) -> bool:
-        """Whether everything came to its end as it should."""
-        return self.reached == self.requests > 0 and not self.clashes
 
     def sum_up(self) -> None:
         """Print the sums."""

@@ -46,12 +46,9 @@ def command(function: Callable[P, int]) -> Callable[P, None]:
         try:
             status = function(*args, **kwargs)
             sys.stdout.flush()
-        except InputError as error:
-            print(error, file=sys.stderr)
-            status = 2
         except PnmError as error:
             print(error, file=sys.stderr)
-            status = 1
+            status = 2 if isinstance(error, InputError) else 1
         except BrokenPipeError:  # the reader of our output has gone, so nothing can be reported either
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             status = 1

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cache
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from planner_bridge.model.problem import Problem
+from planner_bridge.model.problem import Domain, Problem
 from pnm.core.knowledge_base import KnowledgeBase
-from pnm.core.logic.domain import ActionSchema
+from pnm.core.logic.domain import ActionSchema, Types
 from pnm.core.logic.effects import TimedChange, names_written
 from pnm.core.logic.expressions import UNKNOWN, Environment, Fluent, State, Unknown, Value, fluent_text, value_of
 from pnm.core.logic.rules import DerivationRule, Rules
@@ -80,36 +81,27 @@ def problem_now(problem: Problem, knowledge: KnowledgeBase, elapsed: float = 0.0
 
     Fluents of undeclared things, which sensors may report, are left out, and so are numbers that are not finite.
     """
-    is_declared = _Declared(problem)
-    known = knowledge.facts().items()
-    init = {fluent: value for fluent, value in known if not isinstance(value, Unknown) and is_declared(fluent, value)}
+
+    @cache
+    def members(types: Types) -> frozenset[str]:
+        return frozenset(name for kind in types for name in problem.objects_by_type.get(kind, ()))
+
+    known = {fluent: value for fluent, value in knowledge.facts().items() if not isinstance(value, Unknown)}
+    init = {fluent: value for fluent, value in known.items() if _is_declared(fluent, value, problem.domain, members)}
     timed = tuple(TimedChange(change.time - elapsed, change.changes) for change in problem.timed if change.time > elapsed)
     return replace(problem, init=init, timed=timed)
 
 
-class _Declared:
-    """Whether an initial state of a problem may have a fluent with a value. The mutable state is a cache of the objects of types."""
-
-    def __init__(self, problem: Problem) -> None:
-        self._problem = problem
-        self._members: dict[tuple[str, ...], frozenset[str]] = {}
-
-    def __call__(self, fluent: Fluent, value: Value) -> bool:
-        domain = self._problem.domain
-        declared = domain.predicates.get(fluent[0]) if isinstance(value, bool) else domain.functions.get(fluent[0])
-        if declared is None or len(declared.parameters) != len(fluent) - 1:
-            return False
-        if not all(name in self._of(variable.types) for name, variable in zip(fluent[1:], declared.parameters, strict=True)):
-            return False
-        match value:
-            case bool():
-                return True
-            case str():
-                return value in self._of(declared.values)
-            case _:
-                return not declared.values and isfinite(value)
-
-    def _of(self, types: tuple[str, ...]) -> frozenset[str]:
-        if types not in self._members:
-            self._members[types] = frozenset(name for kind in types for name in self._problem.objects_by_type.get(kind, ()))
-        return self._members[types]
+def _is_declared(fluent: Fluent, value: Value, domain: Domain, members: Callable[[Types], frozenset[str]]) -> bool:
+    declared = domain.predicates.get(fluent[0]) if isinstance(value, bool) else domain.functions.get(fluent[0])
+    if declared is None or len(declared.parameters) != len(fluent) - 1:
+        return False
+    if not all(name in members(variable.types) for name, variable in zip(fluent[1:], declared.parameters, strict=True)):
+        return False
+    match value:
+        case bool():
+            return True
+        case str():
+            return value in members(declared.values)
+        case _:
+            return not declared.values and isfinite(value)

@@ -13,8 +13,7 @@ from pnm.core.execution.handover import UnderWay
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.effects import Changes, Effects, changes, decided
-from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.explain import failing, observed
+from pnm.core.logic.evaluation import evaluate, failing, observed
 from pnm.core.logic.expressions import Fluent, Value
 from pnm.core.logic.trajectory import IMPOSSIBLE, Constraint, instances, is_fulfilled, progressed
 from pnm.core.machine.plan_graph import GroundAction, Moment, PlanEvent
@@ -65,8 +64,7 @@ class PlanSimulation:
     def advance(self, events: Iterable[tuple[PlanEvent, GroundAction]], timed: Mapping[Fluent, Value] = _NOTHING) -> Changes:
         """Let actions start and end, each start before its own end, and facts change by themselves; return the changed fluents.
 
-        Raises:
-            NotApplicable: a condition does not hold; nothing has changed unless it is an over-all condition.
+        Raises `NotApplicable` if a condition does not hold; nothing has changed then unless it is an over-all condition.
         """
         effects: list[Effects] = []
         running = dict(self.running)
@@ -110,9 +108,8 @@ class ConstraintProgression:
     """Trajectory constraints, progressed through the states of a simulation. The mutable state is what is left of each."""
 
     def __init__(self, constraints: Iterable[Constraint], state: KnowledgeBase, time: float = 0.0) -> None:
-        self._remaining = {
-            ground: progressed((ground,), state, time) for constraint in constraints for ground in instances(constraint, state)
-        }
+        every = (ground for constraint in constraints for ground in instances(constraint, state))
+        self._remaining = {ground: progressed((ground,), state, time) for ground in every}
 
     def advance(self, state: KnowledgeBase, time: float = 0.0) -> Constraint | None:
         """Progress the constraints to the next state; return one that is violated, if any is."""

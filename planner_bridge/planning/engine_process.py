@@ -60,9 +60,8 @@ def search_with_engine(problem: Problem, engine: str, timeout: float, cancel: Ca
             )
         except (KeyError, TypeError, ValueError) as error:
             return PlanningResult(PlanningStatus.CRASHED, message=f"the plan makes no sense: {error!r}")
-        return PlanningResult(
-            PlanningStatus.SOLVED, Plan(tuple(sorted(steps, key=attrgetter("start"))), temporal=problem.is_timed), message
-        )
+        plan = Plan(tuple(sorted(steps, key=attrgetter("start"))), temporal=problem.is_timed)
+        return PlanningResult(PlanningStatus.SOLVED, plan, message)
     if cancel.is_set():  # an answer that came all the same was used above; only a search without one counts as cancelled
         return PlanningResult(PlanningStatus.CANCELLED)
     if ended.status is None:

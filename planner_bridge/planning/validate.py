@@ -178,7 +178,6 @@ class _Happening:
 
 
 def _happenings(problem: Problem, steps: Sequence[_Step]) -> list[_Happening]:
-    """Return the happenings in the order of time."""
     times = [(step.start, _START, index) for index, step in enumerate(steps)]
     times += [(step.start + step.duration, _END, index) for index, step in enumerate(steps)]
     times += [(change.time, _TIMED, index) for index, change in enumerate(problem.timed)]
@@ -234,9 +233,8 @@ def _check_interference(happening: _Happening, steps: Sequence[_Step], simulatio
         kinds = {kind for _, kind in written}
         if len(involved) > 1 and (read or len(kinds) > 1 or kinds == {"assign"}):
             first, second = ("what changes by itself" if call == _BY_ITSELF else f"{steps[call]}" for call in sorted(involved)[:2])
-            raise InvalidPlan(
-                f"{first} and {second} get in each other's way{when}: both have to do with {fluent_text(fluent)}, which changes"
-            )
+            reason = f"both have to do with {fluent_text(fluent)}, which changes"
+            raise InvalidPlan(f"{first} and {second} get in each other's way{when}: {reason}")
 
 
 def _kind_of_change(operation: str, value: Expression) -> str:

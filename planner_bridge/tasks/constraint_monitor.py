@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from itertools import chain
 from math import inf
 from typing import Final
 
@@ -63,6 +61,8 @@ class ConstraintMonitor:
             chosen = choices(preference.variables, knowledge, NOTHING)
             ground = [[watched for constraint in constraints for watched in self._instance(constraint, env)] for env in chosen]
             self._preferences.append((preference, ground))
+        self._hard = [watched for _, instance in self._constraints for watched in instance]
+        self._soft = [watched for _, ground in self._preferences for instance in ground for watched in instance]
         self._looked = False
 
     def _instance(self, constraint: Constraint, env: Environment = NOTHING) -> list[_MonitoredConstraint]:
@@ -70,15 +70,6 @@ class ConstraintMonitor:
             _MonitoredConstraint(ground, names_in(ground), ConstraintProgress((ground,)))
             for ground in instances(constraint, self._knowledge, env)
         ]
-
-    def _hard(self) -> Iterator[_MonitoredConstraint]:
-        return (watched for _, instance in self._constraints for watched in instance)
-
-    def _soft(self) -> Iterator[_MonitoredConstraint]:
-        return (watched for _, instances in self._preferences for instance in instances for watched in instance)
-
-    def _all(self) -> Iterator[_MonitoredConstraint]:
-        return chain(self._hard(), self._soft())
 
     @property
     def idle(self) -> bool:
@@ -90,12 +81,11 @@ class ConstraintMonitor:
     def look(self, now: float) -> tuple[Violation, ...]:
         """Look at what is known now; return the constraints that turn out to be violated, preferences left out."""
         self._looked = True
-        for watched in self._soft():
+        for watched in self._soft:
             self._see(watched, now)
-        return tuple(violation for watched in self._hard() if (violation := self._see(watched, now)))
+        return tuple(violation for watched in self._hard if (violation := self._see(watched, now)))
 
     def _see(self, watched: _MonitoredConstraint, now: float) -> Violation | None:
-        """Return the violation if this look finds it."""
         before = watched.progress
         watched.progress = before.seen(self._knowledge, now, self._lag(watched))
         if before.violated or not watched.progress.violated:
@@ -109,22 +99,16 @@ class ConstraintMonitor:
 
     def next_look(self, now: float) -> float:
         """Return when to look again even if nothing changes; infinity if that is not needed."""
-        return min((watched.progress.next_look(now, self._lag(watched)) for watched in self._all()), default=inf)
+        return min((watched.progress.next_look(now, self._lag(watched)) for watched in (*self._hard, *self._soft)), default=inf)
 
     def doubtful_until(self) -> float:
         """Return when, at the latest, it will be known of everything that looks violated now whether it is; 0 if nothing does."""
-        return max(
-            (
-                watched.progress.doubtful_since + self._lag(watched)
-                for watched in self._all()
-                if watched.progress.doubtful_since is not None
-            ),
-            default=0.0,
-        )
+        since = ((watched, watched.progress.doubtful_since) for watched in (*self._hard, *self._soft))
+        return max((doubtful + self._lag(watched) for watched, doubtful in since if doubtful is not None), default=0.0)
 
     def missing(self, now: float) -> tuple[Constraint, ...]:
         """Return the ground constraints that would not be kept if the task ended now."""
-        return tuple(watched.constraint for watched in self._hard() if not is_fulfilled(watched.progress.rest, self._knowledge, now))
+        return tuple(watched.constraint for watched in self._hard if not is_fulfilled(watched.progress.rest, self._knowledge, now))
 
     def rest_of(self, problem: Problem, now: float) -> Problem:
         """Return the problem from the world as it is with those constraints and preferences that are left."""
@@ -179,12 +163,9 @@ def _left(instance: list[_MonitoredConstraint], now: float) -> tuple[Constraint,
 
 
 class TaskMonitor:
-    """The clock of a task, with its time limit and the monitor of its constraints.
+    """The clock of a task, which is stopped when its time is used up, or a constraint of its monitor is violated.
 
     The mutable state is what stands below "state".
-
-    Args:
-        context: of the task, which is stopped when a constraint is violated or its time is used up.
     """
 
     def __init__(self, context: TaskContext) -> None:

@@ -51,11 +51,7 @@ class Execution(Protocol):
 
 
 class TaskControl:
-    """Control of a task: its requested pause or stop, its state, and its execution. Everything in it is mutable state.
-
-    Args:
-        observer: listens to the states of the task.
-    """
+    """Control of a task: its requested pause or stop, its state, and its execution. Everything in it is mutable state."""
 
     def __init__(self, observer: TaskObserver) -> None:
         self._observer = observer
@@ -119,11 +115,8 @@ class TaskControl:
     async def pause(self, reason: str, *, at_once: bool) -> None:
         """Pause until `resume`; return when nothing is under way, or when the task is not paused any more.
 
-        The pause of a task that is being stopped ends with the task.
-
-        Args:
-            reason: why.
-            at_once: cancel the calls that are under way, to begin them anew later.
+        The pause of a task that is being stopped ends with the task. `at_once` cancels the calls that are under way,
+        to begin them anew later.
         """
         if not self.stopped:
             if self._time_limit:
@@ -200,20 +193,12 @@ class TaskControl:
     # --- waiting, which always ends when the task is stopped ----------------------------------------
 
     async def unpaused(self) -> None:
-        """Wait until the task is not paused.
-
-        Raises:
-            TaskEnded: it was stopped.
-        """
+        """Wait until the task is not paused; raise `TaskEnded` if it was stopped."""
         await self._is_unpaused.wait()
         self.check()
 
     async def until(self, event: Awaitable[object]) -> None:
-        """Wait for something.
-
-        Raises:
-            TaskEnded: the task was stopped.
-        """
+        """Wait for something; raise `TaskEnded` if the task was stopped."""
         waiting = asyncio.ensure_future(event), asyncio.ensure_future(self._is_stopped.wait())
         try:
             await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)

@@ -51,12 +51,7 @@ class NoPlan(Exception):
 
 
 class PlanSearch:
-    """Searches for plans of one task. The mutable state is when the last search began, and whether one has found a plan.
-
-    Args:
-        context: of the task.
-        monitor: knows what is left of the problem, and of the time.
-    """
+    """Searches for plans of one task. The mutable state is when the last search began, and whether one has found a plan."""
 
     def __init__(self, context: TaskContext, monitor: TaskMonitor) -> None:
         self._context = context
@@ -69,8 +64,7 @@ class PlanSearch:
     async def in_turn(self, attempt: Attempt[P]) -> P:
         """Repeat an attempt whenever it is the turn of this task, until it finds a plan; tasks of lower priority are preempted.
 
-        Raises:
-            TaskEnded: the task was stopped, or is not to wait for other tasks.
+        Raises `TaskEnded` if the task was stopped, or is not to wait for other tasks.
         """
         context, control, task = self._context, self._control, self._context.task
         while True:
@@ -155,9 +149,8 @@ class PlanSearch:
         self._control.enter(TaskState.PLANNING)
 
     def _reserve(self, now: Problem, plan: Plan, under_way: list[ActionCall]) -> tuple[Conflict, ...]:
-        self._control.reserved = needed = cache(
-            lambda: read_write_sets((*under_way, *calls_of(now, plan)), now.goal, initial_knowledge(now))
-        )
+        needed = cache(lambda: read_write_sets((*under_way, *calls_of(now, plan)), now.goal, initial_knowledge(now)))
+        self._control.reserved = needed
         return self._context.scheduler.conflicts(self._context.task, needed)
 
     def _unless_in_conflict(self, plan: P | None, conflicts: tuple[Conflict, ...]) -> tuple[P | None, tuple[Conflict, ...]]:

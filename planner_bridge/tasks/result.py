@@ -45,12 +45,7 @@ def code_of_planning(status: PlanningStatus, failures: Sequence[Failure]) -> Cod
 
 
 def code_of_run(result: RunResult, stopped: Code) -> Code:
-    """Return the code of a task that ends with this run of its plan.
-
-    Args:
-        result: how the run ended.
-        stopped: the code if it was stopped.
-    """
+    """Return the code of a task that ends with this run of its plan; `stopped` is the code if it was stopped."""
     if result.goal:
         return Code.GOAL_REACHED
     return stopped if result.stopped else code_of_failures(result.failures)

@@ -44,18 +44,10 @@ class Imported:
 def exported(
     domain: Path, problem: Path | None, *, with_plan: bool = False, original: bool = False, planner: str = "kairos", timeout: float = 30.0
 ) -> Exported:
-    """Return files as YAML.
+    """Return a PDDL domain as YAML: alone, with a problem for it, or with a plan besides, which the planner has `timeout` seconds to find.
 
-    Args:
-        domain: a PDDL file.
-        problem: a PDDL file for it, which a plan needs.
-        with_plan: whether a plan is found and written, too.
-        original: whether a plan for the first implementation is written.
-        planner: which finds the plan.
-        timeout: seconds that may take.
-
-    Raises:
-        InputError: a file is wrong, or has what cannot be written.
+    The plan can be written for the `original`, the first implementation. Raises `InputError` if a file is wrong, or has what cannot
+    be written.
     """
     model = read_domain(domain)
     if problem is None:
@@ -75,11 +67,7 @@ def exported(
 
 
 def imported(file: Path) -> Imported:
-    """Return the domain of a YAML file, and its problem, as PDDL.
-
-    Raises:
-        InputError: the file is wrong, or has what PDDL has not.
-    """
+    """Return the domain of a YAML file, and its problem, as PDDL; raise `InputError` if the file is wrong, or has what PDDL has not."""
     contents = read(file)
     texts = {"domain.pddl": domain_text(contents.domain, contents.of("domain"))}
     domain = parse_domain(texts["domain.pddl"], "domain.pddl")  # which warns of requirements that other planners will miss

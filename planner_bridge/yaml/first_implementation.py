@@ -52,8 +52,7 @@ _FALSE: Final = Bare("false")
 def write_original(problem: Problem, plan: Plan) -> str:
     """Write the steps of a plan.
 
-    Raises:
-        InputError: the domain, the problem or the plan has something without a counterpart there; the message names it.
+    Raises `InputError`, which names it, if something in the domain, the problem or the plan has no counterpart there.
     """
     used = [problem.domain.actions[name] for name in dict.fromkeys(step.action for step in plan.steps)]
     impossible = [
@@ -162,9 +161,8 @@ class _UnrolledPlan:
                 case Set():
                     raise self._impossible(f"a conditional effect on a value, {flat(effects_form((effect,)))},")
         for fluent, when in deleted:
-            self._store(
-                self._variable(fluent), _FALSE if when is None else _both("and", self._holds(fluent), single("not", _is_true(when)))
-            )
+            kept = _FALSE if when is None else _both("and", self._holds(fluent), single("not", _is_true(when)))
+            self._store(self._variable(fluent), kept)
         for fluent, when in added:
             self._store(self._variable(fluent), _TRUE if when is None else _both("or", self._holds(fluent), _is_true(when)))
         for fluent, value in numbers.items():

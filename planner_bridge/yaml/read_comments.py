@@ -40,19 +40,11 @@ _FORMULAS: Final = ("condition", "at_start", "effects")
 
 
 def comments(text: str, nodes: Iterable[yaml.Node], document: Mapped, domain: Domain) -> Table:
-    """Return the comments in the file of a domain, marked as in PDDL.
-
-    Args:
-        text: of the file.
-        nodes: its documents.
-        document: the one that has the domain.
-        domain: which was read from it.
-    """
+    """Return the comments in the file of a domain, marked as in PDDL, given its documents and the one that has the domain."""
     lines = LineIndex.of(text)
     anchors = [*_Anchors(lines, domain).of_document(document)]
-    remarks = [
-        Comment(_MARK.sub(lambda marks: ";" * len(marks[0]), remark.text, count=1), remark.offset) for remark in _remarks(text, nodes)
-    ]
+    texts = ((_MARK.sub(lambda marks: ";" * len(marks[0]), remark.text, count=1), remark.offset) for remark in _remarks(text, nodes))
+    remarks = [Comment(marked, offset) for marked, offset in texts]
     return attach(remarks, anchors, lines, _Outline({anchor.path: anchor.start for anchor in anchors}, lines).thing_above)
 
 
@@ -151,8 +143,6 @@ class _Anchors:
                 case "actions" if not node.is_null:
                     for name, position, action in node.mapped().entries():
                         yield from self._action(self.domain.actions[name], position, action, path)
-                case _:
-                    pass
 
     def _inside(self, key: str, node: Node, path: AnchorPath) -> Iterator[Anchor]:
         """Yield the things in a section that has names, declarations, facts or a formula."""
@@ -170,8 +160,6 @@ class _Anchors:
                         yield self._item((*path, fact_anchor(["at", time, _fact(fact)])), fact.position)
                 case "init":
                     yield self._item((*path, fact_anchor(_fact(item))), item.position)
-                case _:
-                    pass
 
     def _action(self, schema: ActionSchema, position: Position, action: Node, path: AnchorPath) -> Iterator[Anchor]:
         inner = (*path, ACTION, schema.name.lower())

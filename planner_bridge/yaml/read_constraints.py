@@ -7,9 +7,11 @@ from typing import Final, Literal
 
 from planner_bridge.model.problem import Metric
 from planner_bridge.pddl.read.symbols import CONSTRAINTS
+from planner_bridge.pddl.read.terms import IS_VIOLATED, TOTAL_TIME
+from planner_bridge.pddl.syntax.words import TIME_SPECIFIERS, TimeSpecifier
 from pnm.core.logic.conditions import Condition
 from pnm.core.logic.domain import Preference
-from pnm.core.logic.expressions import Constant, Variable, expression_fluents
+from pnm.core.logic.expressions import Constant, ValueOf, Variable, expression_fluents
 from pnm.core.logic.trajectory import Constraint
 from pnm.errors import InputError, suggestion
 from pnm.files.yaml_nodes import Mapped, Node
@@ -19,14 +21,8 @@ from pnm.language.formulas.words import needed_form
 
 CONSTRAINT_WORDS: Final[Mapping[str, tuple[int, int]]] = {**CONSTRAINTS, "at_end": (0, 1)}
 """For every operator of a constraint, how many times and how many conditions it takes."""
-_MOMENTS: Final[Mapping[str, Literal["at start", "over all", "at end"]]] = {
-    "at_start": "at start",
-    "over_all": "over all",
-    "at_end": "at end",
-}
+_MOMENTS: Final[Mapping[str, TimeSpecifier]] = {moment.replace(" ", "_"): moment for moment in TIME_SPECIFIERS}
 _DIRECTIONS: Final[Mapping[str, Literal["minimize", "maximize"]]] = {"minimize": "minimize", "maximize": "maximize"}
-_TOTAL_TIME: Final = "total-time"
-_IS_VIOLATED: Final = "is-violated"
 
 
 def read_constraint(node: Node, scope: FormulaScope, variables: tuple[Variable, ...] = ()) -> Constraint:
@@ -48,13 +44,7 @@ def read_constraint(node: Node, scope: FormulaScope, variables: tuple[Variable, 
 
 
 def read_preference(node: Node, scope: FormulaScope, *, timed: bool = False) -> Preference:
-    """Read a preference.
-
-    Args:
-        node: the preference.
-        scope: the names around it.
-        timed: whether it stands in a durative action, where it needs a moment.
-    """
+    """Read a preference; `timed` if it stands in a durative action, where it needs a moment."""
     entry = node.mapped()
     entry.only("name", "variables", "moment", "condition", "constraints")
     variables: tuple[Variable, ...] = ()
@@ -94,12 +84,13 @@ def read_metric(entry: Mapped, scope: FormulaScope, preferences: Collection[str]
         raise argument.wrong(f"expected a number or a function such as (total-time), found {expression}")
     for fluent in expression_fluents(expression):
         match fluent:
-            case (name,) if name == _TOTAL_TIME:
+            case (name,) if name == TOTAL_TIME:
                 pass
-            case (word, name) if word == _IS_VIOLATED:
+            case (word, name) if word == IS_VIOLATED:
                 if name not in preferences:
                     hint = suggestion(name, preferences) or f"expected one of {', '.join(preferences) or 'none at all'}"
                     raise InputError(f"there is no preference {name!r} here; {hint}", argument.position_of(name))
             case _:
-                scope.check_number(fluent, argument)
+                scope.check_fluent(fluent, argument, "function")
+                scope.check_value(ValueOf(fluent), (), argument)
     return Metric(_DIRECTIONS[construct.word], expression)

@@ -49,20 +49,12 @@ class Contents:
 
 
 def read(path: Path) -> Contents:
-    """Read a YAML file.
-
-    Raises:
-        InputError: the file cannot be read, is not such YAML, or has what PDDL has not.
-    """
+    """Read a YAML file; raise `InputError` if the file cannot be read, is not such YAML, or has what PDDL has not."""
     return parse(read_text(path, MAX_BYTES), str(path))
 
 
 def parse(text: str, file: str) -> Contents:
-    """Read the text of a YAML file.
-
-    Raises:
-        InputError: it is not such YAML, or has what PDDL has not.
-    """
+    """Read the text of a YAML file; raise `InputError` if it is not such YAML, or has what PDDL has not."""
     nodes = compose(text, file, ANCHORS)
     top = domain_document([Mapped.of(node, file) for node in nodes])
     if top is None:
@@ -122,7 +114,6 @@ def _problem(model: ProblemModel, domain: Domain, section: Mapped) -> Problem:
 
 
 def _fields(model: DomainModel | ProblemModel) -> Mapping[str, Any]:
-    """Return the fields that the model of planners shares."""
     kind = DomainModel if isinstance(model, DomainModel) else ProblemModel
     return {name: getattr(model, name) for name in kind.__dataclass_fields__}
 
@@ -139,9 +130,6 @@ def _hddl_text(node: Node, heads: tuple[str, ...]) -> str:
     if node.text and lists and isinstance(lists[0], Group) and lists[0].head in heads:
         return node.text
     raise node.wrong(f"expected the text of {' or '.join(heads)}, found {shown(node)}")
-
-
-# --- names ---------------------------------------------------------------------------------
 
 
 def _check_names(model: ProblemModel, top: Mapped) -> None:
@@ -174,8 +162,7 @@ def _check_spelling(kind: str, names: Iterable[str], node: Node | None, forbidde
         if name.lower() in forbidden:
             raise InputError(f"{name!r} is a word of PDDL and cannot name {with_article(kind)}", node.position_of(name))
         if NAME.fullmatch(name) is None or NUMBER.fullmatch(name) is not None:
-            raise InputError(
-                f"{name!r} cannot name {with_article(kind)} in PDDL; expected letters, digits and _ - . @", node.position_of(name)
-            )
+            message = f"{name!r} cannot name {with_article(kind)} in PDDL; expected letters, digits and _ - . @"
+            raise InputError(message, node.position_of(name))
         if spelled.setdefault(name.lower(), name) != name:
             raise InputError(f"PDDL does not tell {name!r} from {spelled[name.lower()]!r}", node.position_of(name))

@@ -7,12 +7,12 @@ from dataclasses import replace
 from typing import Final
 
 from planner_bridge.model.problem import Domain, Problem
-from planner_bridge.pddl.comments.table import NO_NOTES, Notes, Table, write_with_notes
+from planner_bridge.pddl.comments.table import NO_NOTE, NO_NOTES, Notes, Table, write_with_notes
 from planner_bridge.pddl.syntax.anchors import ACTION, fact_anchor, hierarchy_anchor, rule_anchor
 from planner_bridge.pddl.syntax.pretty_print import flat
 from planner_bridge.pddl.syntax.words import number_text
 from planner_bridge.pddl.write.forms import typed_lines, types_form, variables_form
-from planner_bridge.pddl.write.writer import change_form, rule_form
+from planner_bridge.pddl.write.writer import NO_COMMENTS, change_form, rule_form
 from planner_bridge.yaml.emitter import Bare, Entry, Mapping, Sequence, Value, depth, document, items, single
 from planner_bridge.yaml.write_formulas import conditions, constraints, duration, effects, expression, preferences, typed
 from pnm.core.logic.conditions import TRUE
@@ -21,7 +21,6 @@ from pnm.core.logic.rules import DerivationRule
 from pnm.errors import InputError
 from pnm.files.yaml_loader import MAX_DEPTH
 
-NO_COMMENTS: Final[Table] = {}
 SCHEMA_MARK: Final = "# yaml-language-server:"
 """Begins a comment that is for editors."""
 SCHEMA: Final = ""
@@ -36,8 +35,7 @@ def write_domain(domain: Domain, table: Table = NO_COMMENTS) -> str:
 def write_problem(problem: Problem, table: Table = NO_COMMENTS, plan: Iterable[Entry] = ()) -> str:
     """Write a domain and a problem as one YAML file, with the comments of the table, and a plan for the problem.
 
-    Raises:
-        InputError: something is nested deeper than the language allows.
+    Raises `InputError` if something is nested deeper than the language allows.
     """
 
     def write(notes: Notes) -> str:
@@ -54,9 +52,6 @@ def written(entries: Iterable[Entry]) -> str:
     if depth(whole) >= MAX_DEPTH:
         raise InputError(f"this is nested too deeply for YAML files, which may have {MAX_DEPTH} lists and mappings in each other")
     return (f"{SCHEMA_MARK} $schema={SCHEMA}\n" if SCHEMA else "") + document(whole)
-
-
-# --- domains -------------------------------------------------------------------------------
 
 
 def domain_entries(domain: Domain, notes: Notes) -> list[Entry]:
@@ -118,9 +113,8 @@ def _rule(rule: DerivationRule, notes: Notes) -> Entry:
 
 def _constraints(whole: Domain | Problem, notes: Notes) -> Entry:
     own = notes.at(":constraints")
-    note = own.take() if whole.constraints or any(isinstance(preference.wanted, tuple) for preference in whole.preferences) else None
-    written = constraints(whole.constraints, own)
-    return Entry(written, "constraints", note) if note else Entry(written, "constraints")
+    note = own.take() if whole.constraints or any(isinstance(preference.wanted, tuple) for preference in whole.preferences) else NO_NOTE
+    return Entry(constraints(whole.constraints, own), "constraints", note)
 
 
 def _parts(schema: ActionSchema, notes: Notes) -> Iterator[Entry]:
@@ -151,9 +145,6 @@ def _parts(schema: ActionSchema, notes: Notes) -> Iterator[Entry]:
 def _moments(parts: Iterable[tuple[str, Value]]) -> Value | None:
     entries = tuple([Entry(value, key) for key, value in parts])
     return Mapping(entries) if entries else None
-
-
-# --- problems ------------------------------------------------------------------------------
 
 
 def _problem(problem: Problem, notes: Notes) -> Iterator[Entry]:

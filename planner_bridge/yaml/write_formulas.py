@@ -22,21 +22,14 @@ from pnm.errors import InputError
 
 _LONG: Final = 80
 
-# --- conditions ----------------------------------------------------------------------------
-
 
 def conditions(condition: Condition, notes: Notes) -> Value:
     """Write what must hold: one condition, or a list of them."""
-    return one_or_list([_noted(part, notes) for part in conjuncts(condition)])
-
-
-def one_or_list(entries: list[Entry]) -> Value:
-    """Return the one value, if it has no comments, or a list."""
+    entries = [_noted(part, notes) for part in conjuncts(condition)]
     return entries[0].value if len(entries) == 1 and not entries[0].note else Sequence(tuple(entries))
 
 
 def _noted(condition: Condition, notes: Notes) -> Entry:
-    """Write a condition with its comments."""
     if isinstance(condition, All):  # which is looked through when comments are read
         return Entry(_condition(condition, notes))
     own = notes.at(form_anchor(condition_form(condition))) if notes else NO_NOTES
@@ -48,9 +41,8 @@ def _condition(condition: Condition, notes: Notes) -> Value:
         case Holds(fluent):
             return fluent_text(fluent)
         case Compare(operation, left, right):
-            return single(
-                "Comparison", items([operation, items([expression(left), expression(right)], short=True)], short=True), short=True
-            )
+            sides = items([expression(left), expression(right)], short=True)
+            return single("Comparison", items([operation, sides], short=True), short=True)
         case Not(operand):
             entry = _noted(operand, notes)
             return Mapping((Entry(entry.value, "not", entry.note),))
@@ -98,9 +90,6 @@ def expression(value: Expression) -> Value:
             assert_never(value)
 
 
-# --- effects -------------------------------------------------------------------------------
-
-
 def effects(listed: Effects, notes: Notes) -> Sequence:
     """Write effects, each an item of a list."""
     entries: list[Entry] = []
@@ -125,9 +114,6 @@ def _effect(effect: Effect, notes: Notes) -> Value:
             return single("forall", _quantified(variables, "effects", effects(inner, notes)))
         case _:
             assert_never(effect)
-
-
-# --- durations, constraints, preferences ---------------------------------------------------
 
 
 def duration(bounds: tuple[DurationConstraint, ...]) -> Value:

@@ -59,9 +59,8 @@ class _StepWriter:
             case Series(parts):
                 return [self._block(part, order) for part in parts]
             case Mesh(before):
-                return self._mesh(
-                    {order[step]: tuple(order[other] for other in others) for step, others in before.items()}, in_sequence=True
-                )
+                waits = {order[step]: tuple(order[other] for other in others) for step, others in before.items()}
+                return self._mesh(waits, in_sequence=True)
             case whole:
                 return [self._block(whole, order)]
 

@@ -71,7 +71,6 @@ def read_binding(entry: Mapped, *, type_key: str = "type", retries: int = DEFAUL
 
 
 def _read_resources(entry: Mapped) -> Iterator[tuple[str, Position]]:
-    """Yield the patterns of resources, and where they stand."""
     names, node = entry.strings("resources"), entry.node("resources")
     items = (node.items if node else None) or ()
     for name, item in zip(names, items, strict=True):

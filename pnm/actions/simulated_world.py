@@ -12,8 +12,7 @@ from typing import Final
 from pnm.core.knowledge_base import KnowledgeBase
 from pnm.core.logic.conditions import TRUE, Condition, data_in
 from pnm.core.logic.effects import Changes, changes, decided, undo, values_before
-from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.explain import failing
+from pnm.core.logic.evaluation import evaluate, failing
 from pnm.core.logic.expressions import Fluent, Unknown, Value
 from pnm.core.machine.plan_graph import GroundAction
 from pnm.errors import InputError

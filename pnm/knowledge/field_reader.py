@@ -27,23 +27,18 @@ def read_field(entry: Mapped) -> Field:
 
 def read_number(entry: Mapped) -> FieldValue:
     """Read a field, and a table of numbers for its values if there is one."""
-    if "table" not in entry.nodes:
-        return FieldValue(read_field(entry))
     table = read_table(entry)
-    for name, _, node in _table_node(entry).entries():
-        value = table[name]
+    for name, value in (table or {}).items():
         if not is_number(value) or not math.isfinite(value):
-            raise node.wrong(f"expected a number for {name!r}")
+            raise entry.section("table").needed(name).wrong(f"expected a number for {name!r}")
     return FieldValue(read_field(entry), table)
 
 
 def read_object(entry: Mapped, types: tuple[str, ...], known: Vocabulary | None) -> FieldValue:
     """Read a field, and a table of objects of these types for its values if there is one."""
-    if "table" not in entry.nodes:
-        return FieldValue(read_field(entry))
     table = read_table(entry)
-    for name, _, node in _table_node(entry).entries():
-        value = table[name]
+    for name, value in (table or {}).items():
+        node = entry.section("table").needed(name)
         if not isinstance(value, str):
             raise node.wrong(f"expected the name of an object for {name!r}, or {UNDEFINED}")
         if known is not None and value != UNDEFINED:
@@ -51,19 +46,14 @@ def read_object(entry: Mapped, types: tuple[str, ...], known: Vocabulary | None)
     return FieldValue(read_field(entry), table)
 
 
-def read_table(entry: Mapped) -> dict[str, object]:
-    """Read the table under ``table``, from values of a field to their meanings."""
-    table = {name: node.plain() for name, _, node in _table_node(entry).entries()}
-    if not table:
-        raise InputError("expected values of the field and what they mean", entry.position("table"))
-    return table
-
-
-def _table_node(entry: Mapped) -> Mapped:
+def read_table(entry: Mapped) -> dict[str, object] | None:
+    """Read the table under ``table``, from values of a field to their meanings; None if there is none."""
     node = entry.node("table")
-    if node is None or not node.is_mapping:
-        raise InputError("expected values of the field and what they mean", entry.position("table"))
-    return node.mapped()
+    if node is None:
+        return None
+    if not node.is_mapping or not node.mapped().nodes:
+        raise node.wrong("expected values of the field and what they mean")
+    return {name: value.plain() for name, _, value in node.mapped().entries()}
 
 
 def read_test(entry: Mapped) -> Test:

@@ -191,7 +191,7 @@ class _Reader:
             for variable in variables:
                 if variable.name[1:] not in placeholders(name):
                     raise InputError(f"{name!r} does not name {{{variable.name[1:]}}}, so all would be one variable", where)
-            table = read_table(entry) if entry.plain("table") is not None else None
+            table = None if entry.filled("table") is None else read_table(entry)
             yield Stored(name, FieldValue(read_field(entry), table), where)
 
     def _typed(self, fluent: Fluent, kind: FluentKind, variables: tuple[Variable, ...], where: Position) -> Signature | None:

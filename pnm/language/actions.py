@@ -116,13 +116,7 @@ def _in_effects(effects: Effects, *, values: bool = False) -> frozenset[str]:
 
 
 def read_schema(name: str, entry: Mapped, scope: FormulaScope) -> ActionSchema:
-    """Read the schema of an action.
-
-    Args:
-        name: of the action.
-        entry: its keys.
-        scope: the names around it; the action's parameters come besides.
-    """
+    """Read the schema of an action from its keys, given the names around it; the action's parameters come besides."""
     entry.only(*ACTION_KEYS)
     params, duration = entry.filled("params"), entry.filled("duration")
     parameters = () if params is None else read_typed(params, scope)
@@ -132,15 +126,7 @@ def read_schema(name: str, entry: Mapped, scope: FormulaScope) -> ActionSchema:
     conditions = read_conditions(entry.filled("preconditions"), inner)
     start_effects, end = read_timed_effects(entry.filled("effects"), inner)
     schema = ActionSchema(
-        name,
-        parameters,
-        conditions.start,
-        conditions.always,
-        conditions.end,
-        start_effects,
-        end.effects,
-        bounds,
-        expected=end.expected,
+        name, parameters, conditions.start, conditions.always, conditions.end, start_effects, end.effects, bounds, expected=end.expected
     )
     if scope.strict:
         timed = (schema.invariant, schema.end_condition) != (TRUE, TRUE), bool(schema.start_effects)
@@ -157,6 +143,13 @@ def read_action(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> Lan
     if schema.name in RESERVED:
         raise InputError(f"{schema.name!r} is a word of the language; an action cannot be called so", entry.start)
     is_open = entry.filled("params") is None
+    inner = replace(scope, variables=None if is_open else {}).inside(schema.parameters)
+    returns: list[tuple[str, Data]] = []
+    for name, _, value in entry.section("simulated").entries():
+        data = read_data(value, inner)
+        if any(isinstance(part, Query) for part in parts(data)):
+            raise value.wrong(f"a simulated server knows its goal, not the variables of the run; expected something like ?{name}")
+        returns.append((name, data))
     return LanguageAction(
         schema,
         _kind(entry),
@@ -164,7 +157,7 @@ def read_action(schema: ActionSchema, entry: Mapped, scope: FormulaScope) -> Lan
         is_open,
         binding=read_binding(entry, type_key="ros_type", retries=0),
         resources=tuple(entry.strings("resources")),
-        returns=_simulated(entry, replace(scope, variables=None if is_open else {}).inside(schema.parameters)),
+        returns=tuple(returns),
         recoveries=entry.node("recoveries"),
     )
 
@@ -182,17 +175,6 @@ def _kind(entry: Mapped) -> ActionKind:
     if name not in known:
         raise unknown("kind of action", name, known, node.position)
     return known[name]
-
-
-def _simulated(entry: Mapped, scope: FormulaScope) -> tuple[tuple[str, Data], ...]:
-    """Read what a simulated server answers; like a real one it knows its goal and the world, but no variables."""
-    answers: list[tuple[str, Data]] = []
-    for name, _, value in entry.section("simulated").entries():
-        data = read_data(value, scope)
-        if any(isinstance(part, Query) for part in parts(data)):
-            raise value.wrong(f"a simulated server knows its goal, not the variables of the run; expected something like ?{name}")
-        answers.append((name, data))
-    return tuple(answers)
 
 
 def read_class(node: Node) -> tuple[str, str]:

@@ -72,9 +72,6 @@ def declaration_parts(node: Node) -> tuple[str, str, str]:
     return match[1], match[2], match[3] or ""
 
 
-# --- derived facts -------------------------------------------------------------------------
-
-
 def read_derived(top: Mapped, scope: FormulaScope) -> Rules:
     """Read ``derived``: a list of ``{fact: (reachable ?p - place), condition: c}``."""
     rules = [read_rule(node, scope) for node in top.listed("derived")]
@@ -96,24 +93,15 @@ def read_rule(node: Node, scope: FormulaScope) -> DerivationRule:
     if declared is None and (domain.fluents or scope.strict) and name not in (() if scope.strict else domain.fluents):
         raise unknown("predicate", name, domain.predicates.keys(), fact.position_of(name))
     if declared is not None:
-        variables = _narrowed(variables, declared, fact, scope)
+        if len(variables) != len(declared.parameters):
+            raise fact.wrong(f"expected {declared}, found {len(variables)} variables")
+        pairs = zip(variables, declared.parameters, strict=True)
+        variables = tuple(Variable(own.name, needed.types) if own.types == ("object",) else own for own, needed in pairs)
+        for own, needed in zip(variables, declared.parameters, strict=True):
+            if scope.strict and not all(domain.matches((kind,), needed.types) for kind in own.types):
+                types = f"{' or '.join(own.types)}; expected {' or '.join(needed.types)}"
+                raise InputError(f"{own.name!r} is of type {types}", fact.position_of(own.name))
     return DerivationRule(name, variables, read_condition(condition, replace(scope, variables={}).inside(variables)))
-
-
-def _narrowed(variables: tuple[Variable, ...], declared: Declaration, node: Node, scope: FormulaScope) -> tuple[Variable, ...]:
-    if len(variables) != len(declared.parameters):
-        raise node.wrong(f"expected {declared}, found {len(variables)} variables")
-    typed: list[Variable] = []
-    for given, needed in zip(variables, declared.parameters, strict=True):
-        narrowed = Variable(given.name, needed.types) if given.types == ("object",) else given
-        if scope.strict and not all(scope.declared.domain.matches((kind,), needed.types) for kind in narrowed.types):
-            types = f"{' or '.join(given.types)}; expected {' or '.join(needed.types)}"
-            raise InputError(f"{given.name!r} is of type {types}", node.position_of(given.name))
-        typed.append(narrowed)
-    return tuple(typed)
-
-
-# --- initial facts -------------------------------------------------------------------------
 
 
 def read_facts(nodes: Iterable[Node], scope: FormulaScope) -> dict[Fluent, Value]:

@@ -58,13 +58,11 @@ def domain_from(top: Mapped, warnings: tuple[Tolerated, ...] = ()) -> LanguageDo
 
 
 def read_model(top: Mapped, *, strict: bool = False) -> tuple[ProblemModel, Rules]:
-    """Read the domain of a document and its problem, and the rules in their strata.
-
-    Args:
-        top: the document.
-        strict: whether planners are to understand it; see `pnm.language.formulas.scope.FormulaScope`.
-    """
-    section = problem_section(top)
+    """Read the domain of a document and its problem, and the rules in their strata; `strict` is that of `FormulaScope`."""
+    node = top.filled("problem")
+    section = None if node is None else node.mapped()
+    if section is not None:
+        section.only(*PROBLEM_KEYS)
     declared = read_declarations(top, section, strict=strict)
     scope = FormulaScope(declared, {}, strict, borrows=section is None)
     rules = read_derived(top, scope)
@@ -75,16 +73,6 @@ def read_model(top: Mapped, *, strict: bool = False) -> tuple[ProblemModel, Rule
         return replace(declared, domain=domain), rules
     facts, timed = read_initial(section, scope)
     return replace(declared, domain=domain, init=facts, timed=timed, goal=read_goal(section, scope)), rules
-
-
-def problem_section(top: Mapped) -> Mapped | None:
-    """Return the section ``problem``, None without one."""
-    node = top.filled("problem")
-    if node is None:
-        return None
-    section = node.mapped()
-    section.only(*PROBLEM_KEYS)
-    return section
 
 
 def read_goal(entry: Mapped, scope: FormulaScope) -> Condition:

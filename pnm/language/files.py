@@ -187,11 +187,7 @@ def _entries(document: Mapped) -> list[tuple[str, Mapped]]:
 
 
 def domain_document(documents: Iterable[Mapped]) -> Mapped | None:
-    """Return the document that has a domain; None if none has.
-
-    Raises:
-        InputError: several have.
-    """
+    """Return the document that has a domain; None if none has. Raise `InputError` if several have."""
     domains = [document for document in documents if document.nodes.keys() & _ONLY_DOMAINS]
     if len(domains) > 1:
         raise InputError("there is a domain in this file already", domains[1].start)
@@ -199,11 +195,7 @@ def domain_document(documents: Iterable[Mapped]) -> Mapped | None:
 
 
 def beside(entry: Mapped, key: str, path: str) -> Path:
-    """Return a file that is named relative to the one the entry stands in.
-
-    Raises:
-        InputError: there is no such file.
-    """
+    """Return a file that is named relative to the one the entry stands in; raise `InputError` if there is no such file."""
     file = Path(entry.file).parent / path
     if not os.path.isfile(file):  # unlike `Path.is_file` also for names that are too long
         others = sorted(path.name for path in file.parent.glob("*.y*ml")) if os.path.isdir(file.parent) else []

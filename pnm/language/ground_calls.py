@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from pnm.core.logic.computed_values import Data, KnowledgeOperation, Layer, Literal, Operation, Query, Update, filled, parameters_in, parts
-from pnm.core.logic.conditions import TRUE, Condition, ground
+from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.expressions import Environment, Fluent, Value, ValueOf, is_number, text_of, value_of
 from pnm.core.machine.grounding import ground_schema
 from pnm.core.machine.plan_graph import EMPTY, Cause, GroundAction, Recovery, Then
@@ -69,10 +69,6 @@ class Substitution:
             {name: value for name, value in plain.items() if is_number(value) or (isinstance(value, str) and value[:1] != "?")},
         )
 
-    def condition(self, condition: Condition) -> Condition:
-        """Return the condition as it is for this call."""
-        return ground(condition, self.env)
-
     def argument(self, name: str) -> str:
         """Return the argument for a parameter without ``?``: the name or number it is given, or ``?name``."""
         return text_of(self.env.get(f"?{name}", f"?{name}"))
@@ -81,20 +77,14 @@ class Substitution:
 def ground_action(step: CallStep, outer: Mapping[str, Data], facts: Facts) -> tuple[GroundAction, Substitution]:
     """Return what the step does, and what it gives the parameters.
 
-    Args:
-        step: the call.
-        outer: in a chain of recovery, what the call that recovers gives its parameters, with ``?``.
-        facts: what is so at the beginning.
-
-    Raises:
-        InputError: a fact is computed from a parameter that is not known in the plan.
+    In a chain of recovery, `outer` is what the call that recovers gives its parameters, with ``?``; `facts` are those at the beginning.
+    Raises `InputError` if a fact is computed from a parameter that is not known in the plan.
     """
     given = {name: filled_data(value.data, outer) for name, value in step.given.items()}
     for name, data in given.items():
         if left := {parameter for part in parts(data) if isinstance(part, ValueOf) for parameter in parameters_in(part)}:
-            raise InputError(
-                f"{min(left)} is not known in the plan; a fact in a value needs the name of an object", step.given[name].position
-            )
+            message = f"{min(left)} is not known in the plan; a fact in a value needs the name of an object"
+            raise InputError(message, step.given[name].position)
     own = Substitution.of(given)
     unbound = {name: data for name, data in outer.items() if name not in {variable.name for variable in step.action.schema.parameters}}
     operation = None if step.operation is None else filled_operation(step.operation, unbound)

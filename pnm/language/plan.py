@@ -29,7 +29,6 @@ from pnm.language.files import PlanHead, beside, parse_documents, plan_heads, pl
 from pnm.language.formulas.scope import NOTHING_DECLARED, FormulaScope, unknown
 from pnm.language.formulas.values import read_literal
 from pnm.language.ground_calls import Facts
-from pnm.language.plan_tree import WrittenRecovery
 from pnm.language.steps import StepReader
 from pnm.language.to_plan_graph import PlanGraphBuilder
 
@@ -50,7 +49,6 @@ class HandWrittenPlan:
     facts: Mapping[Fluent, Value] = field(default_factory=dict)
     """The initial facts, as far as files have them."""
     timed: tuple[TimedChange, ...] = ()
-    """Timed facts."""
     objects: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """By type."""
     timeout: float | None = None
@@ -103,8 +101,7 @@ def parse_plans(text: str, file: str = "plan.yaml", domain: LanguageDomain | Non
 def finished(heads: Sequence[PlanHead]) -> dict[str, HandWrittenPlan]:
     """Read plans whose heads are known, so that they may call each other.
 
-    Raises:
-        InputError: two have the same name, they call each other in a circle, or something in them is wrong.
+    Raises `InputError` if two have the same name, they call each other in a circle, or something in them is wrong.
     """
     by_name: dict[str, PlanHead] = {}
     for head in heads:
@@ -131,9 +128,8 @@ def _plan(head: PlanHead, others: Mapping[str, PlanHead]) -> HandWrittenPlan:
     steps = reader.steps(entry.needed("plan"))
     scope = FormulaScope(domain.model, {})
     facts = {**domain.model.init, **read_facts(entry.listed("facts"), scope)}
-    recoveries: dict[str, tuple[WrittenRecovery, ...]] = {
-        name: reader.recoveries(action, action.recoveries) for name, action in actions.items() if action.recoveries is not None
-    }
+    own = {name: action.recoveries for name, action in actions.items() if action.recoveries is not None}
+    recoveries = {name: reader.recoveries(actions[name], node) for name, node in own.items()}
     builder = PlanGraphBuilder(lambda action: recoveries.get(action.name, ()), Facts(facts), max(1, entry.whole("restarts", 1)))
     goal = read_goal(entry, scope)
     graph = builder.graph(steps, domain.model.goal if goal == TRUE else goal, domain.rules, _capacities(entry))
@@ -192,11 +188,6 @@ class World:
     plans: Mapping[str, HandWrittenPlan]
     domain: LanguageDomain
 
-    @property
-    def sources(self) -> tuple[SourceChoice, ...]:
-        """The sources of knowledge that the domain chose."""
-        return self.domain.sources
-
 
 def read_world(path: Path, name: str | None = None) -> World:
     """Read a world.
@@ -241,8 +232,7 @@ def _world(name: str, entry: Mapped, key: str) -> World:
 def chosen_plan(plans: Mapping[str, HandWrittenPlan], name: str | None) -> str:
     """Return the name of the plan to carry out: the only one that no other calls, if none is named.
 
-    Raises:
-        InputError: there is no such plan, or none is named and there are several.
+    Raises `InputError` if there is no such plan, or none is named and there are several.
     """
     called = frozenset(other for plan in plans.values() for other in plan.calls)
     candidates = [candidate for candidate in plans if candidate not in called] if name is None else [name]

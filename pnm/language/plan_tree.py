@@ -151,13 +151,7 @@ ReadSteps: TypeAlias = Callable[[tuple[Node, ...], Position], SequenceStep]
 
 
 def read_recoveries(node: Node, scope: FormulaScope, read_steps: ReadSteps) -> tuple[WrittenRecovery, ...]:
-    """Read what is done when a call fails.
-
-    Args:
-        node: a mapping with the keys ``before``, ``during`` and ``after``.
-        scope: what conditions may use: the parameters of the call.
-        read_steps: reads the chains.
-    """
+    """Read what is done when a call fails: ``before``, ``during`` and ``after``; the scope has the parameters of the call."""
     if node.is_null:
         return ()
     entry = node.mapped()

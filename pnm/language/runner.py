@@ -36,11 +36,7 @@ from pnm.language.plan import HandWrittenPlan
 
 
 def check_names(plan: HandWrittenPlan, given: Mapping[str, object]) -> None:
-    """Refuse parameters that the plan does not have.
-
-    Raises:
-        InputError: there is one.
-    """
+    """Refuse parameters that the plan does not have; raise `InputError` if there is one."""
     known = plan.parameters
     for name in given:
         if known is not None and name not in known:
@@ -51,14 +47,8 @@ def check_names(plan: HandWrittenPlan, given: Mapping[str, object]) -> None:
 async def check_values(plan: HandWrittenPlan, knowledge: Layered, source: Source | None, asker: Asker) -> None:
     """See to it that every parameter has a value, or that a person may be asked for it when it is needed.
 
-    Args:
-        plan: has the parameters; if it declares none, nothing is expected.
-        knowledge: of the run, before it begins; what is null in it need not have a value.
-        source: has the global knowledge, in which there may be a value as well.
-        asker: who asks.
-
-    Raises:
-        InputError: one has none.
+    A value may also be in the global knowledge, and what is null in the knowledge before the run need not have one.
+    Raises `InputError` if a parameter has none.
     """
     nameless = [name for name in plan.parameters or () if knowledge.variable(name) is MISSING]
     askable: set[str] = set()  # variables in whose place a person may be asked

@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
+from itertools import product
 from typing import Final, NamedTuple, assert_never
 
 from pnm.core.logic.computed_values import Data
-from pnm.core.logic.conditions import TRUE, Condition
+from pnm.core.logic.conditions import TRUE, Condition, ground
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.core.machine.plan_graph import (
     ActionCall,
@@ -69,10 +70,8 @@ class _Region:
 class PlanGraphBuilder:
     """Makes the graph of one plan. The mutable state is the number of steps so far, where calls stand, and which have recoveries.
 
-    Args:
-        recoveries: gives the recoveries of an action, from the domain.
-        facts: what is so at the beginning.
-        restarts: how often the plan may begin anew, where a recovery gives no number.
+    Recoveries of actions come from the domain, facts are those at the beginning; a plan may begin anew `restarts` times where a recovery
+    gives no number.
     """
 
     def __init__(self, recoveries: Callable[[LanguageAction], tuple[WrittenRecovery, ...]], facts: Facts, restarts: int = 1) -> None:
@@ -86,11 +85,7 @@ class PlanGraphBuilder:
     def graph(
         self, plan: SequenceStep, goal: Condition = TRUE, rules: Rules = NO_RULES, capacities: Mapping[str, int] | None = None
     ) -> PlanGraph:
-        """Return the graph of a plan.
-
-        Raises:
-            InputError: it would be too large, or contradicts itself.
-        """
+        """Return the graph of a plan; raise `InputError` if it would be too large, or contradicts itself."""
         flow = self._flow(plan, _Region({}, 0, ()))
         steps = list(every_step(flow.steps))
         calls = [step.index for step in steps if isinstance(step, ActionCall)]
@@ -100,7 +95,7 @@ class PlanGraphBuilder:
 
     def _flow(self, steps: SequenceStep, region: _Region) -> Flow:
         """Return the flow of steps; a call whose start others wait for, or whose end waits itself, can only be tried again or fail."""
-        self._sequence(steps, region)
+        self._ordered(steps.steps, region, in_sequence=True)
         special = {ordering.before.call for ordering in region.orderings if ordering.before.moment is Moment.START}
         special |= {ordering.after.call for ordering in region.orderings if ordering.after.moment is Moment.END}
         placed: list[Step] = []
@@ -124,8 +119,8 @@ class PlanGraphBuilder:
         match step:
             case CallStep():
                 return self._alone(self._call(step, region), region)
-            case SequenceStep():
-                return self._sequence(step, replace(region, depth=region.depth + 1))
+            case SequenceStep(_, steps):
+                return self._ordered(steps, replace(region, depth=region.depth + 1), in_sequence=True)
             case ConcurrentStep(_, branches):
                 return self._ordered(branches, replace(region, depth=region.depth + 1), in_sequence=False)
             case LoopStep(_, condition, body, limit):
@@ -138,9 +133,6 @@ class PlanGraphBuilder:
 
     def _inside(self, steps: SequenceStep, region: _Region) -> Flow:
         return self._flow(steps, _Region(region.outer, region.depth + 1, region.recovering))
-
-    def _sequence(self, sequence: SequenceStep, region: _Region) -> PartEnds:
-        return self._ordered(sequence.steps, region, in_sequence=True)
 
     def _ordered(self, steps: tuple[WrittenStep, ...], region: _Region, *, in_sequence: bool) -> PartEnds:
         """Put the steps of a list into the flow: in the order that ``after`` gives, or else in sequence or at the same time."""
@@ -158,19 +150,12 @@ class PlanGraphBuilder:
                 if not wait.is_plain:
                     earlier = parts[wait.step].last if wait.moment is Moment.END else parts[wait.step].first
                     own = part.first if wait.own is Moment.START else part.last
-                    region.orderings += [
-                        Ordering(PlanEvent(first, wait.moment), PlanEvent(second, wait.own), delay=wait.delay)
-                        for first in earlier
-                        for second in own
-                    ]
+                    for first, second in product(earlier, own):
+                        region.orderings.append(Ordering(PlanEvent(first, wait.moment), PlanEvent(second, wait.own), delay=wait.delay))
         waited = {wait.step for before in waits for wait in before if wait.moment is Moment.END}
+        free = [part for part, before in zip(parts, waits, strict=True) if all(after.own is Moment.END for after in before)]
         return PartEnds(
-            tuple(
-                first
-                for part, before in zip(parts, waits, strict=True)
-                if all(after.own is Moment.END for after in before)
-                for first in part.first
-            ),
+            tuple(first for part in free for first in part.first),
             tuple(last for number, part in enumerate(parts) if number not in waited for last in part.last),
         )
 
@@ -181,9 +166,8 @@ class PlanGraphBuilder:
             self._link(before, meeting, region)
             self._link(meeting, after, region)
         else:
-            region.orderings += [
-                Ordering(PlanEvent(first, Moment.END), PlanEvent(second, Moment.START)) for first in before for second in after
-            ]
+            pairs = product(before, after)
+            region.orderings += [Ordering(PlanEvent(first, Moment.END), PlanEvent(second, Moment.START)) for first, second in pairs]
 
     def _junction(self, position: Position | None, region: _Region) -> PartEnds:
         return self._alone(Junction(self._number(position)), region)
@@ -232,7 +216,7 @@ class PlanGraphBuilder:
         chain = self._flow(written.chain, _Region(around.outer, around.depth, around.recovering))
         usual = self._restarts if written.then is Then.RESTART_PLAN else 1
         times = usual if written.times is None else written.times
-        return Recovery(written.causes, written.then, chain, times, TRUE if written.when is None else own.condition(written.when))
+        return Recovery(written.causes, written.then, chain, times, TRUE if written.when is None else ground(written.when, own.env))
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +237,6 @@ class _After:
 
 
 def _waits(steps: tuple[WrittenStep, ...], *, in_sequence: bool) -> list[tuple[_After, ...]]:
-    """Return for every step of a list what it waits for."""
     numbers = {step.place.id: number for number, step in enumerate(steps) if step.place.id is not None}
     all_waits: list[tuple[_After, ...]] = []
     for number, step in enumerate(steps):
@@ -285,9 +268,6 @@ def _check_cycles(steps: tuple[WrittenStep, ...], waits: list[tuple[_After, ...]
         cycle = list(dict.fromkeys(step for step, _ in error.args[1]))
         names = " < ".join(steps[n].place.id or f"the step in line {steps[n].place.position.line}" for n in (*cycle, cycle[0]))
         raise InputError(f"steps wait for each other: {names}", steps[cycle[0]].place.position) from error
-
-
-# --- numbers -------------------------------------------------------------------------------
 
 
 def _renumbered(flow: Flow, numbers: Mapping[int, int]) -> Flow:

@@ -52,9 +52,8 @@ def _instantaneous(name: str, section: Group, symbols: SymbolTable) -> ActionSch
     scope = TermScope(symbols).inside(parameters)
     empty = Group((), section.offset, section.source)
     precondition, preferences = split_preferences(parts.get(":precondition", empty), scope)
-    return ActionSchema(
-        name, parameters, precondition=precondition, end_effects=effects(parts.get(":effect", empty), scope), preferences=preferences
-    )
+    changes = effects(parts.get(":effect", empty), scope)
+    return ActionSchema(name, parameters, precondition=precondition, end_effects=changes, preferences=preferences)
 
 
 def _durative(name: str, section: Group, symbols: SymbolTable) -> ActionSchema:
@@ -133,7 +132,6 @@ def _merged(parts: Iterable[Timed[T]]) -> Timed[T]:
 
 
 def _timed_conditions(node: Node, scope: TermScope) -> tuple[dict[TimeSpecifier, Condition], tuple[Preference, ...]]:
-    """Return the condition of each moment, and the preferences."""
     hard, soft = _conditions(node, scope)
     return {moment: conjunction(hard.get(moment, ())) for moment in TIME_SPECIFIERS}, tuple(soft)
 

@@ -122,10 +122,7 @@ class _AnchorFinder:
             else:
                 inner = (*path, form_anchor(form))
                 yield self.anchor(node, inner)
-                if node.head in COMPOUND and not _is_plain_negation(node):
+                operand = node.rest[0] if node.rest else None
+                is_compound = isinstance(operand, Group) and (operand.head in COMPOUND or operand.head == "and")
+                if node.head in COMPOUND and (node.head != "not" or is_compound):
                     yield from self.formulas(node.rest, inner)
-
-
-def _is_plain_negation(node: Group) -> bool:
-    operand = node.rest[0] if node.rest else None
-    return node.head == "not" and not (isinstance(operand, Group) and (operand.head in COMPOUND or operand.head == "and"))

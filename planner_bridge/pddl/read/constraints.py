@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 from planner_bridge.pddl.read.formulas import condition
 from planner_bridge.pddl.read.requirements import Leniency
 from planner_bridge.pddl.read.symbols import CONSTRAINTS
 from planner_bridge.pddl.read.terms import TermScope
 from planner_bridge.pddl.syntax.expressions import Atom, Group, Node, wrong
-from planner_bridge.pddl.syntax.words import counted, new_name, time
+from planner_bridge.pddl.syntax.words import TimeSpecifier, counted, new_name, time
 from pnm.core.logic.conditions import Condition, ForAll, conjunction
 from pnm.core.logic.domain import Preference
 from pnm.core.logic.expressions import Variable
@@ -43,9 +43,7 @@ def with_variables(variables: tuple[Variable, ...], preferences: Iterable[Prefer
     return [replace(preference, variables=(*variables, *preference.variables)) for preference in preferences]
 
 
-def split_preferences(
-    node: Node, scope: TermScope, moment: Literal["at start", "over all", "at end"] | None = None
-) -> tuple[Condition, tuple[Preference, ...]]:
+def split_preferences(node: Node, scope: TermScope, moment: TimeSpecifier | None = None) -> tuple[Condition, tuple[Preference, ...]]:
     """Read a condition: return its hard part, and its preferences, at the moment of a durative action if one is given."""
     hard, soft = _split(node, scope)
     return conjunction(hard), tuple([replace(preference, moment=moment) for preference in soft] if moment else soft)
@@ -72,7 +70,6 @@ def _has_preferences(node: Group) -> bool:
 
 
 def _joined(parts: Iterable[tuple[list[T], list[Preference]]]) -> tuple[list[T], list[Preference]]:
-    """Return all hard and all soft parts."""
     both = list(parts)
     return [part for hard, _ in both for part in hard], [preference for _, soft in both for preference in soft]
 

@@ -42,11 +42,7 @@ class Refused(Enum):
 
 
 REFUSED_SECTIONS: Final[Mapping[str, Refused]] = {":process": Refused.PROCESS, ":event": Refused.EVENT, ":observe": Refused.SENSING_ACTION}
-REFUSED_HEADS: Final[Mapping[str, Refused]] = {
-    "oneof": Refused.ONEOF,
-    "unknown": Refused.UNKNOWN,
-    "probabilistic": Refused.PROBABILISTIC,
-}
+REFUSED_HEADS: Final[Mapping[str, Refused]] = {"oneof": Refused.ONEOF, "unknown": Refused.UNKNOWN, "probabilistic": Refused.PROBABILISTIC}
 """In the place of a predicate or function."""
 REFUSED_IN_INIT: Final[Mapping[str, Refused]] = {
     "or": Refused.OR_IN_INIT,

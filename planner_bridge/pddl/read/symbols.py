@@ -53,7 +53,6 @@ class SymbolTable:
     lenient: bool = False
     """In a domain: actions may name objects of the problems to come, and ask for facts that no action brings about."""
     derived: frozenset[str] = frozenset()
-    """The derived predicates."""
     costs: Declaration | None = None
     """The declaration of the total cost, when it is used undeclared."""
     borrowed: dict[str, Borrowed] = field(default_factory=dict)

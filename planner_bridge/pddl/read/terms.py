@@ -18,8 +18,8 @@ from pnm.errors import InputError
 _MANY: Final = (range(2, sys.maxsize), "at least 2")
 OPERANDS: Final[Mapping[str, tuple[range, str]]] = {"+": _MANY, "*": _MANY, "-": (range(1, 3), "1 or 2"), "/": (range(2, 3), "2")}
 """How many operands each operator of arithmetic takes."""
-_TOTAL_TIME: Final = "total-time"
-_VIOLATIONS: Final = "is-violated"
+TOTAL_TIME: Final = "total-time"
+IS_VIOLATED: Final = "is-violated"
 _ANY: Final = ("object",)
 
 
@@ -109,13 +109,13 @@ class TermScope:
                 if len(node.rest) not in counts:
                     raise wrong(node, f"'{node.head}' takes {expected} operands, found {len(node.rest)}")
                 return Arithmetic(node.head, tuple([self.expression(part) for part in node.rest]))
-            case Group() if self.metric and node.head == _VIOLATIONS:
+            case Group() if self.metric and node.head == IS_VIOLATED:
                 (name,) = operands(node, 1)
                 if not isinstance(name, Atom):
                     raise wrong(name, f"expected the name of a preference, found {name}")
                 if name.key not in self.symbols.preference_names:
                     raise unknown("preference", name, self.symbols.preference_names.values())
-                return ValueOf((_VIOLATIONS, self.symbols.preference_names[name.key]))
+                return ValueOf((IS_VIOLATED, self.symbols.preference_names[name.key]))
             case Group():
                 return self._number(node)
             case Atom() if is_number(node):
@@ -126,15 +126,15 @@ class TermScope:
                 return ValueOf(DURATION)
             case Atom("#t"):
                 raise Refused.CONTINUOUS_EFFECT.at(node)
-            case Atom() if self.symbols.find_function(node) or (self.metric and node.key == _TOTAL_TIME):
+            case Atom() if self.symbols.find_function(node) or (self.metric and node.key == TOTAL_TIME):
                 return self._number(node)
             case _:
                 raise wrong(node, f"expected a number or a function in parentheses, found {node}")
 
     def _number(self, node: Node) -> Expression:
         declared = self.symbols.find_function(node)
-        if self.metric and declared is None and (node.head if isinstance(node, Group) else node.key) == _TOTAL_TIME:
-            return ValueOf((_TOTAL_TIME,))
+        if self.metric and declared is None and (node.head if isinstance(node, Group) else node.key) == TOTAL_TIME:
+            return ValueOf((TOTAL_TIME,))
         if declared is not None and declared.values:
             raise wrong(node, f"the values of {declared.name!r} are objects ({show_types(declared.values)}); expected a number")
         if self.metric:

@@ -56,7 +56,10 @@ def _domain(domain: Domain, notes: Notes) -> str:
         sections.append(noted([key, head, commented(body, own)], own.take()))
     sections.extend(_constraints(domain.constraints, domain.preferences, notes))
     sections.extend(_verbatim(text, notes) for text in domain.hierarchy)  # other planners read tasks only in front of actions
-    sections.extend(_action(schema, notes.at(ACTION, schema.name.lower())) for schema in domain.actions.values())
+    for schema in domain.actions.values():
+        own = notes.at(ACTION, schema.name.lower())
+        parts = [noted(Keyed(key, commented(form, own.at(PARTS[key]))), own.at(PARTS[key]).take()) for key, form in _parts(schema)]
+        sections.append(noted([":action" if schema.duration is None else ":durative-action", schema.name, *parts], own.take()))
     return definition_text(["domain", domain.name], sections, notes.take())
 
 
@@ -176,15 +179,6 @@ def _under(variables: tuple[Variable, ...], form: Form) -> Form:
         if variable.name.lower() in {before.name.lower() for before in variables[:count]}:
             return ["forall", variables_form(variables[:count]), _under(variables[count:], form)]
     return ["forall", variables_form(variables), form] if variables else form
-
-
-def _action(schema: ActionSchema, notes: Notes) -> Form:
-    kind = ":action" if schema.duration is None else ":durative-action"
-    parts: list[Form] = []
-    for key, form in _parts(schema):
-        inner = notes.at(PARTS[key])
-        parts.append(noted(Keyed(key, commented(form, inner)), inner.take()))
-    return noted([kind, schema.name, *parts], notes.take())
 
 
 def _parts(schema: ActionSchema) -> Iterator[tuple[str, Form]]:

@@ -57,10 +57,7 @@ Answer: TypeAlias = dict[str, object]
 
 
 def ask(name: str, seconds: float) -> Answer:
-    """Ask an engine for a plan for the problem in this folder.
-
-    An engine that cannot cope with the metric is asked for any plan.
-    """
+    """Ask an engine for a plan for the problem in this folder. An engine that cannot cope with the metric is asked for any plan."""
     if unknown := look_up(name):
         return unknown
     deadline = time.monotonic() + seconds

@@ -97,7 +97,14 @@ class Translation:
                 action.add_precondition(condition)
             self._effects(schema, action, (), end, terms)
         else:
-            self._set_duration(schema, action, terms)
+            match [[limit.bound for limit in schema.duration if limit.operation == operation] for operation in ("=", ">=", "<=")]:
+                case [[exactly], [], []]:
+                    action.set_fixed_duration(self._expression(exactly, terms))
+                case [[], [] | [_] as least, [most]]:
+                    lower = least[0] if least else Constant(0)
+                    action.set_closed_duration_interval(self._expression(lower, terms), self._expression(most, terms))
+                case _:
+                    raise InputError(f"the duration of {schema.name}, which has not one upper and at most one lower bound")
             during = up.OpenTimeInterval(up.StartTiming(), up.EndTiming())
             for condition in (*guards, *self._conjuncts(schema.precondition, terms)):
                 action.add_condition(up.StartTiming(), condition)
@@ -109,16 +116,6 @@ class Translation:
             self._effects(schema, action, (up.EndTiming(),), end, terms)
         self.translated.add_action(action)
         return action
-
-    def _set_duration(self, schema: ActionSchema, action: Any, terms: Terms) -> None:
-        match [[limit.bound for limit in schema.duration or () if limit.operation == operation] for operation in ("=", ">=", "<=")]:
-            case [[exactly], [], []]:
-                action.set_fixed_duration(self._expression(exactly, terms))
-            case [[], [] | [_] as least, [most]]:
-                lower = least[0] if least else Constant(0)
-                action.set_closed_duration_interval(self._expression(lower, terms), self._expression(most, terms))
-            case _:
-                raise InputError(f"the duration of {schema.name}, which has not one upper and at most one lower bound")
 
     def _effects(self, schema: ActionSchema, action: Any, moment: tuple[Any, ...], effects: Iterable[Assignment], terms: Terms) -> None:
         for change in effects:
@@ -158,9 +155,8 @@ class Translation:
                 raise InputError(f"the constraint {constraint.operator}")
             variables = constraint.variables
             for chosen in product(*(self._declared.tree.extent(variable.types) for variable in variables)):
-                terms = {
-                    variable.name: up.ObjectExp(self._declared.objects[name]) for variable, name in zip(variables, chosen, strict=True)
-                }
+                objects = [up.ObjectExp(self._declared.objects[name]) for name in chosen]
+                terms = dict(zip((variable.name for variable in variables), objects, strict=True))
                 parts = [condition_there(condition, self._declared, terms) for condition in constraint.conditions]
                 self.translated.add_trajectory_constraint(_TRAJECTORY[constraint.operator](*parts))
 

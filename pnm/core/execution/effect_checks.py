@@ -14,8 +14,7 @@ from pnm.core.execution.questions import EvaluationContext
 from pnm.core.knowledge_base import statement_text
 from pnm.core.logic.conditions import TRUE, Condition, conjuncts, fluents, names
 from pnm.core.logic.effects import Changes, Effects, changes, decided, facts, is_fixed, names_written, written
-from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.explain import failing
+from pnm.core.logic.evaluation import evaluate, failing
 from pnm.core.logic.expressions import UNKNOWN, Fluent, Value, same_value
 from pnm.core.machine.plan_graph import ActionCall, GroundAction
 

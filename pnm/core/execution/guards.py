@@ -17,8 +17,7 @@ from pnm.core.execution.questions import EvaluationContext, Questions
 from pnm.core.execution.resources import Claim, RunClaims, who_keeps
 from pnm.core.execution.run_state import RunState
 from pnm.core.logic.conditions import All, Condition, conjuncts, ground, names
-from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.explain import failing, observed
+from pnm.core.logic.evaluation import evaluate, failing, observed
 from pnm.core.machine.machine import (
     Accepts,
     Adopted,

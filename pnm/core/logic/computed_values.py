@@ -173,9 +173,7 @@ class Answers(Protocol):
 def compute(data: Data, answers: Answers) -> object:
     """Return the value, or `MISSING`.
 
-    Raises:
-        Unanswered: a question has to be asked first.
-        Uncomputable: an operation is not possible with these operands.
+    Raises `Unanswered` if a question has to be asked first, `Uncomputable` if an operation is not possible with these operands.
     """
     match data:
         case Literal():
@@ -249,8 +247,6 @@ def parts(data: Data) -> Iterator[Data]:
         case Compound(items) | Operation(_, items):
             for item in items:
                 yield from parts(item)
-        case _:
-            pass
 
 
 def may_ask(data: Data) -> bool:

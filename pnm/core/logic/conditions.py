@@ -28,8 +28,6 @@ from pnm.core.logic.expressions import (
     variables_in,
 )
 
-# --- conditions ----------------------------------------------------------------------------
-
 
 @dataclass(frozen=True, slots=True)
 class Holds:
@@ -149,27 +147,6 @@ def operands_of(condition: Condition) -> tuple[Condition, ...]:
             assert_never(condition)
 
 
-def map_operands(condition: Condition, change: Callable[[Condition], Condition]) -> Condition:
-    """Return the condition with each of the conditions that it is made of changed."""
-    match condition:
-        case Holds() | Compare() | Computed():
-            return condition
-        case Not(operand):
-            return Not(change(operand))
-        case All(operands):
-            return All(tuple(map(change, operands)))
-        case Any(operands):
-            return Any(tuple(map(change, operands)))
-        case Implies(left, right):
-            return Implies(change(left), change(right))
-        case ForAll(variables, body):
-            return ForAll(variables, change(body))
-        case Exists(variables, body):
-            return Exists(variables, change(body))
-        case _:
-            assert_never(condition)
-
-
 def every_part(condition: Condition) -> Iterator[Condition]:
     """Yield the condition and all conditions in it, outer ones first."""
     waiting = [condition]
@@ -224,8 +201,6 @@ def names(condition: Condition) -> frozenset[str]:
                 mentioned.update(fluent[0] for side in (left, right) for fluent in expression_fluents(side))
             case Computed(data):
                 mentioned.update(fluent[0] for fluent in fluents_in(data))
-            case _:
-                pass
     return frozenset(mentioned)
 
 
@@ -271,15 +246,22 @@ def ground(condition: Condition, env: Environment) -> Condition:
             return Holds(bind(fluent, env))
         case All(operands):
             return All(tuple([ground(operand, env) for operand in operands]))
-        case Compare(operation, left, right):
-            return Compare(operation, ground_expression(left, env), ground_expression(right, env))
+        case Not(operand):
+            return Not(ground(operand, env))
+        case Compare(operation, left_value, right_value):
+            return Compare(operation, ground_expression(left_value, env), ground_expression(right_value, env))
+        case Any(operands):
+            return Any(tuple([ground(operand, env) for operand in operands]))
+        case Implies(left, right):
+            return Implies(ground(left, env), ground(right, env))
+        case ForAll(variables, body):
+            return ForAll(variables, ground(body, hidden(env, variables)))
+        case Exists(variables, body):
+            return Exists(variables, ground(body, hidden(env, variables)))
         case Computed(data):
             return Computed(substituted(data, env))
-        case ForAll(variables) | Exists(variables):
-            env = hidden(env, variables)
         case _:
-            pass
-    return map_operands(condition, lambda operand: ground(operand, env))
+            assert_never(condition)
 
 
 def conjuncts(condition: Condition) -> tuple[Condition, ...]:

@@ -106,7 +106,6 @@ class DomainModel:
     types: Mapping[str, Types] = field(default_factory=dict)
     """For every type, its direct supertypes; ``object`` is the root and not listed."""
     constants: Mapping[str, Types] = field(default_factory=dict)
-    """For every constant, its types."""
     predicates: Mapping[str, Declaration] = field(default_factory=dict)
     functions: Mapping[str, Declaration] = field(default_factory=dict)
     """Functions, with numbers or objects for values."""

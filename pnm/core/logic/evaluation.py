@@ -1,4 +1,4 @@
-"""Whether a condition holds in a state: true, false or unknown.
+"""Whether a condition holds in a state: true, false or unknown; and for people, what fails, and what the state has instead.
 
 Three values (Kleene): unknown is neither true nor false. A fluent that is *absent* from a
 state is false where a fact is asked for (closed world), undefined where an object is, and unknown
@@ -8,12 +8,14 @@ say what an undefined object fluent is equal to: here, as for planners, to nothi
 
 from __future__ import annotations
 
+import json
 import operator
 from collections.abc import Callable, Iterator
-from typing import Final, assert_never
+from contextlib import suppress
+from typing import Final, Protocol, assert_never
 
-from pnm.core.logic.computed_values import Answers, compute, is_true, substituted
-from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not
+from pnm.core.logic.computed_values import MISSING, Answers, Parameter, Query, Unanswered, compute, is_true, parts, substituted
+from pnm.core.logic.conditions import All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, conjuncts, fluents
 from pnm.core.logic.expressions import (
     DURATION,
     NOTHING,
@@ -21,6 +23,7 @@ from pnm.core.logic.expressions import (
     UNKNOWN,
     Environment,
     Expression,
+    Fluent,
     State,
     Truth,
     Unknown,
@@ -28,18 +31,12 @@ from pnm.core.logic.expressions import (
     ValueOf,
     bind,
     choices,
+    fluent_text,
     value_of,
 )
 from pnm.core.logic.operators import Uncomputable
 
-_COMPARE: Final[dict[str, Callable[[float, float], bool]]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-}
-
-
+_COMPARE: Final[dict[str, Callable[[float, float], bool]]] = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
 TOLERANCE: Final = 1e-6
 """Numbers closer than this are equal: plans are computed and durations measured in floats."""
 
@@ -108,3 +105,46 @@ def _compare(operation: str, left: Value | Unknown | None, right: Value | Unknow
     if operation == "=":
         return equal
     return equal if equal and "=" in operation else not equal and _COMPARE[operation](left, right)
+
+
+def failing(condition: Condition, state: State) -> tuple[Condition, ...]:
+    """Return the conjuncts that do not hold in the state, without those that depend on a question that was never asked."""
+    failed = []
+    for part in conjuncts(condition):
+        with suppress(Unanswered):
+            if evaluate(part, state) is not True:
+                failed.append(part)
+    return tuple(failed)
+
+
+class Witness(State, Protocol):
+    """A state that can explain its derived facts."""
+
+    def because(self, fluent: Fluent, /) -> str:
+        """Return why a derived fact has its truth, to be read after that; empty for a recorded fluent."""
+
+
+def observed(condition: Condition, state: Witness) -> str:
+    """Return the value of each fluent in the condition, and why it has it if it is derived; of a computed condition, of what it reads."""
+    if not isinstance(condition, Computed) or not isinstance(state, Answers):
+        return ", ".join(sorted(_observed_fluent(fluent, state) for fluent in fluents(condition, state))) or "no fluent involved"
+    texts: dict[str, None] = {}
+    for part in parts(condition.data):
+        if isinstance(part, Query | ValueOf | Parameter):
+            name = fluent_text(part.fluent) if isinstance(part, ValueOf) else str(part)
+            with suppress(Unanswered, Uncomputable):
+                value = compute(part, state)
+                texts[f"{name} is {'missing' if value is MISSING else json.dumps(value, ensure_ascii=False, default=str)}"] = None
+    return ", ".join(texts) or "no variable involved"
+
+
+def _observed_fluent(fluent: Fluent, state: Witness) -> str:
+    value, reason = state.value(fluent), state.because(fluent)
+    match value:
+        case None | bool():
+            text = "true" if value else "false"
+        case Unknown():
+            text = "unknown"
+        case _:
+            text = str(value)
+    return f"{fluent_text(fluent)} is {text}{' ' if reason else ''}{reason}"

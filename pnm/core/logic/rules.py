@@ -212,9 +212,6 @@ def _body(head: tuple[Variable, ...], own: tuple[Variable, ...], parts: tuple[Co
 
 
 def _find(condition: Holds, unknown: dict[str, Variable]) -> FindFact:
-    positions = range(len(condition.fluent))
-    return FindFact(
-        condition,
-        tuple(position for position in positions if condition.fluent[position] not in unknown),
-        tuple((position, unknown[condition.fluent[position]]) for position in positions if condition.fluent[position] in unknown),
-    )
+    terms = tuple(enumerate(condition.fluent))
+    known = tuple(position for position, term in terms if term not in unknown)
+    return FindFact(condition, known, tuple((position, unknown[term]) for position, term in terms if term in unknown))

@@ -20,8 +20,7 @@ from math import inf
 from typing import Final
 
 from pnm.core.logic.conditions import Any, Condition, Not, conjuncts, ground, names
-from pnm.core.logic.evaluation import TOLERANCE, evaluate
-from pnm.core.logic.explain import Witness, failing, observed
+from pnm.core.logic.evaluation import TOLERANCE, Witness, evaluate, failing, observed
 from pnm.core.logic.expressions import NOTHING, Environment, State, Variable, choices
 
 

@@ -32,10 +32,7 @@ class CompiledNet:
 
 
 class Engine:
-    """A net and its current marking.
-
-    The mutable state is `tokens` (per place) and `missing` (per transition).
-    """
+    """A net and its current marking. The mutable state is `tokens` (per place) and `missing` (per transition)."""
 
     def __init__(self, compiled: CompiledNet, marking: Mapping[str, int]) -> None:
         self.compiled = compiled
@@ -54,11 +51,7 @@ class Engine:
         return {place for place, weight in self.compiled.inputs[transition] if self.tokens[place] < weight}
 
     def fire(self, transition: int, times: int = 1) -> None:
-        """Fire the transition `times` at once.
-
-        Raises:
-            NotEnabled: the marking does not cover the preset; nothing has changed.
-        """
+        """Fire the transition `times` at once; raise `NotEnabled`, and change nothing, if the marking does not cover the preset."""
         inputs, tokens = self.compiled.inputs[transition], self.tokens
         # Checked before any token moves, so that a refused firing leaves the marking as it was.
         # `missing` counts places for a single firing only; several at once need the weights to be looked at.

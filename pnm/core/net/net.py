@@ -21,20 +21,6 @@ class NetError(PnmError):
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """Holds tokens."""
-
-    name: str
-
-
-@dataclass(frozen=True, slots=True)
-class Transition:
-    """Takes tokens from its preset and puts tokens into its postset."""
-
-    name: str
-
-
-@dataclass(frozen=True, slots=True)
 class Arc:
     """Leads from a place to a transition or from a transition to a place."""
 

@@ -45,10 +45,7 @@ def _short(text: str) -> str:
 
 
 class MemoryKnowledge:
-    """Variables by name, each kept as JSON, so that no run can change the value of another.
-
-    The mutable state is the variables.
-    """
+    """Variables by name, each kept as JSON, so that no run can change the value of another. The mutable state is the variables."""
 
     def __init__(self) -> None:
         self._variables: dict[str, str] = {}

@@ -105,11 +105,8 @@ def open_sources(choices: Sequence[SourceChoice], surroundings: Surroundings, fi
     """Make the chosen sources, and the default ones where none was chosen: the knowledge file of this user, and a person.
 
     Nothing is opened or asked yet: a source that cannot be used fails when it is needed. `file` is an SQLite file for
-    global knowledge, in place of any chosen source.
-
-    Raises:
-        InputError: a name or an option is wrong, or there are two sources for people.
-        SourceError: a source cannot be made here.
+    global knowledge, in place of any chosen source. Raises `InputError` if a name or an option is wrong, or there are two
+    sources for people, `SourceError` if a source cannot be made here.
     """
     chosen: dict[Layer, list[SourceChoice]] = {layer: [] for layer in _DEFAULTS}
     if file is not None:

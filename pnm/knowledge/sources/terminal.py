@@ -10,8 +10,6 @@ import os
 import select
 import sys
 import termios
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Final, TextIO
 
 from pnm.core.logic.computed_values import MISSING, Question
@@ -81,15 +79,18 @@ class TerminalSource:
 
     async def _line(self) -> str:
         """Read a line on a thread; when this is cancelled, the thread stops reading first."""
-        with _bell() as (heard, ring):
-            reading = asyncio.get_running_loop().run_in_executor(None, self._read, heard)
-            try:
-                return await asyncio.shield(reading)
-            except (asyncio.CancelledError, SourceError):
-                os.write(ring, b"\0")
-                await asyncio.gather(reading, return_exceptions=True)
-                self._show(" (no longer asked)")
-                raise
+        heard, ring = os.pipe()
+        reading = asyncio.get_running_loop().run_in_executor(None, self._read, heard)
+        try:
+            return await asyncio.shield(reading)
+        except (asyncio.CancelledError, SourceError):
+            os.write(ring, b"\0")
+            await asyncio.gather(reading, return_exceptions=True)
+            self._show(" (no longer asked)")
+            raise
+        finally:
+            os.close(heard)
+            os.close(ring)
 
     # on the thread
 
@@ -116,14 +117,3 @@ def is_terminal(stream: TextIO | None = None) -> bool:
 
 def _name(asker: Asker) -> str:
     return f"[{asker.plan}] " if asker.plan else ""
-
-
-@contextmanager
-def _bell() -> Iterator[tuple[int, int]]:
-    """Yield a descriptor that can be waited for, and the one to write to for that."""
-    heard, ring = os.pipe()
-    try:
-        yield heard, ring
-    finally:
-        os.close(heard)
-        os.close(ring)

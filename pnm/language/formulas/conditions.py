@@ -169,8 +169,6 @@ def _check(node: Node, expression: Expression, scope: FormulaScope, *, objects: 
                 _check(node, operand, scope)
                 if scope.strict:
                     scope.check_value(operand, (), node)
-        case _:
-            pass
 
 
 def read_expression(node: Node, scope: FormulaScope = ANYTHING) -> Expression:

@@ -72,8 +72,6 @@ def _parts(node: Node, scope: FormulaScope) -> tuple[Effect | Condition, ...]:
             return effects
         case word if word in _CHANGES:
             return (_change(construct, scope),)
-        case _:
-            pass
     if scope.strict:
         raise node.wrong("expected an effect, such as (at ?r kitchen), or not of a fact")
     return (read_condition(node, scope),)

@@ -120,11 +120,6 @@ class FormulaScope:
             case _ if types or self.is_object(value):
                 raise node.wrong(f"expected {'an object' if types else 'a number'}, found {value}")
 
-    def check_number(self, fluent: Fluent, node: Node) -> None:
-        """Refuse a fluent that is no numeric function."""
-        self.check_fluent(fluent, node, "function")
-        self.check_value(ValueOf(fluent), (), node)
-
     def is_object(self, value: Expression) -> bool:
         """Return whether the expression stands for an object rather than a number."""
         match value:

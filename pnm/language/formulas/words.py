@@ -99,9 +99,8 @@ def needed_form(node: Node, words: Collection[str], what: str) -> Form:
     if not keys:
         raise node.wrong(f"expected {what}, found {shown(node)}")
     near = get_close_matches(_word(keys[0]), sorted(words), 1)
-    hint = (
-        f"did you mean {_spelled(near[0])!r}?" if near else f"expected {what}, which begins with one of: {', '.join(map(_spelled, words))}"
-    )
+    expected = f"expected {what}, which begins with one of: {', '.join(map(_spelled, words))}"
+    hint = f"did you mean {_spelled(near[0])!r}?" if near else expected
     raise InputError(f"unknown word {keys[0]!r}; {hint}", node.mapped().entries()[0][1])
 
 

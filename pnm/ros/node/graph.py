@@ -12,12 +12,9 @@ _FEEDBACK = "/_action/feedback"
 
 
 def server_name(node: Any, server: str) -> str:
-    """Return the full name of an action server, relative to the node's namespace and remapped.
+    """Return the full name of an action server, relative to the node's namespace and remapped; `InputError` if it is not valid in ROS.
 
     Names in ROS have no hyphens, names in PDDL often do: ``pick-up`` becomes ``pick_up``.
-
-    Raises:
-        InputError: it is not a valid name in ROS.
     """
     try:
         return str(node.resolve_topic_name(server.replace("-", "_") + _STATUS)).removesuffix(_STATUS)

@@ -38,10 +38,7 @@ class ManagedTransitions(Protocol):
 class Lifecycle:
     """Makes the transitions of a managed node, on request of its program or over the ROS service ``change_state``.
 
-    The mutable state is the service's requests at work.
-
-    Args:
-        ros: the thread of a node that was made with ``managed=True``.
+    The mutable state is the service's requests at work. The node was made with ``managed=True``.
     """
 
     def __init__(self, ros: RosThread, transitions: ManagedTransitions) -> None:
@@ -65,9 +62,7 @@ class Lifecycle:
     async def change(self, wanted: int | str) -> None:
         """Make a transition, given by its number or its label.
 
-        Raises:
-            RosError: it cannot be made in this state.
-            PnmError: it has failed; the node is in the state in which it was.
+        Raises `RosError` if it cannot be made in this state, `PnmError` if it has failed: the node is in the state in which it was.
         """
         label = await self._ros.ask(partial(self._ros.node.begin, wanted))
         transition = getattr(self._transitions, "cleanup" if label == "shutdown" else label)

@@ -45,8 +45,7 @@ class FieldError(PnmError):
 def import_type(name: str) -> Any:
     """Return the class of an interface such as ``nav2_msgs/action/NavigateToPose``.
 
-    Raises:
-        InputError: this is not the name of a type, or the type is not installed here.
+    Raises `InputError` if this is not the name of a type, or the type is not installed here.
     """
     parts = _TYPE.fullmatch(name)
     if not parts:
@@ -65,13 +64,22 @@ def fields(message_type: Any) -> tuple[str, ...]:
     return tuple(message_type.get_fields_and_field_types())
 
 
-def to_message(message_type: Any, data: Mapping[str, object]) -> Any:
-    """Make a message from values by field name; fields without a value keep their defaults.
+def to_message(message_type: Any, data: Mapping[str, object], path: str = "") -> Any:
+    """Make a message from values by field name; fields without a value keep their defaults. The path is for errors.
 
     Whole numbers are accepted for float fields and the other way round (80.0 for an int32), a number of seconds for a Time
     or a Duration. Nothing else is converted: text is never read as a number.
     """
-    return _message(message_type, data, "")
+    message = message_type()
+    kinds = message_type.get_fields_and_field_types()
+    for name, value in data.items():
+        inner = f"{path}.{name}" if path else str(name)
+        if name not in kinds:
+            near = get_close_matches(str(name), kinds, n=1)
+            needs = f"to be one of {', '.join(kinds)}" if kinds else "to be left out: the message has no fields"
+            raise FieldError(inner, needs, f"a field that {message_type.__name__} does not have", f"{near[0]}?" if near else "")
+        setattr(message, name, _value(kinds[name], value, inner))
+    return message
 
 
 def to_data(message: Any) -> dict[str, object]:
@@ -92,19 +100,6 @@ def plain(value: Any) -> object:
     return value
 
 
-def _message(message_type: Any, data: Mapping[str, object], path: str) -> Any:
-    message = message_type()
-    kinds = message_type.get_fields_and_field_types()
-    for name, value in data.items():
-        inner = f"{path}.{name}" if path else str(name)
-        if name not in kinds:
-            near = get_close_matches(str(name), kinds, n=1)
-            needs = f"to be one of {', '.join(kinds)}" if kinds else "to be left out: the message has no fields"
-            raise FieldError(inner, needs, f"a field that {message_type.__name__} does not have", f"{near[0]}?" if near else "")
-        setattr(message, name, _value(kinds[name], value, inner))
-    return message
-
-
 def _value(kind: str, value: object, path: str) -> object:
     """Return the value as `rclpy` stores it in a field of this kind, as ``get_fields_and_field_types`` names it."""
     if hasattr(value, "tolist"):  # numpy arrays and numbers, array.array
@@ -116,7 +111,14 @@ def _value(kind: str, value: object, path: str) -> object:
     if "/" in kind:
         return _nested(kind, value, path)
     if text := _TEXT.fullmatch(kind):
-        return _text(kind, int(text[1]) if text[1] else None, value, path)
+        if not isinstance(value, str):
+            raise FieldError(path, kind, _show(value))
+        if text[1] and len(value) > int(text[1]):
+            raise FieldError(path, f"text of at most {text[1]} characters", f"{len(value)} of them")
+        # `rclpy` cuts the text off at a NUL, and fails to send a surrogate.
+        if "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
+            raise FieldError(path, "text that can be sent", _show(value))
+        return value
     return _BASIC.get(kind, _integer)(kind, value, path)
 
 
@@ -140,18 +142,7 @@ def _nested(kind: str, value: object, path: str) -> object:
     if not isinstance(value, Mapping):
         raise FieldError(path, f"the fields of a {kind}", _show(value), _ADVICE if isinstance(value, str) else "")
     package, _, name = kind.rpartition("/")
-    return _message(import_type(f"{package}/msg/{name}"), value, path)
-
-
-def _text(kind: str, size: int | None, value: object, path: str) -> str:
-    if not isinstance(value, str):
-        raise FieldError(path, kind, _show(value))
-    if size is not None and len(value) > size:
-        raise FieldError(path, f"text of at most {size} characters", f"{len(value)} of them")
-    # `rclpy` cuts the text off at a NUL, and fails to send a surrogate.
-    if "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
-        raise FieldError(path, "text that can be sent", _show(value))
-    return value
+    return to_message(import_type(f"{package}/msg/{name}"), value, path)
 
 
 def _boolean(kind: str, value: object, path: str) -> bool:

@@ -37,10 +37,8 @@ class NodeParameter:
 def declare(node: Any, parameters: Iterable[NodeParameter], given: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
     """Declare read-only parameters, and return their values; only on the ROS thread.
 
-    ROS arguments override `given`, which overrides the defaults.
-
-    Raises:
-        InputError: a value has the wrong type, is too small, or is none of the choices.
+    ROS arguments override `given`, which overrides the defaults. Raises `InputError` if a value has the wrong type, is too small,
+    or is none of the choices.
     """
     values: dict[str, ParameterValue] = {}
     for parameter in parameters:

@@ -54,8 +54,7 @@ class ServiceClient:
     async def call(self, request: Mapping[str, object], limit: float) -> Any:
         """Send the request as soon as the service is there, and return the response.
 
-        Raises:
-            SourceError: there is no such service, it does not answer in time, or the request does not fit it.
+        Raises `SourceError` if there is no such service, it does not answer in time, or the request does not fit it.
         """
         is_there = False
         try:

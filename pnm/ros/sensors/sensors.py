@@ -13,9 +13,7 @@ from pnm.core.knowledge_base import KnowledgeBase
 from pnm.errors import InputError
 from pnm.knowledge.sensor_model import ByService, ByTopic, Instance, Sensing, instances
 from pnm.ros.node.ros_thread import RosThread
-from pnm.ros.sensors.sensor import SensorRecorder, checked
-from pnm.ros.sensors.service_sensor import ServiceSensor
-from pnm.ros.sensors.topic_sensor import TopicSensor
+from pnm.ros.sensors.sensor import SensorRecorder, ServiceSensor, TopicSensor, checked
 
 LOOK: Final = 0.5
 """Seconds between two looks for new publishers."""
@@ -28,14 +26,9 @@ _log = logging.getLogger(__name__)
 class Sensors:
     """The sensors of a file, for every choice of their objects. To be used on the event loop's thread.
 
-    The mutable state is the recorders, and the tasks that poll services.
-
-    Args:
-        lag: seconds that reports may be late, for sensors that do not specify it.
-
-    Raises:
-        InputError: two sensors report the same facts, or one reports derived facts, or a type is not installed or lacks a
-            field of its sensor.
+    The mutable state is the recorders, and the tasks that poll services. `lag` is that of sensors that do not specify it, in seconds.
+    Raises `InputError` if two sensors report the same facts, or one reports derived facts, or a type is not installed or lacks a
+    field of its sensor.
     """
 
     def __init__(self, ros: RosThread, sensing: Sensing, knowledge: KnowledgeBase, lag: float) -> None:
@@ -55,6 +48,7 @@ class Sensors:
                     self._polls.append(ServiceSensor(ros, recorder, way))
                 case ByTopic():
                     self._topics.append(TopicSensor(ros, recorder))
+        self._sensors: tuple[TopicSensor | ServiceSensor, ...] = (*self._topics, *self._polls)
         self._tasks: list[asyncio.Task[None]] = []
         self._timer: Any = None
         for name, late in sensing.lags(lag).items():
@@ -66,11 +60,9 @@ class Sensors:
     async def open(self) -> None:
         """Subscribe and poll, and wait for the first message of all publishers and services that are there.
 
-        Raises:
-            InputError: a type found in the graph lacks a field of its sensor.
+        Raises `InputError` if a type found in the graph lacks a field of its sensor.
         """
-        sensors: list[TopicSensor | ServiceSensor] = [*self._topics, *self._polls]
-        for sensor in sensors:
+        for sensor in self._sensors:
             await self._ros.ask(sensor.resolve)
         if self._topics:
             self._timer = await self._ros.ask(lambda: self._ros.timer(LOOK, self._look))
@@ -100,8 +92,7 @@ class Sensors:
         try:
             await asyncio.wait((all_heard, settled), return_when=asyncio.FIRST_COMPLETED)
             await self._ros.ask(self._look)  # the timer's last look may be older than the publishers that are there
-            sensors: list[TopicSensor | ServiceSensor] = [*self._topics, *self._polls]
-            if [sensor for sensor in sensors if not sensor.recorder.heard.is_set() and await sensor.is_there()]:
+            if [sensor for sensor in self._sensors if not sensor.recorder.heard.is_set() and await sensor.is_there()]:
                 await asyncio.wait((all_heard,), timeout=FIRST)
         finally:
             all_heard.cancel()

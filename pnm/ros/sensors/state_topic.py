@@ -24,13 +24,10 @@ _log = logging.getLogger(__name__)
 
 
 class SensedReports:
-    """Passes every report on ``knowledge/sensed`` to a listener, on the event loop's thread.
+    """Passes every report on ``knowledge/sensed`` to a listener, on the event loop's thread: names, true facts, sequence number.
 
     A report is complete about the predicates and functions it names: it replaces all earlier reports about them, from any
     publisher. So several publishers need disjoint names.
-
-    Args:
-        listener: called with the names, their true facts and numbers, and the report's sequence number.
     """
 
     def __init__(self, ros: RosThread, loop: asyncio.AbstractEventLoop, listener: Listener, topic: str = TOPIC) -> None:
@@ -103,8 +100,7 @@ class SensedReports:
 def read_state(message: Any) -> Facts:
     """Return the facts, objects and numbers of a ``pnm_interfaces/msg/State``; a NaN is unknown.
 
-    Raises:
-        InputError: a fact is malformed, or there are not as many values as fluents.
+    Raises `InputError` if a fact is malformed, or there are not as many values as fluents.
     """
     if len(message.fluents) != len(message.values):
         raise InputError(f"{len(message.fluents)} fluents, but {len(message.values)} values")

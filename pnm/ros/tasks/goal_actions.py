@@ -54,14 +54,11 @@ _log = logging.getLogger(__name__)
 
 
 class TaskServers(TaskListener):
-    """The action servers for tasks.
+    """The action servers for tasks; goals are rejected while `closed` returns a reason.
 
+    `plans` are those that have an action server of their own, with its full name.
     The mutable state is, by task, the name of the action whose goal it is; the tasks whose cancellation was requested; and those
     for which feedback is due.
-
-    Args:
-        plans: the plans that have an action server of their own, and its full name.
-        closed: returns why goals are rejected; empty while they are accepted.
     """
 
     def __init__(self, ros: RosThread, tasks: Tasks, plans: Mapping[str, str], closed: Callable[[], str]) -> None:

@@ -24,10 +24,9 @@ _log = logging.getLogger(__name__)
 
 
 class PlanningServer:
-    """The action server for plan requests. The mutable state is the searches by goal, and those whose clients have cancelled them.
+    """The action server for plan requests, which are rejected while `closed` returns a reason.
 
-    Args:
-        closed: returns why goals are rejected; empty while they are accepted.
+    The mutable state is the searches by goal, and those whose clients have cancelled them.
     """
 
     def __init__(self, ros: RosThread, make: Make, closed: Callable[[], str]) -> None:

@@ -27,10 +27,7 @@ class TaskNode:
     """Offers tasks over ROS 2. Goals are accepted between `activate` and `deactivate`.
 
     The mutable state is why goals are rejected, whether a client has paused all tasks or which of them, and whether
-    `deactivate` has paused them.
-
-    Args:
-        plans: the plans that have an action server of their own, and its full name.
+    `deactivate` has paused them. `plans` have an action server of their own, with this full name.
     """
 
     def __init__(self, ros: RosThread, tasks: Tasks, make: Make, world: ServedWorld, plans: Mapping[str, str] | None = None) -> None:
@@ -159,8 +156,7 @@ class TaskNode:
 def action_names(ros: RosThread, plans: Iterable[str]) -> tuple[tuple[str, ...], dict[str, str]]:
     """Return the full names of the actions for tasks, and of the action of each plan; only on the ROS thread.
 
-    Raises:
-        InputError: the name of a plan is not valid in ROS, or is that of another action.
+    Raises `InputError` if the name of a plan is not valid in ROS, or is that of another action.
     """
     own = tuple(server_name(ros.node, name) for name in ACTIONS)
     names: dict[str, str] = {}

@@ -11,7 +11,7 @@ from pnm.core.machine.verification.counters import in_each_case
 from pnm.core.machine.verification.exits import missing_exit
 from pnm.core.machine.verification.part import Inside, Part, Step, Unsound
 from pnm.core.machine.verification.place_roles import check_steps
-from pnm.core.machine.verification.request_life import Life, following, may_open, misuse, untaken
+from pnm.core.machine.verification.request_life import Life, following, may_come, misuse, untaken
 
 MAX_STATES: Final = 2_000_000
 Tokens: TypeAlias = tuple[int, ...]
@@ -52,6 +52,13 @@ class _Explorer:
         adopted = {step.call for step in part.steps if isinstance(step.guard, Adopted)}
         self.requests = tuple(Life.ADOPTABLE if call in adopted else Life.NONE for call in self.calls)
         self.reports = [number for number, step in enumerate(part.steps) if isinstance(step.guard, Accepts | Ends)]
+        self.reports_of = {call: [number for number in self.reports if part.steps[number].call == call] for call in self.calls}
+        self.accepts = {
+            call: [part.steps[number] for number in numbers if isinstance(part.steps[number].guard, Accepts)]
+            for call, numbers in self.reports_of.items()
+        }
+        self.needs = [tuple((self.index[place], weight) for place, weight in step.inputs.items()) for step in part.steps]
+        self.number = {id(step): number for number, step in enumerate(part.steps)}
         self.failures = [self.index[place] for place in part.failures]
         self.restarts = [self.index[place] for place in part.restarts]
         # Places without an arc in this part have no index.
@@ -132,13 +139,20 @@ class _Explorer:
             if tokens and place not in self.records:
                 possible |= dict.fromkeys(self._exits(place, state, moods, enabled)[0])
         if Life.ALIVE in state.requests:
-            steps = self.part.steps
-            alive = (number for number in self.reports if self._life(steps[number], state) is Life.ALIVE)
-            possible |= dict.fromkeys(number for number in alive if self._is_enabled(steps[number], state))
+            for call, position in self.calls.items():
+                if state.requests[position] is Life.ALIVE:
+                    reports = (number for number in self.reports_of[call] if number not in possible)
+                    enabled_now = (number for number in reports if self._is_enabled(self.part.steps[number], state))
+                    possible |= dict.fromkeys(number for number in enabled_now if self._may_come(self.part.steps[number], state))
         return [*possible]
 
-    def _life(self, step: Step, state: _State) -> Life:
-        return Life.ALIVE if step.call is None else state.requests[self.calls[step.call]]
+    def _may_come(self, step: Step, state: _State) -> bool:
+        """Return whether a report, or an adoption, may come in this state: as far as the request of the call is concerned."""
+        if step.call is None:
+            return True
+        life = state.requests[self.calls[step.call]]
+        accepts = life is Life.ALIVE and any(self._is_enabled(other, state) for other in self.accepts[step.call])
+        return may_come(step, life, accepts=accepts)
 
     def _exits(self, place: int, state: _State, moods: tuple[bool, bool, bool], enabled: dict[int, bool]) -> tuple[list[int], bool]:
         """Return which steps may be open at a place, and whether those after them wait for resources."""
@@ -154,7 +168,9 @@ class _Explorer:
                 continue
             is_open = _is_open(step.guard, *moods)
             if is_open is None and isinstance(step.guard, Adopted | Accepts | Ends):
-                is_open = may_open(step, self._life(step, state))
+                is_open = None if self._may_come(step, state) else False
+                if isinstance(step.guard, Adopted) and is_open is None:
+                    is_open = True
             if is_open is not False:  # guards that ask the world may go either way, so both are followed
                 exits.append(number)
             if is_open is True and not step.counted:  # rules after one that is surely open are never asked
@@ -205,7 +221,8 @@ class _Explorer:
         return True
 
     def _is_enabled(self, step: Step, state: _State) -> bool:
-        return all(state.tokens[self.index[name]] >= weight for name, weight in step.inputs.items())
+        tokens = state.tokens
+        return all(tokens[place] >= weight for place, weight in self.needs[self.number[id(step)]])
 
     def _lacks_resources(self, step: Step, state: _State) -> bool:
         """Return whether the step would be enabled if all resources were free."""
@@ -266,9 +283,9 @@ class _Explorer:
             return ""
         if len(alive) > sum(state.tokens[place] for place in self.alive):
             return "a request is alive, and no place is marked that says so"
-        enabled = [self.part.steps[number] for number in self.reports if self._is_enabled(self.part.steps[number], state)]
         for call in alive:
-            if lost := untaken(step for step in enabled if step.call == call):
+            steps = [self.part.steps[number] for number in self.reports_of[call]]
+            if lost := untaken([step for step in steps if self._is_enabled(step, state)]):
                 return f"nothing takes the report that a request has {'/'.join(sorted(kind.value for kind in lost))}"
         return ""
 
@@ -321,8 +338,18 @@ def _asks_the_world(guard: Guard | Inside) -> bool:
     return not isinstance(guard, Inside) and _is_open(guard, False, False, False) is None
 
 
-def explore_part(part: Part) -> int:
-    """Walk through every state of the part and return their number.
+@dataclass(frozen=True, slots=True)
+class Exploration:
+    """What was found in all states of a part."""
+
+    states: int
+    """How many there are."""
+    unfired: tuple[int, ...]
+    """The numbers of the steps that never happen."""
+
+
+def explore_part(part: Part) -> Exploration:
+    """Walk through every state of the part.
 
     Raises:
         Unsound: some state is wrong, something can go round for ever, or there are too many states.
@@ -341,7 +368,7 @@ def explore_part(part: Part) -> int:
         root = roots.pop()
         if root[0] not in seen:
             roots += _walk(explorer, root, seen, apart)
-    return len(seen)
+    return Exploration(len(seen), tuple(number for number in range(len(part.steps)) if number not in explorer.fired))
 
 
 def _walk(explorer: _Explorer, root: _Reached, seen: set[_State], apart: Set[str]) -> list[_Reached]:

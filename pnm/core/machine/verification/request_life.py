@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from enum import Enum
+from typing import Final
 
 from pnm.core.machine.machine import Accepts, Adopted, EffectsMissing, EffectsSeen, Ends, TransitionAction
 from pnm.core.machine.requests import BEFORE_ACCEPTANCE, OutcomeKind
 from pnm.core.machine.verification.part import Step
+
+_ANY: Final = frozenset(OutcomeKind)
 
 
 class Life(Enum):
@@ -50,20 +53,27 @@ def misuse(step: Step, life: Life, *, ending: bool) -> str:
     return ""
 
 
-def may_open(step: Step, life: Life) -> bool | None:
-    """Return whether the guard is open, closed, or either, as far as that depends on the request of its call."""
+def may_come(step: Step, life: Life, *, accepts: bool) -> bool:
+    """Return whether a report about the request, or its adoption, may come.
+
+    Where an acceptance is waited for (`accepts`), an end that implies one is taken as that first.
+    """
     match step.guard:
         case Adopted():
             return life is Life.ADOPTABLE
-        case Accepts() | Ends():
-            return None if life is Life.ALIVE else False
+        case Ends(_, kinds):
+            return life is Life.ALIVE and not (accepts and kinds.isdisjoint(BEFORE_ACCEPTANCE))
         case _:
-            return None
+            return life is Life.ALIVE
 
 
 def untaken(steps: Iterable[Step]) -> frozenset[OutcomeKind]:
     """Return the ends of a request that is alive which none of the enabled steps takes; such a report would be lost."""
-    guards = [step.guard for step in steps]
-    taken = frozenset[OutcomeKind]().union(*(guard.kinds for guard in guards if isinstance(guard, Ends)))
-    implied = any(isinstance(guard, Accepts) for guard in guards)  # taken once the acceptance is
-    return frozenset(OutcomeKind) - taken if not implied else BEFORE_ACCEPTANCE - taken
+    taken = frozenset[OutcomeKind]()
+    expected = _ANY
+    for step in steps:
+        if isinstance(step.guard, Ends):
+            taken |= step.guard.kinds
+        elif isinstance(step.guard, Accepts):
+            expected = BEFORE_ACCEPTANCE  # any other is taken once the acceptance is
+    return expected - taken

@@ -2,7 +2,9 @@
 
 *Sound* means: whatever its servers and the world answer, and whenever it is stopped, the
 machine ends, with exactly one token on its goal place or on its failed place and none elsewhere
-but on record places; no place ever holds two tokens, a budget never more than it began with. A run
+but on record places, and with no request alive; the goal is not reached once a step has failed or the run was stopped; nothing is
+sent once it is ending, and no second request of a call while one is alive; no place ever holds two tokens, a
+budget never more than it began with. A run
 that is paused goes on when it is resumed, and each pause may have calls begin anew: so it ends if it
 is paused finitely often.
 
@@ -26,7 +28,7 @@ keeps them, and for that case every wait for resources has another way out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 from math import isfinite
 from typing import Final
@@ -39,19 +41,19 @@ from pnm.core.machine.machine import (
     Withheld,
 )
 from pnm.core.machine.verification.block_shape import shape_of
-from pnm.core.machine.verification.decompose import Anatomy, Event, step_of
-from pnm.core.machine.verification.explore import explore_part
-from pnm.core.machine.verification.part import Part, Unsound
+from pnm.core.machine.verification.decompose import Anatomy, Block, Event, step_of
+from pnm.core.machine.verification.explore import Exploration, explore_part
+from pnm.core.machine.verification.part import Inside, Part, Unsound
 from pnm.core.machine.verification.place_roles import check_causes, check_roles
 from pnm.core.machine.verification.plan_in_net import check_events, check_flows
+from pnm.core.machine.verification.unfired import NeverFires, never_fire
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Proved:
     """A shape of blocks that was found good."""
 
-    states: int
-    """How many it has."""
+    explored: Exploration
 
 
 _REMEMBERED: Final = 1000
@@ -68,6 +70,13 @@ class Proof:
     """Blocks that differ."""
     states: int
     """States explored in all of them."""
+    machine: PetriNetMachine = field(repr=False, compare=False)
+
+    @property
+    def never(self) -> tuple[NeverFires, ...]:
+        """Transitions that can never fire; every other one fires for some answers of servers and of the world."""
+        blocks = map(Anatomy(self.machine).block, dict.fromkeys(rule.call for rule in self.machine.rules.values()))
+        return tuple(never for block in blocks for never in never_fire(block.part, _proved(block.part).explored))
 
     def __str__(self) -> str:
         return f"sound: {self.calls} calls of {self.shapes} shapes, {self.states} states explored"
@@ -94,13 +103,26 @@ def verify(machine: PetriNetMachine) -> Proof:
         check_events(machine, block, anatomy.transitions[owner])
         check_causes(machine, block.first, anatomy.transitions[owner])
         anatomy.note_waits(block, waits)
-        proved.add(_proved(block.part))
+        shape = _proved(block.part)
+        proved.add(shape)
+        _check_reached(anatomy, block, shape.explored)
     try:
         # Each block gives its outputs once it has its inputs; without a cycle all get them, by induction.
         TopologicalSorter(waits).prepare()
     except CycleError as error:
         raise Unsound(f"blocks wait for each other: {error.args[1]}") from error
-    return Proof(len(machine.plan.calls), len(proved), sum(shape.states for shape in proved))
+    return Proof(len(machine.plan.calls), len(proved), sum(shape.explored.states for shape in proved), machine)
+
+
+def _check_reached(anatomy: Anatomy, block: Block, explored: Exploration) -> None:
+    """Refuse a plan with steps that can never begin."""
+    for region in anatomy.regions.get(block.owner, ()) if explored.unfired else ():
+        steps = enumerate(block.part.steps)
+        entering = [
+            number for number, step in steps if not isinstance(step.guard, Inside) and not step.outputs.keys().isdisjoint(region.first)
+        ]
+        if not set(entering).difference(explored.unfired):
+            raise Unsound(f"step {min(region.steps)} of the plan can never begin")
 
 
 def _proved(part: Part) -> _Proved:
@@ -137,7 +159,7 @@ def explore(machine: PetriNetMachine) -> int:
         Unsound: some state is wrong, or there are more than `MAX_STATES`.
     """
     check_roles(machine)
-    return explore_part(
+    explored = explore_part(
         Part(
             places=machine.net.places,
             steps=tuple(step_of(machine, name) for name in machine.rules),
@@ -154,3 +176,4 @@ def explore(machine: PetriNetMachine) -> int:
             settling=frozenset(machine.settling_places),
         )
     )
+    return explored.states

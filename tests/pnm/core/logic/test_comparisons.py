@@ -6,8 +6,7 @@ import pytest
 
 from pnm.core.logic.computed_values import Literal, Parameter
 from pnm.core.logic.conditions import TRUE, All, Any, Compare, Computed, Condition, Exists, ForAll, Holds, Implies, Not, fluents, ground
-from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.explain import failing, observed
+from pnm.core.logic.evaluation import evaluate, failing, observed
 from pnm.core.logic.expressions import (
     DURATION,
     UNDEFINED,

@@ -25,8 +25,7 @@ from pnm.core.logic.conditions import (
     ground,
     names,
 )
-from pnm.core.logic.evaluation import evaluate
-from pnm.core.logic.explain import failing
+from pnm.core.logic.evaluation import evaluate, failing
 from pnm.core.logic.expressions import (
     UNKNOWN,
     Arithmetic,

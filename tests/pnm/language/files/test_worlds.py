@@ -40,7 +40,7 @@ def folder(tmp_path: Path) -> Path:
 def test_a_world_has_all_plans_of_its_recipes(folder: Path) -> None:
     world = read_world(folder / "worlds.yaml", "large")
     assert list(world.plans) == ["count", "first", "second", "alone"]
-    assert [choice.name for choice in world.sources] == ["RPKnowledgeBase"]
+    assert [choice.name for choice in world.domain.sources] == ["RPKnowledgeBase"]
     assert world.plans["second"].calls == {"first"}
     assert world.plans["first"].calls == {"count"}
     assert world.plans["alone"].sources == ()

@@ -81,7 +81,7 @@ def doubled(part: Part, place: str) -> Part:
 
 def is_sound(part: Part) -> bool:
     try:
-        return explore_part(part) > 0
+        return explore_part(part).states > 0
     except Unsound:
         return False
 

@@ -183,3 +183,16 @@ def test_no_limit_is_infinite(seconds: float) -> None:
         Bindings(lag=seconds)
     with pytest.raises(InputError, match="seconds"):
         KnowledgeBase().sense(("at",), lag=seconds)
+
+
+def test_transitions_that_can_never_fire_are_listed_with_the_reason() -> None:
+    never = {fired.transition: fired.reason for fired in verify(CHAIN).never}
+    implied = "such an end implies that the request was accepted, and a{0}()#{0} accepted goes first"
+    assert never == {f"a{number}()#{number} ended_early": implied.format(number) for number in (0, 1)}
+
+
+def test_a_step_that_can_never_begin_is_refused() -> None:
+    net = COUNTING.net
+    past_it = PetriNet(net.places, net.inputs, {**net.outputs, "a0()#0 rejected": {"a0()#0 recover": 1}})
+    with pytest.raises(Unsound, match="step 1 of the plan can never begin"):
+        verify(replace(COUNTING, net=past_it))
