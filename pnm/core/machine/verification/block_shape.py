@@ -21,7 +21,7 @@ def shape_of(part: Part) -> object:
     one must be marked and not two, are told apart.
     """
     conditions: list[Condition] = []
-    guards = tuple([(_kind(step, conditions), step.action, step.gives_up) for step in part.steps])
+    guards = tuple([(_kind(step, conditions), step.action, step.gives_up, step.counted and step.counted[1:]) for step in part.steps])
     arcs: dict[str, list[tuple[int, int]]] = {place: [] for place in part.places}
     for number, step in enumerate(part.steps):
         for place, weight in step.inputs.items():

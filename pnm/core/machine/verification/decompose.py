@@ -13,8 +13,9 @@ from typing import Final, TypeAlias
 
 from pnm.core.machine.machine import Accepts, Ends, OnFailure, PetriNetMachine, Region
 from pnm.core.machine.plan_graph import Moment
+from pnm.core.machine.verification.counters import without_counts
 from pnm.core.machine.verification.part import Inside, Part, Step, Unsound
-from pnm.core.machine.verification.place_roles import check_counters, check_roles
+from pnm.core.machine.verification.place_roles import check_roles
 from pnm.core.net.net import Weights
 
 Owner: TypeAlias = int | None
@@ -71,8 +72,9 @@ class Anatomy:
         """Places that connect blocks, or should."""
         for place in self.between:
             self._check_channel(place)
-        for region in (*self.first.values(), *self.last.values()):
-            self._check_entry(region)
+        for regions in self.regions.values():
+            for region in regions:
+                self._check_entry(region)
 
     def _owners(self, weights: Mapping[str, Weights]) -> dict[str, set[Owner]]:
         owners: dict[str, set[Owner]] = {place: set() for place in self.machine.net.places}
@@ -147,9 +149,10 @@ class Anatomy:
             raise Unsound(f"{place} connects steps that do not stand beside each other")
 
     def _check_entry(self, region: Region) -> None:
+        first, last = frozenset(region.first), frozenset(region.last)
         for name in self.transitions[region.owner]:
-            marked = self.machine.net.outputs[name].keys() & set(region.first)
-            taken = self.machine.net.inputs[name].keys() & set(region.last)
+            marked = first.intersection(self.machine.net.outputs[name])
+            taken = last.intersection(self.machine.net.inputs[name])
             # Entered or left in part, the block inside would not get all its inputs, as its exploration assumes.
             if 0 < len(marked) < len(region.first) or 0 < len(taken) < len(region.last):
                 raise Unsound(f"{name} enters or leaves only some of the steps it holds")
@@ -188,7 +191,10 @@ class Anatomy:
         taken = _resources(steps, {place: machine.initial[place] for place in resources})
         initial = {place: machine.initial[place] for place in places if machine.initial[place] and place not in resources}
         counters = frozenset(place for place in places if place in machine.counter_places).union(map(_may_come, own_records))
-        steps, initial = _counted(steps, initial, counters, machine.budget_places)
+        budgets = counters & machine.budget_places
+        steps, initial, left = without_counts(steps, initial, budgets)
+        places = dict.fromkeys(place for place in places if place not in budgets or place in left)
+        counters = counters - budgets | left
         part = Part(
             places=tuple(places),
             steps=steps,
@@ -302,22 +308,3 @@ def _resources(steps: Iterable[Step], resources: Mapping[str, int]) -> dict[str,
                 raise Unsound(f"{step.name} takes {weight} of {place}, and there is {resources[place]}")
         taken |= wanted
     return taken
-
-
-def _counted(
-    steps: tuple[Step, ...], initial: dict[str, int], counters: frozenset[str], budgets: frozenset[str]
-) -> tuple[tuple[Step, ...], dict[str, int]]:
-    """Return steps and tokens with large counters made small, which changes nothing that can happen but how often.
-
-    A counter is a pair of places whose tokens move one at a time from one to the other and back; a guard that asks for more than one
-    asks for all of them.
-    """
-    large = {tokens for place, tokens in initial.items() if place in counters and tokens > ENOUGH}
-    if not large:
-        return steps, initial
-    check_counters(steps, initial, budgets & counters)
-
-    def scaled(weights: Weights) -> dict[str, int]:
-        return {place: ENOUGH if weight in large and place in counters else weight for place, weight in weights.items()}
-
-    return tuple(step._replace(inputs=scaled(step.inputs), outputs=scaled(step.outputs)) for step in steps), scaled(initial)

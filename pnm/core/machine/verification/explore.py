@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Set
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass, field, replace
 from typing import Final, TypeAlias
 
 from pnm.core.machine.machine import Accepts, Adopted, After, Always, CancelAsked, Due, Ending, Ends, Failing, Guard, PauseAsked
+from pnm.core.machine.verification.counters import in_each_case
 from pnm.core.machine.verification.exits import missing_exit
 from pnm.core.machine.verification.part import Inside, Part, Step, Unsound
 from pnm.core.machine.verification.place_roles import check_steps
@@ -25,6 +26,8 @@ class _State:
     """How many of the supplies have come."""
     requests: tuple[Life, ...] = ()
     """What became of the last request of each call."""
+    restored: bool = False
+    """Whether something that was counted has come back since the part was entered."""
 
 
 @dataclass
@@ -69,6 +72,9 @@ class _Explorer:
         self.asking = [place for place in range(len(part.places)) if place not in self.records and self._may_be_unanswered(place)]
         # Only upwards in `successors`: a stop is never taken back, so the states of a part are finitely many.
         self.stops = (1, 2, 3) if part.others_restart else (2, 3)
+        # A place that asks for a restart is emptied before anything begins anew.
+        counting = {step.counted.place for step in part.steps if step.counted}
+        self.lasting = {self.index[place] for place in part.failures | counting if place in self.index}
         # Tokens move between counters, so none can hold more than all of them together.
         budget = sum(tokens for place, tokens in part.initial.items() if place in part.records)
         self.most = [budget if place in part.records - part.failures else 1 for place in part.places]
@@ -77,9 +83,8 @@ class _Explorer:
         """Return the state that the part begins in."""
         return _State(tuple(self.part.initial.get(place, 0) for place in self.part.places), requests=self.requests)
 
-    def successors(self, state: _State) -> Iterator[tuple[str, _State]]:
-        """Yield everything that can happen next."""
-        possible = self._possible(state)
+    def successors(self, state: _State, possible: Sequence[int], is_at_rest: bool) -> Iterator[tuple[str, _State]]:
+        """Yield everything that can happen next, given the steps that can."""
         ending = self._moods(state)[1]
         for number in possible:
             step, requests = self.part.steps[number], state.requests
@@ -96,31 +101,33 @@ class _Explorer:
                 tokens[self.index[place]] -= weight
             for place, weight in step.outputs.items():
                 tokens[self.index[place]] += weight
-            yield step.name, _State(tuple(tokens), state.stop, state.supplied, requests)
+            restores = step.counted.restores if step.counted else None
+            if state.restored and restores is False:
+                raise Unsound(f"{step.name} counts on after something was counted back, which may go on for ever")
+            yield step.name, _State(tuple(tokens), state.stop, state.supplied, requests, state.restored or bool(restores))
         if state.supplied < len(self.part.supplies):
             tokens = list(state.tokens)
             for place in self.part.supplies[state.supplied]:
                 tokens[self.index[place]] += 1
-            yield _SUPPLY, _State(tuple(tokens), state.stop, state.supplied + 1, state.requests)
+            yield _SUPPLY, replace(state, tokens=tuple(tokens), supplied=state.supplied + 1)
         # Entered again only once it has come to rest, and with its counters as they are: that they are full again is to be shown.
-        elif self.part.repeats and not possible:
+        elif self.part.repeats and is_at_rest:
             tokens = [
-                (0 if number in self.restarts else state.tokens[number]) if number in self.counters else self.part.initial.get(place, 0)
-                for place, number in self.index.items()
+                state.tokens[number] if number in self.lasting else self.part.initial.get(place, 0) for place, number in self.index.items()
             ]
             yield _AGAIN, _State(tuple(tokens), 0 if state.stop == 1 else state.stop, requests=(Life.NONE,) * len(self.calls))
         if self.part.finals and any(state.tokens[place] for place in self.ends):
             return  # it is over: nobody stops it any more
         for stop in self.stops:
             if stop > state.stop:  # a stop may come at any moment, between any two firings
-                yield _STOPS[stop], _State(state.tokens, stop, state.supplied, state.requests)
+                yield _STOPS[stop], replace(state, stop=stop)
 
     def _moods(self, state: _State) -> tuple[bool, bool, bool]:
         failing = state.stop > 1 or any(state.tokens[place] for place in self.failures)
         ending = failing or state.stop > 0 or any(state.tokens[place] for place in self.restarts)
         return failing, ending, state.stop == 3 or (ending and self.part.cancels)
 
-    def _possible(self, state: _State) -> list[int]:
+    def possible(self, state: _State) -> list[int]:
         """Return the enabled steps whose guards may be open, as `pnm.core.execution.run` asks them: in order, at each marked place.
 
         Reports are not asked for at a place: they come when they like as long as their request is alive.
@@ -166,7 +173,7 @@ class _Explorer:
                     is_open = True
             if is_open is not False:  # guards that ask the world may go either way, so both are followed
                 exits.append(number)
-            if is_open is True:  # rules after one that is surely open are never asked
+            if is_open is True and not step.counted:  # rules after one that is surely open are never asked
                 break
         return exits, False
 
@@ -177,7 +184,8 @@ class _Explorer:
             if tokens and place not in self.records:
                 exits, waiting = self._exits(place, state, moods, enabled)
                 steps = (self.part.steps[number] for number in exits)
-                if any(not waiting or isinstance(step.guard, After | Due) or _is_open(step.guard, *moods) for step in steps):
+                sure = (step for step in steps if not step.counted)
+                if (not waiting and exits) or any(isinstance(step.guard, After | Due) or _is_open(step.guard, *moods) for step in sure):
                     return False
                 waits = waits or waiting
         return waits
@@ -194,15 +202,23 @@ class _Explorer:
     def _unanswered(self, place: int, state: _State) -> str:
         """Return for which answer of the world no exit opens in finite time, if one is waited for and for no resources."""
         steps = [self.part.steps[number] for number in self.consumers[place]]
-        guards = [step.guard for step in steps if self._is_enabled(step, state)]
-        asking = [guard for guard in guards if not isinstance(guard, Inside) and _asks_the_world(guard)]
-        if (
-            not asking
-            or any(_is_open(guard, *self._moods(state)) for guard in guards)
-            or any(self._lacks_resources(step, state) for step in steps)
-        ):
+        if any(self._lacks_resources(step, state) for step in steps):
             return ""
-        return missing_exit(asking)
+        enabled = [step for step in steps if self._is_enabled(step, state)]
+        moods = self._moods(state)
+        return min((max((lacking_exit(case, moods) for case in cases), key=len) for cases in in_each_case(enabled)), key=len)
+
+    def is_stuck(self, state: _State, possible: Sequence[int]) -> bool:
+        """Return whether, in some case of the counters, none of the possible steps is: nothing happens without something from outside."""
+        steps = [self.part.steps[number] for number in possible]
+        if any(not step.counted for step in steps):
+            return False
+        moods = self._moods(state)
+        for place in {self.index[name] for step in steps for name in step.inputs} - self.records:
+            enabled = [step for number in self.consumers[place] if self._is_enabled(step := self.part.steps[number], state)]
+            if any(all(any(_is_open(step.guard, *moods) for step in case) for case in cases) for cases in in_each_case(enabled)):
+                return False
+        return True
 
     def _is_enabled(self, step: Step, state: _State) -> bool:
         tokens = state.tokens
@@ -216,7 +232,7 @@ class _Explorer:
         lacking = {place for place, weight in own if state.tokens[place] < weight}
         return bool(lacking) and lacking <= self.resources.keys()
 
-    def check(self, state: _State, stuck: bool) -> str:
+    def check(self, state: _State, possible: Sequence[int], stuck: bool) -> str:
         """Return what is wrong with a state; empty when nothing is."""
         for number, tokens in enumerate(state.tokens):
             # Safe places are what makes guards and times meaningful: the time of a marking is one number per place.
@@ -227,7 +243,7 @@ class _Explorer:
                 return f"{self.part.places[number]} {wrong}"
         # Hold and wait is one of the conditions of a deadlock; it is excluded here, so that runs cannot block each other.
         keeps = any(state.tokens[place] < tokens for place, tokens in self.resources.items())
-        if keeps and (stuck or any(isinstance(self.part.steps[number].guard, Inside) for number in self._possible(state))):
+        if keeps and (stuck or any(isinstance(self.part.steps[number].guard, Inside) for number in possible)):
             return "it waits for others while it keeps resources that they may need"
         if self.resources and self._starves(state):
             return "it waits for resources that no call gives back"
@@ -310,6 +326,13 @@ def _is_open(guard: Guard | Inside, failing: bool, ending: bool, cancel: bool) -
             return None
 
 
+def lacking_exit(steps: Sequence[Step], moods: tuple[bool, bool, bool]) -> str:
+    """Return for which answer of the world none of the enabled steps at a place opens; empty if one does, or the world is not asked."""
+    guards = [step.guard for step in steps]
+    asking = [guard for guard in guards if not isinstance(guard, Inside) and _asks_the_world(guard)]
+    return missing_exit(asking) if asking and not any(_is_open(guard, *moods) for guard in guards) else ""
+
+
 def _asks_the_world(guard: Guard | Inside) -> bool:
     """Return whether the guard opens because of the world, of a request from outside, or of time."""
     return not isinstance(guard, Inside) and _is_open(guard, False, False, False) is None
@@ -336,8 +359,9 @@ def explore_part(part: Part) -> Exploration:
     check_steps(part)
     explorer = _Explorer(part)
     # pauses and entries come from outside, as often as they like: what follows from there is walked through apart
+    # so is what is counted: `successors` makes sure that it comes to an end
     # A cycle through them is no error: pauses are assumed to be finitely many, and entries are counted by whatever holds the block.
-    apart = {step.name for step in part.steps if isinstance(step.guard, PauseAsked)} | {_AGAIN}
+    apart = {step.name for step in part.steps if isinstance(step.guard, PauseAsked) or step.counted} | {_AGAIN}
     roots: list[_Reached] = [(explorer.start(), None)]
     seen: set[_State] = set()
     while roots:
@@ -355,12 +379,13 @@ def _walk(explorer: _Explorer, root: _Reached, seen: set[_State], apart: Set[str
 
     def enter(reached: _Reached) -> None:
         state, trace = reached
+        possible = explorer.possible(state)
+        stuck = explorer.is_stuck(state, possible)
         try:
-            nexts = list(explorer.successors(state))  # all of them at once, for whether the state is stuck depends on all
+            nexts = list(explorer.successors(state, possible, stuck))
         except Unsound as error:
             raise Unsound(str(error), _names(trace)) from error
-        stuck = all(name in _FROM_OUTSIDE for name, _ in nexts)
-        if wrong := explorer.check(state, stuck):
+        if wrong := explorer.check(state, possible, stuck):
             raise Unsound(wrong, _names(trace))
         if len(seen) > MAX_STATES:
             raise Unsound(f"more than {MAX_STATES} states")

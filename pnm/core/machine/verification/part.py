@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import NamedTuple
 
 from pnm.core.machine.machine import Guard, TransitionAction
@@ -24,6 +25,28 @@ class Inside:
     """In the place of a guard: what happens inside a region, which takes its time but comes to an end."""
 
 
+class Left(Enum):
+    """How much of a counter is left."""
+
+    ALL = "all"
+    SOME = "some"
+    NONE = "none"
+
+    __hash__ = object.__hash__  # each is there once
+
+
+class Count(NamedTuple):
+    """What a step asks of a counter: a pair of places that one place stands for."""
+
+    place: str
+    cases: frozenset[Left]
+    """Those in which the step is enabled."""
+    possible: frozenset[Left]
+    """All cases of this counter."""
+    restores: bool | None
+    """Whether the step moves a token back, or on; None if it takes all of them away."""
+
+
 class Step(NamedTuple):
     """A transition of a part of a net, or all that happens inside a region."""
 
@@ -36,6 +59,8 @@ class Step(NamedTuple):
     action: TransitionAction | None = None
     gives_up: bool = False
     """The request of the call is no longer waited for."""
+    counted: Count | None = None
+    """What it asks of a counter, which may be so or not at any time."""
 
 
 @dataclass(frozen=True, kw_only=True)

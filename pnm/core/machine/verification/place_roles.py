@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 from pnm.core.machine.machine import Accepts, Due, EffectsSeen, Ends, PetriNetMachine
-from pnm.core.machine.verification.part import Part, Step, Unsound
+from pnm.core.machine.verification.part import Part, Unsound
 
 
 def check_roles(machine: PetriNetMachine) -> str:
@@ -61,28 +61,22 @@ def check_steps(part: Part) -> None:
                 raise Unsound(f"{step.name} takes {weight} of {place}, and there is {part.initial.get(place, 0)}")
 
 
-def check_counters(steps: Sequence[Step], initial: dict[str, int], budgets: frozenset[str]) -> None:
-    """Check that counters are pairs: a token moves from one to the other and back, and nothing asks for more than one but for all.
+def check_causes(machine: PetriNetMachine, entered: Iterable[str], transitions: Iterable[str]) -> None:
+    """Check that a step does not fail without a cause that a rule has found.
 
-    Only then it does not matter how many tokens there are.
+    Args:
+        machine: that the step is part of.
+        entered: places that are marked when the step is entered.
+        transitions: those of the step.
 
     Raises:
-        Unsound: it is not so.
+        Unsound: a failure place may be marked although no cause was found since.
     """
-    other = dict[str, str]()
-    takers: list[tuple[Step, dict[str, int]]] = []
-    for step in steps:
-        taken, given = ({place: count for place, count in arcs.items() if place in budgets} for arcs in (step.inputs, step.outputs))
-        if not given:
-            takers.append((step, taken))
-            continue
-        if [*taken.values()] != [1] or [*given.values()] != [1]:
-            raise Unsound(f"{step.name} does not move one token from one counter to another")
-        (source,), (target,) = taken, given
-        if source == target or other.setdefault(source, target) != target or other.setdefault(target, source) != source:
-            raise Unsound(f"{step.name} mixes counters: {source} and {target} do not count together")
-    for step, taken in takers:
-        for place, weight in taken.items():
-            counted = initial.get(place, 0), initial.get(other.get(place, ""), 0)
-            if weight not in (1, sum(counted)) or all(counted):
-                raise Unsound(f"{step.name} takes {weight} of {place}, which is neither one nor all")
+    net, reached = machine.net, set(entered)
+    without = [name for name in transitions if machine.rules[name].cause is None]
+    while new := [name for name in without if not reached.isdisjoint(net.inputs[name])]:
+        for name in new:
+            if not net.outputs[name].keys().isdisjoint(machine.failure_places):
+                raise Unsound(f"{name} marks a failure, and no rule has found its cause")
+            reached |= net.outputs[name].keys() - machine.record_places
+        without = [name for name in without if name not in new]

@@ -15,7 +15,10 @@ what it holds taken as one step that comes to an end; at every place some exit o
 time for any answer; every place between blocks has one writing and one reading block, neighbours
 or a step and what holds it; and what neighbours wait for has no cycle. By induction along that
 order, and from the innermost steps outwards, each block gets its inputs once and gives its outputs
-once whenever it is entered.
+once whenever it is entered. Counters are explored as all, some or none left, and their moves end because they have one direction.
+
+The net is that of the plan: its regions are the flows, every ordering is a place that its two events keep in order, delays and
+releases are waited for, and a step fails only after some rule has found the cause.
 
 A block takes all of its resources at once, while it has none, gives them back whatever happens, and
 waits neither for other blocks nor for what it holds as long as it has them. So a call that has resources
@@ -41,7 +44,8 @@ from pnm.core.machine.verification.block_shape import shape_of
 from pnm.core.machine.verification.decompose import Anatomy, Block, Event, step_of
 from pnm.core.machine.verification.explore import Exploration, explore_part
 from pnm.core.machine.verification.part import Inside, Part, Unsound
-from pnm.core.machine.verification.place_roles import check_roles
+from pnm.core.machine.verification.place_roles import check_causes, check_roles
+from pnm.core.machine.verification.plan_in_net import check_events, check_flows
 from pnm.core.machine.verification.unfired import NeverFires, never_fire
 
 
@@ -84,6 +88,7 @@ def verify(machine: PetriNetMachine) -> Proof:
     Raises:
         Unsound: it is not, or not of the form that `pnm.core.machine` makes.
     """
+    check_flows(machine)
     anatomy = Anatomy(machine)
     proved: set[_Proved] = set()
     waits: dict[Event, set[Event]] = {}
@@ -95,6 +100,8 @@ def verify(machine: PetriNetMachine) -> Proof:
         block = anatomy.block(owner)
         if owner is not None and not block.part.ends:
             raise Unsound(f"nothing waits for the end of step {owner}")
+        check_events(machine, block, anatomy.transitions[owner])
+        check_causes(machine, block.first, anatomy.transitions[owner])
         anatomy.note_waits(block, waits)
         shape = _proved(block.part)
         proved.add(shape)
@@ -138,6 +145,11 @@ def _proved(part: Part) -> _Proved:
             _FOUND_GOOD.pop(next(iter(_FOUND_GOOD)))
         _FOUND_GOOD[shape] = proved
     return proved
+
+
+def forget_proofs() -> None:
+    """Forget which shapes of blocks were found good."""
+    _FOUND_GOOD.clear()
 
 
 def explore(machine: PetriNetMachine) -> int:

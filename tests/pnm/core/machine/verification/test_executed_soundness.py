@@ -87,7 +87,7 @@ UNSOUND: dict[str, tuple[PetriNetMachine, str]] = {
     "a failure place that is marked at first": (marked(CHAIN, **{"a0()#0 failed": 1}), "marked at first"),
     "an end that nothing waits for": (
         without_place(generate(plan(2, "0e<1e")), next(iter(generate(plan(2, "0e<1e")).orderings))),
-        "nothing waits for the end of step 0|goal is marked although|failed is marked although",
+        "no place keeps|nothing waits for the end of step 0|goal is marked although|failed is marked although",
     ),
     "a report without input": (inputs_of(CHAIN, "a0()#0 withdrawn", {}), "does not take just the one token of its call"),
     "a report with two inputs": (
