@@ -28,7 +28,7 @@ from uuid import UUID, uuid4
 
 from pnm.ros.action_client.liveness import AGAIN
 
-SECOND_ANSWER: Final = 1.0
+SECOND_ANSWER: Final = 2.0
 """Seconds in which a second server answers a probe as well."""
 SUSPICION: Final = 5.0
 """Seconds between two probes while there are several processes."""
