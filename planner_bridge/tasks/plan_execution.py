@@ -17,7 +17,7 @@ from pnm.core.execution.call_results import Failure, RunResult
 from pnm.core.execution.events import Observer
 from pnm.core.execution.handover import UnderWay
 from pnm.core.execution.run import Run
-from pnm.core.logic.conditions import TRUE, names
+from pnm.core.logic.conditions import TRUE
 from pnm.core.logic.effects import names_written, possible_assignments
 from pnm.core.logic.expressions import Constant, Fluent, State, Unknown, Value
 from pnm.core.machine.generate import generate
@@ -244,12 +244,9 @@ class PlanExecution(Observer):
 
 def is_relevant(progress: Progress, changed: Mapping[Fluent, object]) -> bool:
     """Return whether what has changed is read or written by the rest of the plan, or by its goal."""
-    mentioned = set(progress.plan.rules.base(names(progress.plan.goal)))
-    for call in progress.rest:
-        action = call.action
-        reads = names(action.precondition) | names(action.invariant) | names(action.end_condition)
-        mentioned |= progress.plan.rules.base(reads) | _writes(call)
-    return any(fluent[0] in mentioned for fluent in changed)
+    *by_call, by_goal = progress.plan.names_used
+    used = (by_goal, *(by_call[call.index] for call in progress.rest))
+    return any(fluent[0] in names for fluent in changed for names in used)
 
 
 def is_foreseen(progress: Progress, changed: Mapping[Fluent, Value | Unknown], state: State) -> bool:

@@ -18,8 +18,8 @@ from math import inf
 from typing import Final, NamedTuple, TypeAlias
 
 from pnm.core.logic.computed_values import Data, KnowledgeOperation
-from pnm.core.logic.conditions import TRUE, Condition
-from pnm.core.logic.effects import Effects
+from pnm.core.logic.conditions import TRUE, Condition, names
+from pnm.core.logic.effects import Effects, names_written
 from pnm.core.logic.expressions import Fluent, fluent_text
 from pnm.core.logic.rules import NO_RULES, Rules
 from pnm.errors import PnmError
@@ -336,6 +336,18 @@ class PlanGraph:
     def calls(self) -> tuple[ActionCall, ...]:
         """All calls, by number."""
         return tuple(step for step in self.every_step if isinstance(step, ActionCall))
+
+    @cached_property
+    def names_used(self) -> tuple[frozenset[str], ...]:
+        """The predicates and functions that each call reads or writes, by number, and last those that the goal reads.
+
+        In place of derived ones stand those they follow from.
+        """
+        actions = [call.action for call in self.calls]
+        reads = [names(action.precondition) | names(action.invariant) | names(action.end_condition) for action in actions]
+        writes = [names_written((*action.start_effects, *action.end_effects)) for action in actions]
+        used = [self.rules.base(read) | written for read, written in zip(reads, writes, strict=True)]
+        return (*used, self.rules.base(names(self.goal)))
 
     def in_order(self) -> tuple[PlanEvent, ...]:
         """Return all outermost events in an order that keeps every start before its end and every ordering."""

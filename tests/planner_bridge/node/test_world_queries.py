@@ -124,13 +124,13 @@ def test_what_a_sensor_reports_is_not_overruled():
     knowledge.update({("at", "r1", "kitchen"): True})
     knowledge.sense({"at"})
     with pytest.raises(InputError, match=re.escape("a sensor reports (not (at r1 hall)); only what no sensor reports, or is unknown")):
-        shared.update(["(dark)", "(at r1 hall)"])
+        shared.record(shared.read_changes(["(dark)", "(at r1 hall)"]))
     with pytest.raises(InputError, match=re.escape("a sensor reports (at r1 kitchen)")):
-        shared.update(forget=["(at r1 kitchen)"])
+        shared.record(shared.read_changes(forget=["(at r1 kitchen)"]))
     assert answers(shared, "(dark)", "(at r1 hall)", "(at r1 kitchen)") == ["false", "false", "true"]
-    assert shared.update(["(at r1 kitchen)"]) == 0
+    assert shared.record(shared.read_changes(["(at r1 kitchen)"])) == 0
     knowledge.update({("at", "r1", "kitchen"): UNKNOWN})  # as when the sensor has fallen silent
-    assert shared.update(["(at r1 kitchen)"]) == 1
+    assert shared.record(shared.read_changes(["(at r1 kitchen)"])) == 1
 
 
 def test_a_function_loses_the_object_that_is_removed_and_no_other():
