@@ -30,6 +30,9 @@ from tests.support.processes import LIMIT
 from tests.support.ros.child_process import ChildProcess
 from tests.support.ros.domains import ros_domain
 
+# Fast DDS 2.14 may block for ever when one of two participants of a process is destroyed while it delivers directly to the other.
+os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(ROOT / "tests/pnm/ros/one_process.xml"))
+
 # Before the first ROS context of this process, and inherited by all of its servers. Killed processes leave
 # shared memory behind, so everything goes over UDP.
 _own = ExitStack()  # until this process ends
